@@ -1,0 +1,1 @@
+"""Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand."""

@@ -1,0 +1,125 @@
+"""Contact weights and the connectivity C_d, C_d,n of a path (Eqs. 8 and 9 of the paper)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ContactWeights:
+    """How much a contact of each kind adds to the length of a path; dimensionless.
+
+    Parameters
+    ----------
+    hertz
+        Weight of a sand contact, omega_h.
+    bond
+        Weight of a cemented contact, omega_LPB; at most that of a sand contact, because cement shortens the
+        way.
+
+    Raises
+    ------
+    ValueError
+        If 0 < bond <= hertz does not hold.
+    """
+
+    hertz: float
+    bond: float
+
+    def __post_init__(self) -> None:
+        """Check the order of the weights."""
+        if not 0 < self.bond <= self.hertz:
+            raise ValueError(
+                f"weights hertz = {self.hertz} and bond = {self.bond} must satisfy 0 < bond <= hertz"
+            )
+
+    @classmethod
+    def from_coordination_number(cls, coordination_number: float) -> ContactWeights:
+        """Choose the weights by their physical meaning, Eq. 8: C^(-2/3) for sand, 1/C for cement.
+
+        Parameters
+        ----------
+        coordination_number
+            Mean number of contacts of a grain, C = 2 N_c / N, at least 1.
+        """
+        return cls(hertz=coordination_number ** (-2 / 3), bond=1 / coordination_number)
+
+    @classmethod
+    def from_ratio(cls, ratio: float) -> ContactWeights:
+        """Choose the weights by their ratio omega_LPB / omega_h with omega_h = 1, as in Fig. 14."""
+        return cls(hertz=1.0, bond=ratio)
+
+    @property
+    def ratio(self) -> float:
+        """The ratio omega_LPB / omega_h, in (0, 1]."""
+        return self.bond / self.hertz
+
+
+@dataclass(frozen=True, slots=True)
+class PathScale:
+    """What makes path lengths of different samples comparable.
+
+    Parameters
+    ----------
+    distance
+        Distance L between transmitter and receiver in m.
+    median_diameter
+        Median grain diameter d50 in m, smaller than the distance.
+
+    Raises
+    ------
+    ValueError
+        If 0 < median_diameter < distance does not hold.
+    """
+
+    distance: float
+    median_diameter: float
+
+    def __post_init__(self) -> None:
+        """Check that the grain is smaller than the distance."""
+        if not 0 < self.median_diameter < self.distance:
+            raise ValueError(
+                f"median_diameter = {self.median_diameter} m and distance = {self.distance} m; "
+                "the diameter must be positive and smaller than the distance"
+            )
+
+    @property
+    def straight_contacts(self) -> float:
+        """Contacts of a straight row of median grains from transmitter to receiver, L / d50 - 1."""
+        return self.distance / self.median_diameter - 1
+
+
+def connectivity(hertz_contacts: int, bond_contacts: int, weights: ContactWeights) -> float:
+    """Give C_d, the weighted length of a path, Eq. 9, dimensionless.
+
+    Parameters
+    ----------
+    hertz_contacts, bond_contacts
+        Numbers of sand contacts N_h and cemented contacts N_LPB on the path.
+    weights
+        Weight of each kind.
+    """
+    return weights.hertz * hertz_contacts + weights.bond * bond_contacts
+
+
+def normalised_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
+    """Give C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
+
+    Parameters
+    ----------
+    c_d
+        Weighted length of the path.
+    weights
+        The weights it was computed with.
+    scale
+        Distance and grain size.
+
+    Raises
+    ------
+    ValueError
+        If the two weights are equal: the definition divides by their difference.
+    """
+    if weights.bond == weights.hertz:
+        raise ValueError(f"both weights are {weights.hertz}; C_d,n exists only where bond < hertz")
+    straight = scale.straight_contacts
+    return (c_d - weights.bond * straight) / ((weights.hertz - weights.bond) * straight)

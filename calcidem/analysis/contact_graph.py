@@ -1,0 +1,234 @@
+"""Grains and contacts as a weighted undirected graph, and the path a shear wave prefers (section 2.4).
+
+All cells of a campaign share one packing, so the graph is made once and every cell only says which of the
+contacts are cemented. `ContactGraph.to_networkx` gives the graph for reading and drawing; paths are found on
+a sparse matrix with SciPy, because the scan over weights needs thousands of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import networkx as nx
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from calcidem.analysis.connectivity import ContactWeights
+
+RELATIVE_TIE = 1e-9
+"""Paths whose lengths differ by less than this fraction are equally long; round-off is about 1e-14."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactGraph:
+    """The contacts of one packing.
+
+    Parameters
+    ----------
+    grain_count
+        Number of grains N; grains are numbered from 0.
+    pairs
+        The two grains of each contact, integers, shape (m, 2); no contact appears twice.
+    transmitter, receiver
+        Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
+        grain.
+
+    Raises
+    ------
+    ValueError
+        If a grain does not exist, a contact joins a grain to itself or appears twice, or a list is empty or
+        shares a grain with the other.
+    """
+
+    grain_count: int
+    pairs: NDArray[np.int64]
+    transmitter: NDArray[np.int64]
+    receiver: NDArray[np.int64]
+    _row_starts: NDArray[np.int32] = field(init=False, repr=False)
+    _neighbours: NDArray[np.int32] = field(init=False, repr=False)
+    _contacts: NDArray[np.int64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check the contacts and arrange them for the searches."""
+        pairs = np.asarray(self.pairs, dtype=np.int64).reshape(-1, 2)
+        lists = {
+            name: np.unique(np.asarray(getattr(self, name), dtype=np.int64))
+            for name in ("transmitter", "receiver")
+        }
+        _check(self.grain_count, pairs, lists)
+        # Every contact is stored in both directions, rows and columns ascending; `contacts` says which
+        # contact an entry belongs to, so that a cell only has to fill in the weights.
+        rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
+        order = np.lexsort((columns, rows))
+        starts = np.searchsorted(rows[order], np.arange(self.grain_count + 1))
+        values = {
+            "pairs": pairs,
+            **lists,
+            "_row_starts": starts.astype(np.int32),
+            "_neighbours": columns[order].astype(np.int32),
+            "_contacts": order % max(len(pairs), 1),
+        }
+        for name, array in values.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def contact_count(self) -> int:
+        """Number of contacts m."""
+        return len(self.pairs)
+
+    @property
+    def coordination_number(self) -> float:
+        """Mean number of contacts of a grain, C = 2 m / N, grains without contact included."""
+        return 2 * self.contact_count / self.grain_count
+
+    def contact_weights(self, bonded: ArrayLike, weights: ContactWeights) -> NDArray[np.float64]:
+        """Give the weight of each contact, shape (m,).
+
+        Parameters
+        ----------
+        bonded
+            Which contacts are cemented, booleans, shape (m,).
+        weights
+            Weight of each kind of contact.
+
+        Raises
+        ------
+        ValueError
+            If `bonded` has another shape.
+        """
+        mask = np.asarray(bonded, dtype=np.bool_)
+        if mask.shape != (self.contact_count,):
+            raise ValueError(
+                f"bonded has shape {mask.shape}; give one boolean for each of {self.contact_count} contacts"
+            )
+        return np.where(mask, weights.bond, weights.hertz)
+
+    def matrix(self, bonded: ArrayLike, weights: ContactWeights) -> csr_array:
+        """Give the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
+        data = self.contact_weights(bonded, weights)[self._contacts]
+        return csr_array(
+            (data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count)
+        )
+
+    def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> nx.Graph[int]:
+        """Give the graph as a networkx model; arguments as in `contact_weights`.
+
+        Returns
+        -------
+        networkx.Graph
+            Every grain is a vertex, with `role` "transmitter", "receiver" or "interior"; every contact an
+            edge with `bonded` (bool) and `weight` (float).
+        """
+        graph: nx.Graph[int] = nx.Graph()
+        graph.add_nodes_from(range(self.grain_count), role="interior")
+        graph.add_nodes_from(self.transmitter.tolist(), role="transmitter")
+        graph.add_nodes_from(self.receiver.tolist(), role="receiver")
+        lengths = self.contact_weights(bonded, weights).tolist()
+        kinds = np.asarray(bonded, dtype=np.bool_).tolist()
+        for (first, second), length, kind in zip(self.pairs.tolist(), lengths, kinds, strict=True):
+            graph.add_edge(first, second, weight=length, bonded=kind)
+        return graph
+
+
+@dataclass(frozen=True, slots=True)
+class PreferentialPath:
+    """A shortest path from the transmitter to the receiver.
+
+    Parameters
+    ----------
+    grains
+        The grains it visits, from a transmitter grain to a receiver grain.
+    bonded
+        Whether each contact on the way is cemented; one fewer than grains.
+    """
+
+    grains: tuple[int, ...]
+    bonded: tuple[bool, ...]
+
+    @property
+    def bond_contacts(self) -> int:
+        """Number of cemented contacts, N_LPB."""
+        return sum(self.bonded)
+
+    @property
+    def hertz_contacts(self) -> int:
+        """Number of sand contacts, N_h."""
+        return len(self.bonded) - self.bond_contacts
+
+
+def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> PreferentialPath:
+    """Find the shortest path from any transmitter grain to any receiver grain.
+
+    With only two different weights, many paths are equally short. The one returned starts at the
+    lowest-numbered grain possible and at every step goes on to the lowest-numbered grain possible, so it
+    depends on nothing but the numbering of the grains, which all cells of a campaign share.
+
+    Parameters
+    ----------
+    graph
+        The contacts.
+    bonded
+        Which contacts are cemented, booleans, shape (m,).
+    weights
+        Weight of each kind of contact.
+
+    Raises
+    ------
+    ValueError
+        If no chain of contacts joins transmitter and receiver, or `bonded` has the wrong shape.
+
+    Notes
+    -----
+    Dijkstra (1959), doi:10.1007/BF01386390, from all receiver grains at once; the path is then walked down
+    the distances from the transmitter.
+    """
+    mask = np.asarray(bonded, dtype=np.bool_)
+    lengths = graph.matrix(mask, weights)
+    distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
+    shortest = distance[graph.transmitter].min()
+    if not np.isfinite(shortest):
+        raise ValueError(
+            "no chain of contacts joins transmitter and receiver; widen them or check the packing"
+        )
+    slack = RELATIVE_TIE * shortest
+    grain = int(graph.transmitter[distance[graph.transmitter] <= shortest + slack][0])
+    grains, kinds = [grain], []
+    while distance[grain] > 0:
+        entries = slice(graph._row_starts[grain], graph._row_starts[grain + 1])  # noqa: SLF001 - same module
+        neighbours = graph._neighbours[entries]  # noqa: SLF001 - same module
+        onward = lengths.data[entries] + distance[neighbours] <= distance[grain] + slack
+        entry = entries.start + int(np.argmax(onward))  # the first one that is true
+        kinds.append(bool(mask[graph._contacts[entry]]))  # noqa: SLF001 - same module
+        grain = int(graph._neighbours[entry])  # noqa: SLF001 - same module
+        grains.append(grain)
+    return PreferentialPath(tuple(grains), tuple(kinds))
+
+
+def _check(grain_count: int, pairs: NDArray[np.int64], lists: dict[str, NDArray[np.int64]]) -> None:
+    for name, grains in {"pairs": pairs, **lists}.items():
+        if grains.size and not (grains.min() >= 0 and grains.max() < grain_count):
+            raise ValueError(
+                f"{name} names grains {grains.min()} to {grains.max()}; with grain_count = {grain_count} "
+                f"they must lie between 0 and {grain_count - 1}"
+            )
+    for name, grains in lists.items():
+        if not grains.size:
+            raise ValueError(f"{name} is empty; name at least one grain")
+    common = np.intersect1d(lists["transmitter"], lists["receiver"])
+    if common.size:
+        raise ValueError(f"grain {common[0]} is in both transmitter and receiver; the two must be apart")
+    if (pairs[:, 0] == pairs[:, 1]).any():
+        raise ValueError(
+            f"pairs joins grain {pairs[pairs[:, 0] == pairs[:, 1]][0, 0]} to itself; remove that contact"
+        )
+    unique, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
+    if (counts > 1).any():
+        raise ValueError(
+            f"pairs holds the contact {tuple(unique[counts > 1][0].tolist())} more than once; keep one"
+        )

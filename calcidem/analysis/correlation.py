@@ -1,0 +1,155 @@
+"""How closely path features and Vs go together (Fig. 13a), over all contents and within one content.
+
+Both the features and Vs grow with calcite content, so over all contents they correlate strongly whatever the
+paths are like. How much of the scatter at a fixed content a feature explains is another, harder question.
+Both are answered here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correlations:
+    """Correlation matrices of one table of variables.
+
+    Each is a Dataset along (variable, other) with `pearson`, its interval `pearson_low` and `pearson_high`,
+    `spearman`, and the number of samples `n`. A variable that does not vary has NaN.
+
+    Parameters
+    ----------
+    overall
+        Over all samples of all contents. A common trend with content inflates it.
+    within
+        After subtracting from each variable its mean at the same content: what is left without that trend.
+    by_content
+        At each content alone, along a further dimension `content`.
+    left_out
+        Number of samples with a variable missing, which are in none of the matrices.
+    """
+
+    overall: xr.Dataset
+    within: xr.Dataset
+    by_content: xr.Dataset
+    left_out: int
+
+
+def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
+    """Correlate all variables of a table with one another.
+
+    Parameters
+    ----------
+    table
+        Numeric variables along (seed, content), NaN where missing. A sample counts only if it has all of
+        them.
+    level
+        Confidence level of the intervals, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If a variable has other dimensions, or there are fewer than two variables.
+
+    Notes
+    -----
+    Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each
+    further content whose mean was subtracted (Fisher 1924, on partial correlation). They take samples as
+    independent. Those of different seeds are; those of one seed share their cement from content to content,
+    so the intervals of `overall` and `within` are somewhat too narrow, those of `by_content` are not.
+    """
+    names = [str(name) for name in table.data_vars]
+    if len(names) <= 1:
+        raise ValueError(f"table holds the variables {names}; a correlation needs at least two")
+    for name in names:
+        if set(table[name].dims) != {"seed", "content"}:
+            raise ValueError(
+                f"variable {name} has dimensions {table[name].dims}; give it ('seed', 'content')"
+            )
+    values = np.stack(
+        [table[name].transpose("seed", "content").to_numpy() for name in names], axis=-1
+    ).astype(np.float64)
+    complete = np.asarray(np.isfinite(values).all(axis=-1))
+    groups = [values[complete[:, column], column] for column in range(values.shape[1])]
+    pooled = np.concatenate(groups)
+    centred = np.concatenate([group - group.mean(axis=0) for group in groups if len(group)])
+    means_subtracted = sum(len(group) > 0 for group in groups)
+    contents = table["content"].to_numpy()
+    return Correlations(
+        overall=_matrix(pooled, names, level),
+        within=_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
+        by_content=xr.concat(
+            [_matrix(group, names, level) for group in groups],
+            dim=xr.Variable("content", contents),
+            join="exact",
+        ),
+        left_out=int((~complete).sum()),
+    )
+
+
+def fisher_interval(
+    coefficient: NDArray[np.float64], n: int, level: float = 0.95, lost_freedom: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the lower and upper ends of the confidence interval of Pearson's coefficient.
+
+    Parameters
+    ----------
+    coefficient
+        Pearson's coefficients, any shape.
+    n
+        Number of samples; with n - lost_freedom of three or fewer, the interval is NaN.
+    level
+        Confidence level between 0 and 1.
+    lost_freedom
+        Number of quantities held constant (partial correlation).
+    """
+    freedom = n - lost_freedom - 3
+    if freedom <= 0:
+        return np.full_like(coefficient, np.nan), np.full_like(coefficient, np.nan)
+    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(freedom)
+    with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh gives back one
+        z = np.arctanh(coefficient)
+    return np.tanh(z - half), np.tanh(z + half)
+
+
+def _matrix(
+    samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0
+) -> xr.Dataset:
+    """Correlation matrix of samples, shape (n, variables)."""
+    pearson = _pearson(samples)
+    low, high = fisher_interval(pearson, len(samples), level, lost_freedom)
+    spearman = _pearson(stats.rankdata(samples, axis=0)) if len(samples) else pearson
+    square = ("variable", "other")
+    return xr.Dataset(
+        {
+            "pearson": (square, pearson),
+            "pearson_low": (square, low),
+            "pearson_high": (square, high),
+            "spearman": (square, spearman),
+            "n": len(samples),
+        },
+        coords={"variable": names, "other": names},
+        attrs={"level": level},
+    )
+
+
+def _pearson(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pearson's matrix, NaN for columns that do not vary beyond round-off."""
+    count, size = samples.shape
+    if count <= 1:
+        return np.full((size, size), np.nan)
+    centred = samples - samples.mean(axis=0)
+    norms = np.linalg.norm(centred, axis=0)
+    constant = norms <= 1e-12 * np.linalg.norm(samples, axis=0)
+    scaled = centred / np.where(constant, np.nan, norms)
+    matrix: NDArray[np.float64] = np.clip(scaled.T @ scaled, -1.0, 1.0)
+    np.fill_diagonal(matrix, np.where(constant, np.nan, 1.0))
+    return matrix

@@ -1,0 +1,248 @@
+"""The distribution of shear-wave velocity at each calcite content (sections 2.4 and 3.2 of the paper)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.intervals import (
+    Interval,
+    bootstrap_interval,
+    mean,
+    mean_interval,
+    ordered_prediction_interval,
+    prediction_interval,
+    standard_deviation,
+    standard_deviation_interval,
+)
+from calcidem.analysis.normality import NormalityTest, jarque_bera, kurtosis, skewness
+from calcidem.analysis.outcomes import count_outcomes, matrix
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class NormalFit:
+    """The normal distribution with the mean and standard deviation of a sample.
+
+    Parameters
+    ----------
+    mean, standard_deviation
+        In the unit of the sample; the deviation has n - 1 in its denominator.
+    largest_distance
+        Largest distance between the sample's cumulative distribution and the fitted one (Kolmogorov's
+        statistic, between 0 and 1); NaN where the deviation is zero or undefined.
+    """
+
+    mean: float
+    standard_deviation: float
+    largest_distance: float
+
+    def density(self, values: ArrayLike) -> NDArray[np.float64]:
+        """Give the fitted probability density at `values`, in one over the unit of the sample."""
+        return np.asarray(
+            stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What a sample of values says about the distribution it comes from.
+
+    Parameters
+    ----------
+    n
+        Number of values.
+    mean, standard_deviation
+        The deviation has n - 1 in its denominator.
+    skewness, kurtosis
+        Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution).
+    normality
+        Jarque-Bera test, Eq. 5.
+    mean_interval, mean_interval_bootstrap
+        Confidence interval of the mean by Student's t, and without assuming normality.
+    standard_deviation_interval, standard_deviation_interval_bootstrap
+        Confidence interval of the standard deviation by chi-square, and without assuming normality.
+    prediction_interval, prediction_interval_ordered
+        Interval for one new sample if values are normal, and from the ordered values without assuming it.
+    normal_fit
+        The fitted normal distribution.
+    """
+
+    n: int
+    mean: float
+    standard_deviation: float
+    skewness: float
+    kurtosis: float
+    normality: NormalityTest
+    mean_interval: Interval
+    mean_interval_bootstrap: Interval
+    standard_deviation_interval: Interval
+    standard_deviation_interval_bootstrap: Interval
+    prediction_interval: Interval
+    prediction_interval_ordered: Interval
+    normal_fit: NormalFit
+
+
+@dataclass(frozen=True, slots=True)
+class ContentDistribution:
+    """The distribution at one calcite content, and the cells that are not in it.
+
+    Parameters
+    ----------
+    content
+        Calcite content in percent of sand mass.
+    missing
+        Number of cells not computed.
+    failed
+        Number of cells computed without a usable velocity.
+    vs
+        Distribution of the measured velocities, in m/s.
+    """
+
+    content: float
+    missing: int
+    failed: int
+    vs: Distribution
+
+
+def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
+    """Describe one sample.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,), finite. What is undefined for so few values, or because all are equal, becomes
+        NaN.
+    level
+        Level of all intervals, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or the array has not one dimension.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    if sample.ndim != 1 or not np.isfinite(sample).all():
+        raise ValueError(
+            f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first"
+        )
+    centre = float(mean(sample)) if sample.size else math.nan
+    deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
+    distance = (
+        float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic)
+        if deviation > 0
+        else math.nan
+    )
+    return Distribution(
+        n=sample.size,
+        mean=centre,
+        standard_deviation=deviation,
+        skewness=skewness(sample),
+        kurtosis=kurtosis(sample),
+        normality=jarque_bera(sample),
+        mean_interval=mean_interval(sample, level),
+        mean_interval_bootstrap=bootstrap_interval(sample, mean, level),
+        standard_deviation_interval=standard_deviation_interval(sample, level),
+        standard_deviation_interval_bootstrap=bootstrap_interval(sample, standard_deviation, level),
+        prediction_interval=prediction_interval(sample, level),
+        prediction_interval_ordered=ordered_prediction_interval(sample, level),
+        normal_fit=NormalFit(centre, deviation, distance),
+    )
+
+
+def describe_contents(
+    vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95
+) -> tuple[ContentDistribution, ...]:
+    """Describe the velocities at every content of a campaign, complete or not.
+
+    Parameters
+    ----------
+    vs
+        Shear-wave velocity in m/s, dimensions (seed, content), NaN where there is none.
+    status
+        Outcome of each cell, see `calcidem.analysis.outcomes.count_outcomes`.
+    level
+        Level of all intervals, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If `vs` or `status` is malformed or they contradict one another.
+    """
+    counts = count_outcomes(vs, status)
+    columns = matrix(vs).to_numpy().T
+    return tuple(
+        ContentDistribution(
+            content=float(content),
+            missing=int(missing),
+            failed=int(failed),
+            vs=describe(column[np.isfinite(column)], level),
+        )
+        for content, missing, failed, column in zip(
+            vs["content"].to_numpy(),
+            counts["missing"].to_numpy(),
+            counts["failed"].to_numpy(),
+            columns,
+            strict=True,
+        )
+    )
+
+
+def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
+    """Arrange distributions as a table along content, intervals along a further dimension `bound`.
+
+    Parameters
+    ----------
+    distributions
+        One for each content, as `describe_contents` returns them.
+
+    Returns
+    -------
+    xarray.Dataset
+        One variable for each number of `Distribution`, with units as attributes.
+    """
+    table = xr.Dataset(coords={"content": [row.content for row in distributions], "bound": ["low", "high"]})
+    table["content"].attrs = {"units": "%", "long_name": "calcite content by sand mass"}
+    table["missing"] = "content", [row.missing for row in distributions]
+    table["failed"] = "content", [row.failed for row in distributions]
+    for field in fields(Distribution):
+        values = [getattr(row.vs, field.name) for row in distributions]
+        for name, dimensions, numbers in _columns(field.name, values):
+            table[name] = dimensions, numbers
+            table[name].attrs = {"units": _unit(name), "long_name": name.replace("_", " ")}
+    return table
+
+
+def _columns(name: str, values: list[object]) -> list[tuple[str, tuple[str, ...], list[object]]]:
+    """Spread records over columns: an interval becomes two bounds, a test or a fit its numbers."""
+    match values[0] if values else None:
+        case Interval():
+            return [(name, ("content", "bound"), [_numbers(value, "low", "high") for value in values])]
+        case NormalityTest():
+            columns = {
+                "jarque_bera": "statistic",
+                "p_asymptotic": "p_asymptotic",
+                "p_small_sample": "p_small_sample",
+            }
+        case NormalFit():
+            columns = {"normal_fit_largest_distance": "largest_distance"}
+        case _:
+            return [(name, ("content",), values)]
+    return [
+        (column, ("content",), [getattr(value, part) for value in values]) for column, part in columns.items()
+    ]
+
+
+def _numbers(value: object, *names: str) -> list[float]:
+    return [getattr(value, name) for name in names]
+
+
+def _unit(name: str) -> str:
+    return "m/s" if name.startswith(("mean", "standard_deviation", "prediction")) else "1"

@@ -1,0 +1,258 @@
+"""The empirical law Vs = a C^b + c between connectivity C_d,n and velocity (Table 4 of the paper)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize, stats
+
+from calcidem.analysis.intervals import Interval
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+PARAMETERS = 3
+"""The law has the three parameters a, b and c."""
+
+START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
+"""Exponents tried as starting points; 0 is none, since there a C^b and c are the same term."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PowerLawFit:
+    """A fitted law Vs = a C^b + c; C is dimensionless, Vs, a and c are in m/s.
+
+    Parameters
+    ----------
+    a, b, c
+        The parameters.
+    a_interval, b_interval, c_interval
+        Their confidence intervals.
+    covariance
+        Covariance of (a, b, c), shape (3, 3). The three are strongly correlated: use it, not the intervals
+        alone.
+    residuals
+        Measured minus fitted velocity of each sample used, in m/s, shape (n,).
+    residual_standard_deviation
+        Their standard deviation with n - 3 degrees of freedom, in m/s.
+    n
+        Number of samples used.
+    left_out
+        Number of samples without velocity or connectivity.
+    """
+
+    a: float
+    b: float
+    c: float
+    a_interval: Interval
+    b_interval: Interval
+    c_interval: Interval
+    covariance: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    residual_standard_deviation: float
+    n: int
+    left_out: int
+
+    def predict(self, connectivity: ArrayLike) -> NDArray[np.float64]:
+        """Give the velocity in m/s for positive values of C_d,n, any shape."""
+        x = np.asarray(connectivity, dtype=np.float64)
+        velocity: NDArray[np.float64] = power_law(x, self.a, self.b, self.c)
+        return velocity
+
+    def prediction_bounds(
+        self, connectivity: ArrayLike, level: float = 0.95
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Give the interval in which the velocity of a new sample falls with probability `level`, in m/s.
+
+        Parameters
+        ----------
+        connectivity
+            C_d,n of the new samples, positive, any shape.
+        level
+            Probability between 0 and 1.
+
+        Returns
+        -------
+        tuple
+            Lower and upper ends, each with the shape of `connectivity`.
+
+        Notes
+        -----
+        Scatter of a sample and uncertainty of the curve (delta method) together, with Student's t. It takes
+        scatter as equal for all C_d,n. Where it is not, `leave_one_seed_out` tells how often the interval
+        really holds.
+        """
+        x = np.asarray(connectivity, dtype=np.float64)
+        gradient = _gradient(x, self.a, self.b, self.c)
+        curve = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        quantile = float(stats.t.ppf((1 + level) / 2, self.n - PARAMETERS))
+        half = quantile * np.sqrt(self.residual_standard_deviation**2 + curve)
+        centre = self.predict(x)
+        return centre - half, centre + half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeaveOneSeedOut:
+    """How well the law predicts the samples of a seed it was not fitted to.
+
+    Parameters
+    ----------
+    errors
+        Measured minus predicted velocity in m/s of every sample used, shape (n,).
+    root_mean_square_error
+        Of these errors, in m/s.
+    mean_relative_error
+        Mean of their size over the measured velocity, dimensionless.
+    coverage
+        Share of the samples inside their prediction interval, to compare with its level.
+    """
+
+    errors: NDArray[np.float64]
+    root_mean_square_error: float
+    mean_relative_error: float
+    coverage: float
+
+
+def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PowerLawFit:
+    """Fit Vs = a C^b + c by least squares.
+
+    Parameters
+    ----------
+    connectivity
+        C_d,n of each sample, positive, shape (n,); NaN where unknown.
+    vs
+        Velocity of each sample in m/s, shape (n,); NaN where unknown.
+    level
+        Level of the parameter intervals, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a connectivity is not positive, there are fewer than four samples or three
+        different connectivities, or the fit does not converge.
+    """
+    x, y, left_out = _known(connectivity, vs)
+    if x.size <= PARAMETERS or np.unique(x).size < PARAMETERS:
+        raise ValueError(
+            f"{x.size} samples with {np.unique(x).size} different connectivities: the law has three "
+            "parameters and needs at least four samples with three different ones"
+        )
+    parameters, covariance = _least_squares(x, y, _start(x, y))
+    residuals = y - power_law(x, *parameters)
+    quantile = float(stats.t.ppf((1 + level) / 2, x.size - PARAMETERS))
+    intervals = [
+        Interval(float(value - quantile * error), float(value + quantile * error))
+        for value, error in zip(parameters, np.sqrt(np.diag(covariance)), strict=True)
+    ]
+    a, b, c = parameters.tolist()
+    return PowerLawFit(
+        a=a,
+        b=b,
+        c=c,
+        a_interval=intervals[0],
+        b_interval=intervals[1],
+        c_interval=intervals[2],
+        covariance=covariance,
+        residuals=residuals,
+        residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - PARAMETERS))),
+        n=x.size,
+        left_out=left_out,
+    )
+
+
+def leave_one_seed_out(
+    connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95
+) -> LeaveOneSeedOut:
+    """Predict the samples of each seed from a law fitted to all other seeds.
+
+    All contents of a seed are left out together: they share their cement, and a fit that has seen one of them
+    has seen part of the others.
+
+    Parameters
+    ----------
+    connectivity, vs
+        As for `fit_power_law`.
+    seed
+        Seed of each sample, shape (n,), at least two different ones.
+    level
+        Level of the prediction interval whose coverage is counted.
+
+    Raises
+    ------
+    ValueError
+        As for `fit_power_law`, also when too few samples remain without one seed.
+    """
+    x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
+    seeds = np.asarray(seed)
+    if not x.shape == y.shape == seeds.shape:
+        raise ValueError(
+            f"connectivity {x.shape}, vs {y.shape} and seed {seeds.shape} differ in shape; make them equal"
+        )
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y, seeds = x[known], y[known], seeds[known]
+    predicted, low, high = np.empty_like(y), np.empty_like(y), np.empty_like(y)
+    for name in np.unique(seeds):
+        out = seeds == name
+        fit = fit_power_law(x[~out], y[~out], level)
+        predicted[out] = fit.predict(x[out])
+        low[out], high[out] = fit.prediction_bounds(x[out], level)
+    errors = y - predicted
+    return LeaveOneSeedOut(
+        errors=errors,
+        root_mean_square_error=float(np.sqrt(np.mean(errors**2))),
+        mean_relative_error=float(np.mean(np.abs(errors) / y)),
+        coverage=float(np.mean((low <= y) & (y <= high))),
+    )
+
+
+def power_law(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:
+    """Give a x^b + c for positive x."""
+    return a * x**b + c
+
+
+def _gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
+    """Give the derivatives of the law by a, b and c, shape (..., 3)."""
+    power = x**b
+    return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
+
+
+def _known(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(
+            f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample"
+        )
+    known = np.isfinite(x) & np.isfinite(y)
+    if (x[known] <= 0).any():
+        raise ValueError(
+            f"connectivity {x[known].min()} is not positive, so a power of it does not exist; "
+            "check the distance and median diameter it was normalised with"
+        )
+    return x[known], y[known], int((~known).sum())
+
+
+def _start(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Start from the best of some exponents, each with its best a and c, which are linear."""
+    best, smallest = np.zeros(3), np.inf
+    for exponent in START_EXPONENTS:
+        design = np.stack([x**exponent, np.ones_like(x)], axis=1)
+        (a, c), *_ = np.linalg.lstsq(design, y, rcond=None)
+        error = float(np.sum((design @ (a, c) - y) ** 2))
+        if error < smallest:
+            best, smallest = np.array([a, exponent, c]), error
+    return best
+
+
+def _least_squares(
+    x: NDArray[np.float64], y: NDArray[np.float64], start: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=_gradient)
+    except RuntimeError as error:
+        raise ValueError(
+            f"the fit of Vs = a C^b + c did not converge for {x.size} samples ({error}); "
+            "use samples over a wider range of connectivity"
+        ) from error
+    return parameters, covariance

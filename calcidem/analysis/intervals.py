@@ -1,0 +1,208 @@
+"""Where a mean, a standard deviation or one further sample lies.
+
+Every function takes the values of one sample, shape (n,), finite and independent, in any unit, and returns an
+`Interval` in the same unit. Its docstring names the assumption it rests on. Where an interval is undefined
+(too few values) both ends are NaN. All values equal (the uncemented sample is the same for every seed) is no
+error: the interval then has no width.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+BOOTSTRAP_SEED = 20_240_501
+"""Resampling draws the same numbers in every run, so that a report can be reproduced to the last digit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A closed interval.
+
+    Parameters
+    ----------
+    low, high
+        The two ends, in the unit of the quantity; NaN where the interval is undefined.
+    """
+
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half the distance between the ends."""
+        return (self.high - self.low) / 2
+
+    def contains(self, value: float) -> bool:
+        """Say whether `value` lies between the ends, which belong to the interval."""
+        return self.low <= value <= self.high
+
+
+SMALLEST_BOOTSTRAP = 3
+"""Below this, resampling has too few different results to say anything."""
+
+UNDEFINED = Interval(math.nan, math.nan)
+
+
+def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Give the confidence interval of the mean by Student's t, exact for normal values.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,).
+    level
+        Confidence level between 0 and 1.
+    """
+    n = values.size
+    if n <= 1:
+        return UNDEFINED
+    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * float(standard_deviation(values)) / math.sqrt(n)
+    centre = float(mean(values))
+    return Interval(centre - half, centre + half)
+
+
+def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Give the confidence interval of the standard deviation by chi-square.
+
+    It is exact for normal values only and, unlike that of the mean, does not become right for large n when
+    the kurtosis differs from 3; compare it with `bootstrap_interval`.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,).
+    level
+        Confidence level between 0 and 1.
+    """
+    n = values.size
+    if n <= 1:
+        return UNDEFINED
+    scaled = float(standard_deviation(values)) * math.sqrt(n - 1)
+    tail = (1 - level) / 2
+    low = scaled / math.sqrt(float(stats.chi2.ppf(1 - tail, n - 1)))
+    high = scaled / math.sqrt(float(stats.chi2.ppf(tail, n - 1)))
+    return Interval(low, high)
+
+
+def bootstrap_interval(
+    values: NDArray[np.float64],
+    statistic: Callable[..., NDArray[np.float64]],
+    level: float = 0.95,
+    replicates: int = 9999,
+) -> Interval:
+    """Give the bias-corrected and accelerated bootstrap interval, which assumes no distribution.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,); undefined below three values.
+    statistic
+        Function of (array, axis=...), `mean` or `standard_deviation`.
+    level
+        Confidence level between 0 and 1.
+    replicates
+        Number of resamples.
+
+    Notes
+    -----
+    Efron (1987), doi:10.1080/01621459.1987.10478410, as `scipy.stats.bootstrap` computes it.
+    """
+    if values.size < SMALLEST_BOOTSTRAP:
+        return UNDEFINED
+    if np.ptp(values) == 0:
+        constant = float(statistic(values, axis=-1))
+        return Interval(constant, constant)
+    result = stats.bootstrap(
+        (values,),
+        statistic,
+        vectorized=True,
+        confidence_level=level,
+        n_resamples=replicates,
+        method="BCa",
+        rng=np.random.default_rng(BOOTSTRAP_SEED),
+    )
+    return Interval(float(result.confidence_interval.low), float(result.confidence_interval.high))
+
+
+def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Give the interval in which one new value falls with probability `level`, if the values are normal.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,).
+    level
+        Probability between 0 and 1.
+
+    Notes
+    -----
+    mean -/+ t s sqrt(1 + 1/n), with t the quantile of Student's distribution with n - 1 degrees of freedom.
+    """
+    n = values.size
+    if n <= 1:
+        return UNDEFINED
+    quantile = float(stats.t.ppf((1 + level) / 2, n - 1))
+    half = quantile * float(standard_deviation(values)) * math.sqrt(1 + 1 / n)
+    centre = float(mean(values))
+    return Interval(centre - half, centre + half)
+
+
+def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Give a prediction interval for one new value that assumes no distribution.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,); undefined below n = 2 / (1 - level) - 1 (39 values for 95 %).
+    level
+        Probability between 0 and 1; the interval holds at least this much.
+
+    Notes
+    -----
+    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n
+    + 1); the largest j that still gives `level` is taken (Wilks 1941, doi:10.1214/aoms/1177731788).
+    """
+    n = values.size
+    rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 in spite of round-off
+    if rank < 1:
+        return UNDEFINED
+    ordered = np.sort(values)
+    return Interval(float(ordered[rank - 1]), float(ordered[n - rank]))
+
+
+def mean(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
+    """Give the mean along an axis; of equal values exactly that value.
+
+    Parameters
+    ----------
+    values
+        Samples, at least one value along `axis`.
+    axis
+        The axis that vanishes.
+    """
+    first = np.take(values, 0, axis)
+    return np.asarray(first + np.mean(values - np.expand_dims(first, axis), axis=axis))
+
+
+def standard_deviation(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
+    """Give the standard deviation along an axis, with n - 1 in the denominator; of equal values exactly zero.
+
+    Parameters
+    ----------
+    values
+        Samples, at least two values along `axis`.
+    axis
+        The axis that vanishes.
+    """
+    first = np.take(values, [0], axis)
+    return np.asarray(np.std(values - first, axis=axis, ddof=1))

@@ -1,0 +1,119 @@
+"""The Jarque-Bera test, which asks whether skewness and kurtosis of a sample fit a normal distribution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SIMULATED_SAMPLES = 20_000
+"""Normal samples drawn for one sample size: the standard error of a p-value of 0.05 is then 0.0015."""
+
+SIMULATION_SEED = 19_870_555
+
+
+@dataclass(frozen=True, slots=True)
+class NormalityTest:
+    """Result of a Jarque-Bera test.
+
+    Parameters
+    ----------
+    statistic
+        The Jarque-Bera statistic, Eq. 5.
+    p_asymptotic
+        Its p-value from the chi-square distribution with 2 degrees of freedom, right for n towards infinity.
+        The paper's rule is to call a sample not normal where this is below 0.05.
+    p_small_sample
+        Its p-value among simulated normal samples of the same size, right for every n.
+    """
+
+    statistic: float
+    p_asymptotic: float
+    p_small_sample: float
+
+
+def jarque_bera(values: NDArray[np.float64]) -> NormalityTest:
+    """Test the values of one sample for normality.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,), finite. The result is NaN for fewer than two values or when all are equal.
+    """
+    if values.size <= 1 or np.ptp(values) == 0:
+        return NormalityTest(math.nan, math.nan, math.nan)
+    return jarque_bera_from_moments(values.size, skewness(values), kurtosis(values))
+
+
+def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> NormalityTest:
+    """Test a sample of which only the size and two moments are known, for example a printed table's row.
+
+    Parameters
+    ----------
+    n
+        Size of the sample.
+    skewness, kurtosis
+        Population moments, Eqs. 6 and 7 (a normal distribution has 0 and 3).
+
+    Notes
+    -----
+    Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, which is why the
+    p-value among simulated samples of the same size is given as well.
+    """
+    statistic = float(_statistic(n, np.asarray(skewness), np.asarray(kurtosis)))
+    null = _null_statistics(n)
+    # The relative slack lets equal statistics count as equal in spite of round-off; the two ones count the
+    # sample itself, so that p is never zero (Davison and Hinkley 1997, section 4.2).
+    at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
+    return NormalityTest(statistic, float(stats.chi2.sf(statistic, 2)), (1 + at_least) / (1 + null.size))
+
+
+def skewness(values: NDArray[np.float64]) -> float:
+    """Give the population skewness, Eq. 6; NaN when all values are equal.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,).
+    """
+    return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.skew(values))
+
+
+def kurtosis(values: NDArray[np.float64]) -> float:
+    """Give the population kurtosis, Eq. 7 (3 for a normal distribution); NaN when all values are equal.
+
+    Parameters
+    ----------
+    values
+        Sample, shape (n,).
+    """
+    return (
+        math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.kurtosis(values, fisher=False))
+    )
+
+
+def _statistic(n: int, skewness: NDArray[np.float64], kurtosis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Eq. 5."""
+    return n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)
+
+
+@lru_cache(maxsize=256)
+def _null_statistics(n: int) -> NDArray[np.float64]:
+    """Draw the sorted statistics of normal samples of size n; the same numbers on every call."""
+    generator = np.random.default_rng([SIMULATION_SEED, n])
+    rows = max(1, 2_000_000 // n)  # 16 MB at a time
+    parts = []
+    for start in range(0, SIMULATED_SAMPLES, rows):
+        samples = generator.standard_normal((min(rows, SIMULATED_SAMPLES - start), n))
+        skew, kurt = stats.skew(samples, axis=1), stats.kurtosis(samples, axis=1, fisher=False)
+        parts.append(_statistic(n, np.asarray(skew), np.asarray(kurt)))
+    null = np.sort(np.concatenate(parts))
+    null.flags.writeable = False
+    return null

@@ -1,0 +1,88 @@
+"""Measured, failed and not yet computed cells of a matrix of seeds and contents, counted apart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+DONE = "done"
+NOT_COMPUTED = ""
+
+
+def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
+    """Count the cells of each content by what became of them.
+
+    A cell that is missing because it was not computed yet says nothing about Vs. A cell that failed may well
+    do (the slow samples are the ones whose arrival is hard to see), so the two are never added up.
+
+    Parameters
+    ----------
+    vs
+        Shear-wave velocity in m/s, dimensions (seed, content), NaN where there is none.
+    status
+        Outcome of each cell as text with the same dimensions: "done" where Vs is a number, "" where the cell
+        was not computed, and any other text for a failure of that name. Without it every NaN counts as not
+        computed.
+
+    Returns
+    -------
+    xarray.Dataset
+        `measured`, `missing` and `failed`, all along content, and `failures` along (outcome, content).
+
+    Raises
+    ------
+    ValueError
+        If `vs` has other dimensions, an infinite value, or disagrees with `status`.
+    """
+    vs = matrix(vs)
+    measured = np.isfinite(vs.to_numpy())
+    text = np.where(measured, DONE, NOT_COMPUTED) if status is None else _checked_status(vs, status, measured)
+    names = sorted(set(text.ravel().tolist()) - {DONE, NOT_COMPUTED})
+    failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
+    failures = failures.reshape(len(names), vs.sizes["content"])
+    return xr.Dataset(
+        {
+            "measured": ("content", measured.sum(axis=0)),
+            "missing": ("content", (text == NOT_COMPUTED).sum(axis=0)),
+            "failed": ("content", failures.sum(axis=0)),
+            "failures": (("outcome", "content"), failures),
+        },
+        coords={"content": vs["content"], "outcome": np.array(names, dtype=str)},
+    )
+
+
+def matrix(vs: xr.DataArray) -> xr.DataArray:
+    """Return `vs` with its dimensions in the order (seed, content).
+
+    Raises
+    ------
+    ValueError
+        If it has other dimensions or holds an infinite value.
+    """
+    if set(vs.dims) != {"seed", "content"}:
+        raise ValueError(f"vs has the dimensions {vs.dims}; give it the dimensions ('seed', 'content')")
+    if bool(np.isinf(vs).any()):
+        raise ValueError("vs holds infinite values; put NaN where a cell has no velocity")
+    return vs.transpose("seed", "content")
+
+
+def _checked_status(
+    vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]
+) -> NDArray[np.object_]:
+    if dict(status.sizes) != dict(vs.sizes):
+        raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
+    text = status.transpose("seed", "content").to_numpy().astype(object)
+    wrong = np.argwhere((text == DONE) != measured)
+    if wrong.size:
+        row, column = wrong[0]
+        seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]
+        raise ValueError(
+            f"seed {seed} at {content} %: status is {text[row, column]!r} but vs is "
+            f"{vs.to_numpy()[row, column]}; vs must be a number exactly where status is 'done'"
+        )
+    return text

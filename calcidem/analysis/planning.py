@@ -1,0 +1,184 @@
+"""How many seeds a campaign needs: Monte-Carlo error against number of samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.intervals import BOOTSTRAP_SEED, standard_deviation, standard_deviation_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+
+SMALLEST_COUNT = 3
+"""Fewer values than this always have the same skewness."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeedPlan:
+    """How many seeds make the confidence interval of a mean as narrow as asked.
+
+    Parameters
+    ----------
+    half_width
+        Half-width asked for, in the unit of the values.
+    present, present_half_width
+        Seeds there are, and the half-width they give.
+    needed
+        Seeds needed in all, if the standard deviation is the one measured.
+    needed_low, needed_high
+        Seeds needed at the two ends of the confidence interval of the standard deviation.
+    """
+
+    half_width: float
+    present: int
+    present_half_width: float
+    needed: int
+    needed_low: int
+    needed_high: int
+
+    @property
+    def more(self) -> int:
+        """Seeds still to be computed."""
+        return max(0, self.needed - self.present)
+
+
+def seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
+    """Give the smallest number of seeds whose mean has an interval of at most this half-width.
+
+    Parameters
+    ----------
+    standard_deviation
+        Standard deviation of one sample, not negative.
+    half_width
+        Half-width of the confidence interval in the same unit, positive.
+    level
+        Confidence level between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If the deviation is negative or not finite, or the half-width is not positive.
+    """
+    if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
+        raise ValueError(
+            f"standard_deviation is {standard_deviation}; it must be a finite number, not negative"
+        )
+    if not half_width > 0:
+        raise ValueError(f"half_width is {half_width}; it must be positive")
+    # The normal quantile gives too few, by two or three: Student's is larger.
+    quantile = float(stats.norm.ppf((1 + level) / 2))
+    n = max(2, math.ceil((quantile * standard_deviation / half_width) ** 2))
+    while _mean_half_width(standard_deviation, n, level) > half_width:
+        n += 1
+    return n
+
+
+def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> SeedPlan:
+    """Plan the seeds of one content from those it has.
+
+    Parameters
+    ----------
+    values
+        Values so far, shape (n,); NaN are left out; at least two.
+    half_width
+        Half-width asked for, in the same unit, positive.
+    level
+        Confidence level of the planned interval, and of the deviation's that gives the range of the plan.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two values, or the half-width is not positive.
+    """
+    sample = _finite(values)
+    deviation = float(standard_deviation(sample))
+    spread = standard_deviation_interval(sample, level)
+    return SeedPlan(
+        half_width=half_width,
+        present=sample.size,
+        present_half_width=_mean_half_width(deviation, sample.size, level),
+        needed=seeds_needed(deviation, half_width, level),
+        needed_low=seeds_needed(spread.low, half_width, level),
+        needed_high=seeds_needed(spread.high, half_width, level),
+    )
+
+
+def narrowing(
+    values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000
+) -> xr.Dataset:
+    """Give the half-widths that mean, standard deviation and skewness would have with other numbers of seeds.
+
+    Parameters
+    ----------
+    values
+        Values of one content so far, shape (n,); NaN are left out; at least two.
+    counts
+        Numbers of seeds, each at least 3, smaller or larger than n.
+    level
+        Confidence level between 0 and 1.
+    replicates
+        Number of resamples for each count.
+
+    Returns
+    -------
+    xarray.Dataset
+        `mean`, `standard_deviation` and `skewness`: half-widths along `count`, the first two in the unit of
+        the values.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two values or a count is below 3.
+
+    Notes
+    -----
+    The mean's is t s / sqrt(count). The other two assume no distribution: `count` values are drawn from the
+    sample with replacement again and again, and half the width of the central `level` of the results is
+    taken. That is a forecast from the values so far; from few of them it understates skewness, which rare
+    values make.
+    """
+    sample = _finite(values)
+    if min(counts, default=SMALLEST_COUNT) < SMALLEST_COUNT:
+        raise ValueError(
+            f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds"
+        )
+    deviation = float(standard_deviation(sample))
+    generator = np.random.default_rng(BOOTSTRAP_SEED)
+    mean, spread, skew = [], [], []
+    for count in counts:
+        resampled = sample[generator.integers(sample.size, size=(replicates, count))]
+        varied = resampled[np.ptp(resampled, axis=1) > 0]  # a resample of equal values has no skewness
+        mean.append(_mean_half_width(deviation, count, level))
+        spread.append(_half_of_central(np.std(resampled, axis=1, ddof=1), level))
+        skew.append(_half_of_central(stats.skew(varied, axis=1), level) if len(varied) else math.nan)
+    return xr.Dataset(
+        {"mean": ("count", mean), "standard_deviation": ("count", spread), "skewness": ("count", skew)},
+        coords={"count": list(counts)},
+        attrs={"level": level, "present": sample.size},
+    )
+
+
+def _mean_half_width(deviation: float, n: int, level: float) -> float:
+    return float(stats.t.ppf((1 + level) / 2, n - 1)) * deviation / math.sqrt(n)
+
+
+def _half_of_central(replicates: NDArray[np.float64], level: float) -> float:
+    low, high = np.quantile(replicates, [(1 - level) / 2, (1 + level) / 2])
+    return float(high - low) / 2
+
+
+def _finite(values: ArrayLike) -> NDArray[np.float64]:
+    sample = np.asarray(values, dtype=np.float64)
+    sample = sample[np.isfinite(sample)]
+    if sample.size <= 1:
+        raise ValueError(f"{sample.size} values are not NaN; a standard deviation needs at least two")
+    return sample

@@ -1,0 +1,169 @@
+"""The printed numbers of the study this project reproduces, as data.
+
+"Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM
+Study", Tables 1 to 4 and section 3.2.1. They stand in `published.toml` beside this file as they were printed;
+whether they agree with one another is the business of `calcidem.analysis.published_check`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.intervals import Interval
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedVelocity:
+    """One row of Table 3: mean and standard deviation in m/s, moments, and whether it is marked normal."""
+
+    stage: str
+    mean: float
+    standard_deviation: float
+    skewness: float
+    kurtosis: float
+    normal: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedContent:
+    """One calcite content (percent), its excitation frequency in Hz, and its row of Table 3 if any."""
+
+    content: float
+    frequency: float
+    vs: PublishedVelocity | None
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedStage:
+    """A stage of section 3.2.1.
+
+    Parameters
+    ----------
+    name
+        Roman numeral.
+    text_range
+        Its borders in the text, in percent.
+    rate
+        Growth rate in m/s per percent.
+    variance_range
+        Range in m/s of what the text calls variance.
+    """
+
+    name: str
+    text_range: Interval
+    rate: float
+    variance_range: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedLaw:
+    """A column of Table 4: Vs = a C_d,n^b + c, with Vs, a and c in m/s.
+
+    Parameters
+    ----------
+    name
+        How the weights were chosen.
+    weights
+        The contact weights.
+    connectivity_range
+        Range of C_d,n.
+    a, c
+        Parameters of the law.
+    table_b, conclusions_b
+        Its exponent as the table and as the conclusions print it.
+    """
+
+    name: str
+    weights: ContactWeights
+    connectivity_range: Interval
+    a: float
+    table_b: float
+    conclusions_b: float
+    c: float
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedStudy:
+    """All printed numbers.
+
+    Parameters
+    ----------
+    title
+        Title of the paper.
+    seeds, samples
+        Numbers of random distributions of calcite and of samples.
+    parameters
+        Table 1 in SI units; names as in `published.toml`.
+    contents
+        Tables 2 and 3, ascending.
+    stages
+        Section 3.2.1.
+    laws
+        Table 4.
+    """
+
+    title: str
+    seeds: int
+    samples: int
+    parameters: Mapping[str, float | tuple[float, ...]]
+    contents: tuple[PublishedContent, ...]
+    stages: tuple[PublishedStage, ...]
+    laws: tuple[PublishedLaw, ...]
+
+    @property
+    def velocities(self) -> tuple[tuple[float, PublishedVelocity], ...]:
+        """The rows of Table 3, each as (content in percent, row)."""
+        return tuple((row.content, row.vs) for row in self.contents if row.vs is not None)
+
+
+@cache
+def published_study() -> PublishedStudy:
+    """Read the printed numbers."""
+    data = tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
+    return PublishedStudy(
+        **data["source"],
+        parameters=MappingProxyType(
+            {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in data["parameters"].items()
+            }
+        ),
+        contents=tuple(
+            PublishedContent(
+                row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None
+            )
+            for row in data["contents"]
+        ),
+        stages=tuple(_stage(row) for row in data["stages"]),
+        laws=tuple(_law(row) for row in data["laws"]),
+    )
+
+
+def _stage(row: dict[str, Any]) -> PublishedStage:
+    return PublishedStage(
+        name=row["name"],
+        text_range=Interval(*row["text_range"]),
+        rate=row["rate"],
+        variance_range=Interval(*row["variance_range"]),
+    )
+
+
+def _law(row: dict[str, Any]) -> PublishedLaw:
+    return PublishedLaw(
+        name=row["name"],
+        weights=ContactWeights(row["hertz"], row["bond"]),
+        connectivity_range=Interval(*row["connectivity_range"]),
+        a=row["a"],
+        table_b=row["table_b"],
+        conclusions_b=row["conclusions_b"],
+        c=row["c"],
+    )

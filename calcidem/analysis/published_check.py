@@ -1,0 +1,263 @@
+"""Whether the printed numbers of the reproduced study agree with one another.
+
+The printed moments, means and weights go through the same code as a campaign's own, and what comes out is
+compared with what is printed beside them. Nothing is corrected: a disagreement is reported, and both sides
+stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.fits import power_law
+from calcidem.analysis.normality import NormalityTest, jarque_bera_from_moments
+from calcidem.analysis.published import PublishedLaw, PublishedStudy, published_study
+from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
+
+SIGNIFICANCE = 0.05
+"""The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""
+
+RATE_ROUNDING = 0.01
+"""Means with two decimals fix a rate to about 0.01 m/s per percent."""
+
+WEIGHT_ROUNDING = 0.0015
+"""1/C printed with three digits fixes C^(-2/3) to 0.001, and that is rounded to 0.0005 once more."""
+
+RANGE_ROUNDING = 0.005
+"""Weights and ranges as printed fix the smallest C_d,n of a packing to about this."""
+
+NORMAL_KURTOSIS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictCheck:
+    """The printed verdict on normality of one content, and the one its printed moments give.
+
+    Parameters
+    ----------
+    content
+        Calcite content in percent.
+    printed_normal
+        What Table 3 marks.
+    test
+        Jarque-Bera test of the printed moments.
+    """
+
+    content: float
+    printed_normal: bool
+    test: NormalityTest
+
+    @property
+    def computed_normal(self) -> bool:
+        """The verdict by the paper's own rule."""
+        return self.test.p_asymptotic >= SIGNIFICANCE
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the two verdicts are the same."""
+        return self.printed_normal == self.computed_normal
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One comparison of what is printed with what follows from other printed numbers.
+
+    Parameters
+    ----------
+    place
+        Where in the paper.
+    printed, computed
+        The two sides, in words.
+    agrees
+        Whether they agree within the rounding of the printed numbers.
+    """
+
+    place: str
+    printed: str
+    computed: str
+    agrees: bool
+
+
+def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, ...]:
+    """Test each row of Table 3 for normality and compare with its mark.
+
+    Parameters
+    ----------
+    study
+        The printed numbers; those of the package by default.
+    """
+    study = study or published_study()
+    return tuple(
+        VerdictCheck(content, row.normal, jarque_bera_from_moments(study.seeds, row.skewness, row.kurtosis))
+        for content, row in study.velocities
+    )
+
+
+def check_study(study: PublishedStudy | None = None) -> tuple[Finding, ...]:
+    """Make every comparison, those that agree included.
+
+    Parameters
+    ----------
+    study
+        The printed numbers; those of the package by default.
+    """
+    study = study or published_study()
+    return (
+        *_verdicts(study),
+        *_rates(study),
+        *_variances(study),
+        *_claims(study),
+        *(finding for law in study.laws for finding in _law(law, study)),
+        _coordination_number(study),
+    )
+
+
+def _verdicts(study: PublishedStudy) -> list[Finding]:
+    words = {True: "normal", False: "not normal"}
+    return [
+        Finding(
+            place=f"Table 3, {check.content:g} %",
+            printed=f"marked {words[check.printed_normal]}",
+            computed=f"{words[check.computed_normal]}: Jarque-Bera {check.test.statistic:.2f} from "
+            f"the printed moments and n = {study.seeds}, p = {check.test.p_asymptotic:.2g} "
+            f"(simulated for this n: {check.test.p_small_sample:.2g})",
+            agrees=check.agrees,
+        )
+        for check in check_verdicts(study)
+    ]
+
+
+def _growth(study: PublishedStudy, stages: tuple[Stage, ...]) -> tuple[StageGrowth, ...]:
+    contents, means = zip(*((content, row.mean) for content, row in study.velocities), strict=True)
+    return growth_by_stage(contents, means, stages)
+
+
+def _rates(study: PublishedStudy) -> list[Finding]:
+    text = tuple(Stage(stage.name, stage.text_range.low, stage.text_range.high) for stage in study.stages)
+    findings = []
+    for basis, stages in {"": STAGES, ", its own borders": text}.items():
+        for printed, growth in zip(study.stages, _growth(study, stages), strict=True):
+            rate = growth.end_point_slope
+            findings.append(
+                Finding(
+                    place=f"Section 3.2.1, stage {printed.name}{basis}",
+                    printed=f"rate {printed.rate:.2f} m/s per percent",
+                    computed=f"{rate:.2f} from the means at {growth.contents[0]:g} "
+                    f"and {growth.contents[-1]:g} %",
+                    agrees=abs(rate - printed.rate) < RATE_ROUNDING,
+                )
+            )
+    return findings
+
+
+def _variances(study: PublishedStudy) -> list[Finding]:
+    rows = dict(study.velocities)
+    findings = []
+    for stage, growth in zip(study.stages, _growth(study, STAGES), strict=True):
+        deviations = [rows[content].standard_deviation for content in growth.contents]
+        low, high = min(deviations), max(deviations)
+        findings.append(
+            Finding(
+                place=f"Section 3.2.1, stage {stage.name}",
+                printed=f"variance {stage.variance_range.low:g} to {stage.variance_range.high:g}",
+                computed=f"Table 3 has standard deviations of {low:g} to {high:g} m/s, so variances of "
+                f"{low**2:.0f} to {high**2:.0f} (m/s)^2",
+                agrees=round(stage.variance_range.high) == round(high**2),
+            )
+        )
+    return findings
+
+
+def _claims(study: PublishedStudy) -> list[Finding]:
+    rates = {stage.name: stage.rate for stage in study.stages}
+    fastest = max(rates, key=rates.__getitem__)
+    in_stage = {
+        name: [(content, row) for content, row in study.velocities if row.stage == name]
+        for name in ("I", "II", "IV")
+    }
+    negative = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["I"] if row.skewness <= 0]
+    flat = [
+        f"{row.kurtosis:g} at {content:g} %"
+        for content, row in in_stage["II"]
+        if row.kurtosis <= 2 * NORMAL_KURTOSIS
+    ]
+    positive = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["IV"] if row.skewness >= 0]
+    return [
+        Finding(
+            place="Section 3.2.1, stage III",
+            printed="its rate is the highest of the four stages",
+            computed=f"the highest printed rate is {rates[fastest]:.2f}, of stage {fastest}",
+            agrees=fastest == "III",
+        ),
+        _claim("stage I", "positive skewness", negative),
+        _claim("stage II", "kurtosis more than twice that of a normal distribution, 6", flat),
+        _claim("stage IV", "negative skewness", positive),
+    ]
+
+
+def _claim(stage: str, printed: str, exceptions: list[str]) -> Finding:
+    return Finding(
+        place=f"Section 3.2.1, {stage}",
+        printed=printed,
+        computed=f"Table 3 has {', '.join(exceptions)}" if exceptions else "so it is in every row of Table 3",
+        agrees=not exceptions,
+    )
+
+
+def _law(law: PublishedLaw, study: PublishedStudy) -> list[Finding]:
+    low, high = law.connectivity_range.low, law.connectivity_range.high
+    span = f"C_d,n from {low:g} to {high:g}"
+    fastest = float(power_law(np.array(low), law.a, law.conclusions_b, law.c))
+    # Three standard deviations above the largest mean: hardly one of 1972 normal values is larger.
+    plausible = max(row.mean + 3 * row.standard_deviation for _, row in study.velocities)
+    smallest = _smallest_connectivity(high, law.weights)
+    return [
+        Finding(
+            place=f"Table 4, {law.name}, exponent",
+            printed=f"{law.table_b:g} in the table, {law.conclusions_b:g} in the conclusions",
+            computed="Vs falls as C_d,n grows, so the exponent is negative",
+            agrees=law.table_b == law.conclusions_b,
+        ),
+        Finding(
+            place=f"Table 4, {law.name}, law",
+            printed=span,
+            computed=f"the law gives {fastest:.0f} m/s at {low:g}; "
+            f"Table 3 hardly allows more than {plausible:.0f} m/s",
+            agrees=fastest <= plausible,
+        ),
+        Finding(
+            place=f"Table 4, {law.name}, range",
+            printed=span,
+            computed=f"in one packing whose uncemented path has C_d,n = {high:g}, cement on every contact "
+            f"brings it down to {smallest:.3f}, not below",
+            agrees=low >= smallest - RANGE_ROUNDING,
+        ),
+    ]
+
+
+def _smallest_connectivity(uncemented: float, weights: ContactWeights) -> float:
+    """Give C_d,n with every contact cemented, from C_d,n with none, by Eq. 9.
+
+    Uncemented, C_d,n is largest, and the shortest path has n times the contacts of a straight row. With every
+    contact cemented the path is the same one, and any other cementation has a longer one. One packing has
+    one n.
+    """
+    difference = weights.hertz - weights.bond
+    n = (uncemented * difference + weights.bond) / weights.hertz
+    return weights.bond * (n - 1) / difference
+
+
+def _coordination_number(study: PublishedStudy) -> Finding:
+    weights = next(law.weights for law in study.laws if law.name == "physical meaning")
+    number = 1 / weights.bond
+    hertz = ContactWeights.from_coordination_number(number).hertz
+    return Finding(
+        place="Table 4 and Eq. 8",
+        printed=f"weights {weights.hertz:g} and {weights.bond:g}",
+        computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives "
+        f"{hertz:.3f} and {weights.bond:g}",
+        agrees=abs(hertz - weights.hertz) < WEIGHT_ROUNDING,
+    )

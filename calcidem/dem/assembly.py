@@ -1,0 +1,222 @@
+"""Turns a scene into the arrays of the kernel: order, neighbours, stiffnesses."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from calcidem.dem.kernels.layout import Floats, Grains, Integers, Pairs, WallPairs, Walls
+from calcidem.dem.scene import Scene
+
+ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
+SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """Arrays shared by all lanes, and the histories of the contacts.
+
+    ``order`` lists the scene's disks in the order of the arrays: sorted along the longer side, so that the
+    neighbours of a disk are near it in memory.
+    """
+
+    order: Integers
+    grains: Grains
+    pairs: Pairs
+    wall_pairs: WallPairs
+    walls: Walls
+
+
+def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Array of zeros that starts on a cache line, so that no lane vector straddles two."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % ALIGNMENT
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Copy that starts on a cache line."""
+    copy = aligned_zeros(array.shape, array.dtype)
+    copy[...] = array
+    return copy
+
+
+def memory_order(scene: Scene) -> Integers:
+    """Order of the disks along the longer side of the scene."""
+    x, y = np.asarray(scene.x), np.asarray(scene.y)
+    along, across = (y, x) if np.ptp(y) >= np.ptp(x) else (x, y)
+    return np.lexsort((across, along))
+
+
+def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
+    """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second."""
+    found = cKDTree(centres).query_pairs(2.0 * float(radius.max()) + skin, output_type="ndarray")
+    gap = np.hypot(*(centres[found[:, 0]] - centres[found[:, 1]]).T) - radius[found].sum(axis=1)
+    found = np.sort(found[gap < skin], axis=1)
+    return found[np.lexsort((found[:, 1], found[:, 0]))]
+
+
+def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
+    """One number for each pair, increasing in the sorted order of pairs."""
+    return pairs[:, 0].astype(np.int64) * count + pairs[:, 1]
+
+
+def cement_bits(scene: Scene, rank: Integers) -> tuple[Integers, npt.NDArray[np.uint32]]:
+    """Cemented pairs in memory order, sorted, with their lanes."""
+    if scene.bonds is None or not len(scene.bonds.pairs):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.uint32)
+    pairs = np.sort(rank[np.asarray(scene.bonds.pairs)], axis=1)
+    sorting = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    return pairs[sorting], scene.bonds.bits[sorting]
+
+
+def assemble(scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike) -> Assembly:
+    """Arrays of the kernel for a scene.
+
+    Parameters
+    ----------
+    scene
+        What to assemble.
+    centres
+        (N, 2) present centres of the disks, m: where neighbours are looked for.
+    skin
+        Pairs whose rims are closer than this are listed, m.
+    lanes, dtype
+        Width and precision.
+
+    Returns
+    -------
+    Arrays with zero histories.
+    """
+    order = memory_order(scene)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    radius = np.asarray(scene.radius, dtype=float)[order]
+    reference = np.column_stack([scene.x, scene.y])[order]
+    cemented, bits = cement_bits(scene, rank)
+    found = np.unique(np.concatenate([near_pairs(centres[order], radius, skin), cemented]), axis=0)
+    return Assembly(
+        order=order,
+        grains=assemble_grains(scene, order, dtype),
+        pairs=assemble_pairs(scene, reference, radius, found, (cemented, bits), lanes, dtype),
+        wall_pairs=assemble_wall_pairs(scene, reference, centres[order], radius, skin, lanes, dtype),
+        walls=assemble_walls(scene, lanes, dtype),
+    )
+
+
+def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grains:
+    """Properties of the disks in memory order."""
+    free = np.ones(scene.count) if scene.held is None else 1.0 - np.asarray(scene.held, dtype=float)
+    load = np.zeros((scene.count, 3)) if scene.load is None else np.asarray(scene.load, dtype=float)
+
+    def sorted_copy(values: Any) -> npt.NDArray[Any]:
+        return aligned_copy(np.asarray(values)[order].astype(dtype))
+
+    return Grains(
+        radius=sorted_copy(scene.radius),
+        inverse_mass=sorted_copy(free / scene.mass),
+        inverse_inertia=sorted_copy(free / scene.inertia),
+        damping=sorted_copy(scene.per_disk(scene.damping)),
+        friction=sorted_copy(scene.per_disk(scene.sand.friction)),
+        load=sorted_copy(load),
+    )
+
+
+def assemble_pairs(
+    scene: Scene,
+    reference: Floats,
+    radius: Floats,
+    found: Integers,
+    cement: tuple[Integers, npt.NDArray[np.uint32]],
+    lanes: int,
+    dtype: npt.DTypeLike,
+) -> Pairs:
+    """Pairs of disks with the constants of their contact laws; all arguments are in memory order."""
+    count, first, second = len(found), found[:, 0], found[:, 1]
+    apart = reference[second] - reference[first]
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    overlap = radius[first] + radius[second] - distance
+    hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
+    tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
+    cemented = np.zeros(count, dtype=np.uint32)
+    bond, linear, strength = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 4))
+    if scene.bonds is not None:
+        keys = pair_keys(found, scene.count)
+        cemented[np.searchsorted(keys, pair_keys(cement[0], scene.count))] = cement[1]
+        bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
+        linear[:, :2] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
+        strength = scene.bonds.cement.strength(radius[first], radius[second])
+    used = np.uint32(2**lanes - 1)
+    return Pairs(
+        start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
+        second=aligned_copy(second.astype(np.int32)),
+        geometry=aligned_copy(np.column_stack([apart / distance[:, None], distance, overlap]).astype(dtype)),
+        hertz=aligned_copy(hertz.astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, scene.sand.shear_ratio * tangent]).astype(dtype)),
+        friction=aligned_copy(np.full(count, scene.sand.friction, dtype=dtype)),
+        bond=aligned_copy(bond.astype(dtype)),
+        linear=aligned_copy(linear.astype(dtype)),
+        strength=aligned_copy(strength.astype(dtype)),
+        cemented=cemented & used,
+        intact=cemented & used,
+        shear=aligned_zeros((count, lanes), dtype),
+        root=aligned_zeros((count, lanes), dtype),
+        bond_force=aligned_zeros((count, 3, lanes), dtype),
+    )
+
+
+def assemble_wall_pairs(
+    scene: Scene,
+    reference: Floats,
+    centres: Floats,
+    radius: Floats,
+    skin: float,
+    lanes: int,
+    dtype: npt.DTypeLike,
+) -> WallPairs:
+    """Disks near walls; which of several walls of one side a disk faces is fixed by its reference position."""
+    disks, walls, overlaps = [], [], []
+    for index, wall in enumerate(scene.walls):
+        along = wall.along(reference[:, 0], reference[:, 1])
+        facing = (along >= wall.span[0]) & (along < wall.span[1])
+        near = wall.distance(centres[:, 0], centres[:, 1]) < radius + skin
+        chosen = np.flatnonzero(facing & near)
+        disks.append(chosen)
+        walls.append(np.full(len(chosen), index))
+        overlaps.append(radius[chosen] - wall.distance(reference[chosen, 0], reference[chosen, 1]))
+    disk, wall_index, overlap = (np.concatenate([*part, np.zeros(0)]) for part in (disks, walls, overlaps))
+    sorting = np.lexsort((wall_index, disk))
+    disk, wall_index, overlap = disk[sorting].astype(int), wall_index[sorting], overlap[sorting]
+    hertz = scene.sand.hertz_coefficient(radius[disk])
+    tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
+    rough = np.array([wall.friction > 0.0 for wall in scene.walls] or [False])[wall_index.astype(int)]
+    return WallPairs(
+        start=np.searchsorted(disk, np.arange(scene.count + 1)).astype(np.int64),
+        wall=aligned_copy(wall_index.astype(np.int32)),
+        overlap=aligned_copy(overlap.astype(dtype)),
+        hertz=aligned_copy(hertz.astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, scene.sand.shear_ratio * tangent * rough]).astype(dtype)),
+        shear=aligned_zeros((len(disk), lanes), dtype),
+        root=aligned_zeros((len(disk), lanes), dtype),
+    )
+
+
+def assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
+    """Walls at their reference positions."""
+    count = len(scene.walls)
+    motion = aligned_zeros((count, 4, lanes), dtype)
+    servo = np.zeros((count, 3))
+    for index, wall in enumerate(scene.walls):
+        motion[index, 2], motion[index, 3] = wall.velocity
+        if wall.servo_force is not None:
+            servo[index] = SERVO_GAIN, wall.servo_force, wall.servo_speed
+    return Walls(
+        normal=aligned_copy(np.array([wall.normal for wall in scene.walls], dtype=dtype).reshape(count, 2)),
+        friction=aligned_copy(np.array([wall.friction for wall in scene.walls], dtype=dtype)),
+        motion=motion,
+        reaction=aligned_zeros((count, 3, lanes), dtype),
+        servo=aligned_copy(servo.astype(dtype)),
+    )

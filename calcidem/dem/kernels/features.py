@@ -1,0 +1,76 @@
+"""What a scene needs of the kernel: compile-time switches."""
+
+from dataclasses import dataclass, fields
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Switches that are constants while the kernel is compiled, so a scene pays only for what is on.
+
+    Attributes
+    ----------
+    lanes
+        Samples advanced side by side.
+    finite
+        Normals and overlaps follow the displacements; otherwise they keep to the reference geometry.
+    linear
+        Small displacement with constant stiffness: Hertz contacts are replaced by their tangent at the
+        reference overlap and neither slip nor open, bonds do not break. Forces are those added to the
+        reference state. No contact has a memory.
+    rotation
+        Disks turn.
+    bonds
+        Some pairs are cemented.
+    linear_group
+        Cemented pairs carry the linear group of 'linearpbond' beside the bond.
+    breakage
+        Bonds are checked against their strengths.
+    slip
+        Shear forces are checked against Coulomb friction.
+    rescaling
+        Shear rescaling mode 1 (see `laws.rescaled_shear`).
+    damping
+        Local damping.
+    servo
+        Some walls are moved to hold a force.
+    search
+        The pair list is watched and renewed.
+    recording
+        A wall is driven, signals are written.
+    account
+        Works and losses are summed up for an energy balance.
+    """
+
+    lanes: int = 1
+    finite: bool = True
+    linear: bool = False
+    rotation: bool = True
+    bonds: bool = False
+    linear_group: bool = False
+    breakage: bool = False
+    slip: bool = True
+    rescaling: bool = True
+    damping: bool = True
+    servo: bool = False
+    search: bool = False
+    recording: bool = False
+    account: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse combinations that contradict each other."""
+        if not 1 <= self.lanes <= 32:  # noqa: PLR2004 - lanes are the bits of a 32-bit word
+            raise ValueError(f"lanes = {self.lanes}: choose 1 to 32, best a power of two such as 8")
+        if self.linear:
+            needless = [
+                name for name in ("finite", "breakage", "slip", "servo", "search", "account") if getattr(self, name)
+            ]
+            if needless:
+                raise ValueError(
+                    f"linear = True excludes {', '.join(needless)}: its contacts keep their stiffness; switch one of them off"
+                )
+        if not self.bonds and (self.linear_group or self.breakage):
+            raise ValueError("linear_group and breakage belong to cemented pairs: set bonds = True or switch them off")
+
+    def named(self) -> tuple[tuple[str, int | bool], ...]:
+        """Names and values, in the order of declaration."""
+        return tuple((field.name, getattr(self, field.name)) for field in fields(self))

@@ -1,0 +1,73 @@
+"""Lets a compiled function take `Features` as an argument whose values are known to the compiler.
+
+The values are part of the argument's *type*, so ``if features.slip:`` costs nothing at run time, each
+combination is compiled and cached once, and with the JIT off the same code reads the plain dataclass.
+"""
+
+from typing import Any
+
+from numba.core import types
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+from calcidem.dem.kernels.features import Features
+
+
+class FeaturesType(types.Type):  # type: ignore[misc]
+    """Numba type of one combination of features."""
+
+    def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
+        self.values = values
+        super().__init__(name=f"Features({', '.join(f'{name}={value}' for name, value in values)})")
+
+    @property
+    def key(self) -> tuple[tuple[str, int | bool], ...]:
+        """What makes two combinations the same."""
+        return self.values
+
+
+@typeof_impl.register(Features)  # type: ignore[untyped-decorator]
+def type_of_features(features: Features, context: Any) -> FeaturesType:
+    """Numba type of a `Features` object."""
+    del context
+    return FeaturesType(features.named())
+
+
+@register_model(FeaturesType)
+class FeaturesModel(models.OpaqueModel):  # type: ignore[misc]
+    """Nothing is passed at run time."""
+
+
+@unbox(FeaturesType)  # type: ignore[untyped-decorator]
+def unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
+    """Pass no data: the type says it all."""
+    del kind, features
+    return NativeValue(context.context.get_dummy_value())
+
+
+@infer_getattr
+class FeaturesAttributes(AttributeTemplate):  # type: ignore[misc]
+    """Type of ``features.name``: the literal value itself."""
+
+    key = FeaturesType
+
+    def generic_resolve(self, kind: FeaturesType, name: str) -> Any:
+        """Literal type of a switch, None for an unknown name."""
+        values = dict(kind.values)
+        return types.literal(values[name]) if name in values else None
+
+
+@lower_getattr_generic(FeaturesType)  # type: ignore[untyped-decorator]
+def lower_feature(context: Any, builder: Any, kind: FeaturesType, value: Any, name: str) -> Any:
+    """Machine code of ``features.name``: a constant."""
+    del value
+    literal = types.literal(dict(kind.values)[name])
+    return context.get_constant_generic(builder, literal, literal.literal_value)

@@ -1,0 +1,124 @@
+"""Materials of the grains and of the cement."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats
+
+
+def require(condition: bool, name: str, value: object, cure: str) -> None:
+    """Raise a `ValueError` that names the field, its value and the cure, unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name} = {value}: {cure}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sand:
+    """Grain material of the Hertz-Mindlin contact (PFC 'hertz' model).
+
+    Attributes
+    ----------
+    shear_modulus
+        G of the grain, Pa.
+    poisson_ratio
+        nu of the grain.
+    density
+        kg/m^3; disks have unit thickness.
+    friction
+        Coulomb coefficient between grains.
+    """
+
+    shear_modulus: float = 6.5e11
+    poisson_ratio: float = 0.25
+    density: float = 2650.0
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse what no material can be."""
+        require(self.shear_modulus > 0.0, "shear_modulus", self.shear_modulus, "give a positive modulus in Pa")
+        require(-1.0 < self.poisson_ratio < 0.5, "poisson_ratio", self.poisson_ratio, "give a value in (-1, 0.5)")
+        require(self.density > 0.0, "density", self.density, "give a positive density in kg/m^3")
+        require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
+
+    @property
+    def shear_ratio(self) -> float:
+        """Mindlin's k_s / k_n = 2 (1 - nu) / (2 - nu)."""
+        return 2.0 * (1.0 - self.poisson_ratio) / (2.0 - self.poisson_ratio)
+
+    def hertz_coefficient(self, radius_first: Floats, radius_second: Floats | None = None) -> Floats:
+        """Coefficient h_n of ``F_n = h_n overlap^1.5``, N/m^2.5.
+
+        ``h_n = (2/3) G / (1 - nu) sqrt(2 R~)`` with ``R~ = 2 / (1/R1 + 1/R2)``, and ``R~ = 2 R`` at a flat
+        wall (no second radius). PFC 7.0 manual, Hertz model.
+        """
+        if radius_second is None:
+            effective = 2.0 * np.asarray(radius_first)
+        else:
+            effective = 2.0 / (1.0 / np.asarray(radius_first) + 1.0 / np.asarray(radius_second))
+        return (2.0 / 3.0) * self.shear_modulus / (1.0 - self.poisson_ratio) * np.sqrt(2.0 * effective)
+
+
+@dataclass(frozen=True, slots=True)
+class Cement:
+    """Cement of a bonded contact (PFC 'linearpbond': linear group and parallel bond).
+
+    Attributes
+    ----------
+    bond_modulus
+        Effective modulus of the parallel bond, Pa.
+    bond_stiffness_ratio
+        Its k_n / k_s.
+    linear_modulus
+        Effective modulus of the linear group, Pa; 0 leaves the group out, and a broken bond gives the
+        contact back to the sand's law.
+    linear_stiffness_ratio
+        Its k_n / k_s.
+    tensile_strength, cohesion
+        Strengths of the bond, Pa.
+    friction_angle
+        Of the bond's shear strength, degrees.
+    """
+
+    bond_modulus: float = 8.0e10
+    bond_stiffness_ratio: float = 1.0
+    linear_modulus: float = 0.0
+    linear_stiffness_ratio: float = 1.0
+    tensile_strength: float = 5.0e9
+    cohesion: float = 2.0e10
+    friction_angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no cement can be."""
+        require(self.bond_modulus > 0.0, "bond_modulus", self.bond_modulus, "give a positive modulus in Pa")
+        require(self.linear_modulus >= 0.0, "linear_modulus", self.linear_modulus, "give a modulus of 0 or more, in Pa")
+        for name in ("bond_stiffness_ratio", "linear_stiffness_ratio", "tensile_strength", "cohesion"):
+            require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
+        require(0.0 <= self.friction_angle < 90.0, "friction_angle", self.friction_angle, "give degrees in [0, 90)")  # noqa: PLR2004 - a right angle
+
+    def bond_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
+        """Stiffness of a parallel bond: (M, 3) normal, shear (N/m) and rotational (N m).
+
+        ``k_n A = E / (R1 + R2) 2 R_b``, shear 1 / ratio of it, ``k_n I = E / (R1 + R2) 2 R_b^3 / 3``, with
+        ``R_b = min(R1, R2)`` and unit thickness.
+        """
+        bond_radius = np.minimum(radius_first, radius_second)
+        per_area = self.bond_modulus / (np.asarray(radius_first) + np.asarray(radius_second))
+        normal = per_area * 2.0 * bond_radius
+        return np.stack(
+            [normal, normal / self.bond_stiffness_ratio, per_area * 2.0 * bond_radius**3 / 3.0], axis=-1
+        )
+
+    def linear_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
+        """Stiffness of the linear group: (M, 2) normal and shear, N/m; ``k_n = 2 E R_min / (R1 + R2)``."""
+        smallest = np.minimum(radius_first, radius_second)
+        normal = 2.0 * self.linear_modulus * smallest / (np.asarray(radius_first) + np.asarray(radius_second))
+        return np.stack([normal, normal / self.linear_stiffness_ratio], axis=-1)
+
+    def strength(self, radius_first: Floats, radius_second: Floats) -> Floats:
+        """Bond radius, tensile strength, cohesion and tangent of the friction angle: (M, 4)."""
+        bond_radius = np.minimum(radius_first, radius_second)
+        slope = math.tan(math.radians(self.friction_angle))
+        rest = np.broadcast_to([self.tensile_strength, self.cohesion, slope], (len(bond_radius), 3))
+        return np.column_stack([bond_radius, rest])

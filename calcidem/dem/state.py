@@ -1,0 +1,388 @@
+"""State of a scene, and how it is started and advanced. States are values: advancing makes a new one."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calcidem.dem.assembly import Assembly, aligned_copy, aligned_zeros, assemble, pair_keys
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Floats, Integers, Motion, Recording, Watch
+from calcidem.dem.kernels.sweep import sweep
+from calcidem.dem.material import require
+from calcidem.dem.scene import Regime, Scene
+from calcidem.dem.stability import critical_time_step
+
+Precision = Literal["float64", "float32"]
+SAFETY = 0.8  # default step as a part of the stability limit
+SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
+REACH = 0.45  # part of the skin a disk may move before the list is renewed; below 1/2 because the step that crosses it is finished
+
+
+@dataclass(frozen=True, slots=True)
+class Preload:
+    """Shear forces that contacts of the reference geometry already carry.
+
+    Attributes
+    ----------
+    pairs
+        (P, 2) indices of disks.
+    shear
+        (P,) N/m, the force on the second disk of each pair along ``t = (-n_y, n_x)``.
+    """
+
+    pairs: Integers
+    shear: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything that changes while a scene is advanced.
+
+    Attributes
+    ----------
+    scene
+        The scene and its reference geometry.
+    features
+        What the kernel was told to do.
+    time_step
+        (L,) s.
+    steps
+        Steps done.
+    assembly
+        Neighbours and histories of the contacts, in memory order.
+    motion
+        Displacements and velocities, in memory order.
+    origin
+        (N, 2, L) displacements when the neighbours were listed.
+    account
+        (4, L) J/m: work of the walls, friction and shear-stiffness loss, local damping, work of the loads.
+    """
+
+    scene: Scene
+    features: Features
+    time_step: Floats
+    steps: int
+    assembly: Assembly
+    motion: Motion
+    origin: Floats
+    account: Floats
+
+    @property
+    def time(self) -> Floats:
+        """(L,) s."""
+        return self.time_step * self.steps
+
+    def position(self, lane: int = 0) -> Floats:
+        """(N, 2) centres of the disks, m, in the order of the scene."""
+        reference = np.column_stack([self.scene.x, self.scene.y])
+        return reference + self.unsorted(self.motion.displacement[:, :2, lane])
+
+    def velocity(self, lane: int = 0) -> Floats:
+        """(N, 2) velocities half a step before `time`, m/s, in the order of the scene."""
+        return self.unsorted(self.motion.velocity[:, :2, lane])
+
+    def spin(self, lane: int = 0) -> Floats:
+        """(N,) angular velocities half a step before `time`, rad/s, in the order of the scene."""
+        return self.unsorted(self.motion.velocity[:, 2, lane])
+
+    def rotation(self, lane: int = 0) -> Floats:
+        """(N,) rotations since the start, rad, in the order of the scene."""
+        return self.unsorted(self.motion.displacement[:, 2, lane])
+
+    def unsorted(self, values: Floats) -> Floats:
+        """Values of the disks brought from memory order back to the order of the scene."""
+        result = np.empty_like(values, dtype=float)
+        result[self.assembly.order] = values
+        return result
+
+
+def choose_features(
+    scene: Scene, regime: Regime, lanes: int = 1, *, slip: bool = True, breakage: bool = True, account: bool = False
+) -> Features:
+    """Features a scene needs in a regime: ``finite``, ``small`` (fixed geometry) or ``linear`` (fixed stiffness)."""
+    linear = regime == "linear"
+    bonds = scene.bonds is not None and len(scene.bonds.pairs) > 0
+    group = bonds and scene.bonds is not None and scene.bonds.cement.linear_modulus > 0.0
+    return Features(
+        lanes=lanes,
+        finite=regime == "finite",
+        linear=linear,
+        rotation=scene.rotation,
+        bonds=bonds,
+        linear_group=group and not linear,
+        breakage=bonds and breakage and not linear,
+        slip=slip and not linear,
+        rescaling=scene.rescaling and not linear,
+        damping=bool(np.any(np.asarray(scene.damping) > 0.0)),
+        servo=any(wall.servo_force is not None for wall in scene.walls) and not linear,
+        search=regime == "finite",
+        account=account and not linear,
+    )
+
+
+def start(
+    scene: Scene,
+    *,
+    regime: Regime = "finite",
+    features: Features | None = None,
+    precision: Precision = "float64",
+    time_step: Floats | float | None = None,
+    velocity: Floats | None = None,
+    spin: Floats | None = None,
+    preload: Preload | None = None,
+) -> State:
+    """State of a scene at time zero.
+
+    Parameters
+    ----------
+    scene
+        Disks at their reference positions.
+    regime
+        ``finite``: displacements of any size. ``small``: normals stay as they are. ``linear``: stiffnesses too.
+    features
+        Overrides what `choose_features` finds.
+    precision
+        Of all arrays of the kernel.
+    time_step
+        s, one number or (L,); 0.8 of the stability limit by default.
+    velocity, spin
+        (N, 2) m/s and (N,) rad/s at time zero.
+    preload
+        Shear forces of the reference state.
+
+    Raises
+    ------
+    ValueError
+        If the time step is above the stability limit, or an array has the wrong shape.
+    """
+    chosen = features or choose_features(scene, regime)
+    dtype = np.dtype(precision)
+    skin = 0.0 if not chosen.search else SKIN * float(np.mean(scene.radius))
+    centres = np.column_stack([scene.x, scene.y])
+    assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
+    limit = critical_time_step(scene, assembly, chosen)
+    step = SAFETY * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
+    require(bool(np.all(step > 0.0)), "time_step", step, "give a positive number of seconds")
+    require(
+        bool(np.all(step <= limit)), "time_step", step.tolist(), f"above the stability limit of {limit.tolist()} s: choose a smaller one"
+    )
+    motion = Motion(*(aligned_zeros((scene.count, 3, chosen.lanes), dtype) for _ in range(3)))
+    if velocity is not None:
+        require(np.shape(velocity) == (scene.count, 2), "velocity", np.shape(velocity), f"give ({scene.count}, 2)")
+        motion.velocity[:, :2] = np.asarray(velocity)[assembly.order, :, None]
+    if spin is not None:
+        require(np.shape(spin) == (scene.count,), "spin", np.shape(spin), f"give ({scene.count},)")
+        motion.velocity[:, 2] = np.asarray(spin)[assembly.order, None]
+    motion.force[...] = assembly.grains.load[:, :, None]
+    return State(
+        scene=scene,
+        features=chosen,
+        time_step=np.array(step, dtype=float),
+        steps=0,
+        assembly=assembly,
+        motion=motion,
+        origin=aligned_zeros((scene.count, 2, chosen.lanes), dtype),
+        account=aligned_zeros((4, chosen.lanes), dtype),
+    )
+
+
+def install(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> Assembly:
+    """Give the contacts the forces they start with: preloaded shear, and the cement's share of them."""
+    pairs = assembly.pairs
+    if features.linear:
+        return assembly
+    overlap = np.maximum(pairs.geometry[:, 3], 0.0)[:, None]
+    pairs.root[...] = np.sqrt(overlap)
+    wall_overlap = np.maximum(assembly.wall_pairs.overlap, 0.0)[:, None]
+    assembly.wall_pairs.root[...] = np.sqrt(wall_overlap)
+    if preload is not None:
+        pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
+    if scene.bonds is None:
+        return assembly
+    lane_bits = (pairs.cemented[:, None] >> np.arange(features.lanes, dtype=np.uint32)) & 1
+    cemented = lane_bits.astype(bool)
+    carried = pairs.hertz[:, None] * overlap**1.5
+    if scene.bonds.installation == "preserve":
+        if features.linear_group:
+            # The linear group takes the normal force through its reference overlap and keeps the shear force.
+            pairs.linear[:, 2] = pairs.geometry[:, 3] - carried[:, 0] / pairs.linear[:, 0]
+        else:
+            pairs.bond_force[:, 0] = np.where(cemented, carried, 0.0)
+            pairs.bond_force[:, 1] = np.where(cemented, pairs.shear, 0.0)
+            pairs.shear[cemented] = 0.0
+    else:
+        pairs.shear[cemented] = 0.0
+        pairs.linear[:, 2] = pairs.geometry[:, 3] if scene.bonds.installation == "zero" else 0.0
+    return assembly
+
+
+def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
+    """Preloaded shear force of every listed pair, zero where there is none."""
+    rank = np.empty_like(assembly.order)
+    rank[assembly.order] = np.arange(scene.count)
+    ends = rank[np.asarray(preload.pairs)]
+    # Swapping the two ends turns both n and the relative motion, so the number stays the same.
+    keys = pair_keys(np.sort(ends, axis=1), scene.count)
+    listed = pair_keys(listed_pairs(assembly), scene.count)
+    place = np.searchsorted(listed, keys)
+    known = (place < len(listed)) & (listed[np.minimum(place, len(listed) - 1)] == keys)
+    shear = np.zeros(len(listed))
+    shear[place[known]] = np.asarray(preload.shear)[known]
+    return shear
+
+
+def listed_pairs(assembly: Assembly) -> Integers:
+    """(M, 2) pairs of the list, in memory order."""
+    pairs = assembly.pairs
+    first = np.repeat(np.arange(len(pairs.start) - 1), np.diff(pairs.start))
+    return np.column_stack([first, pairs.second])
+
+
+def advance(state: State, steps: int, recording: Recording | None = None) -> State:
+    """State after ``steps`` more steps; the given one is left as it is.
+
+    Parameters
+    ----------
+    state
+        Where to begin.
+    steps
+        Number of time steps.
+    recording
+        What is driven and recorded, if the features ask for it.
+    """
+    current = launched(state, steps) if state.steps == 0 and recording is None else duplicate(state)
+    remaining = state.steps + steps - current.steps
+    done_before = 0
+    record = recording or no_recording(state)
+    while remaining > 0:
+        done = run_sweep(current, remaining, later(record, done_before))
+        done_before += done
+        remaining -= done
+        current = replace(current, steps=current.steps + done)
+        if remaining > 0:
+            current = with_new_neighbours(current)
+    return current
+
+
+def run_sweep(state: State, steps: int, recording: Recording) -> int:
+    """Let the kernel change a state in place; return the steps it did."""
+    dtype = state.motion.velocity.dtype
+    reach = REACH * SKIN * float(np.mean(state.scene.radius))
+    return sweep(  # type: ignore[no-any-return]
+        state.features,
+        steps,
+        state.time_step.astype(dtype).reshape(1, -1),
+        state.scene.sand.shear_ratio,
+        state.assembly.grains,
+        state.motion,
+        state.assembly.pairs,
+        state.assembly.wall_pairs,
+        state.assembly.walls,
+        recording,
+        Watch(origin=state.origin, reach=reach, account=state.account),
+    )
+
+
+def no_recording(state: State) -> Recording:
+    """Stand-in for a call in which nothing is driven or recorded."""
+    dtype, lanes = state.motion.velocity.dtype, state.features.lanes
+    return Recording(
+        drive=np.zeros((0, lanes), dtype),
+        driven=-1,
+        stride=1,
+        receiver=0,
+        listeners=np.zeros(0, dtype=np.int64),
+        samples=np.zeros((0, 2, lanes), dtype),
+    )
+
+
+def later(recording: Recording, steps: int) -> Recording:
+    """The same recording, ``steps`` steps further on."""
+    if steps == 0:
+        return recording
+    return recording._replace(
+        drive=recording.drive[steps:], samples=recording.samples[steps // recording.stride :]
+    )
+
+
+def duplicate(state: State) -> State:
+    """Copy of everything the kernel changes in place."""
+    pairs, walls = state.assembly.pairs, state.assembly.walls
+    wall_pairs = state.assembly.wall_pairs
+    assembly = replace(
+        state.assembly,
+        pairs=pairs._replace(
+            intact=pairs.intact.copy(),
+            shear=aligned_copy(pairs.shear),
+            root=aligned_copy(pairs.root),
+            bond_force=aligned_copy(pairs.bond_force),
+        ),
+        wall_pairs=wall_pairs._replace(shear=aligned_copy(wall_pairs.shear), root=aligned_copy(wall_pairs.root)),
+        walls=walls._replace(motion=aligned_copy(walls.motion), reaction=aligned_copy(walls.reaction)),
+    )
+    motion = Motion(*(aligned_copy(array) for array in state.motion))
+    return replace(state, assembly=assembly, motion=motion, account=aligned_copy(state.account))
+
+
+def launched(state: State, steps: int) -> State:
+    """First step from a state whose velocities are those of time zero: half a kick, then a drift.
+
+    The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
+    itself, which does one step on a copy at rest; damping, which needs the velocity, is added here.
+    """
+    current = duplicate(state)
+    if steps == 0:
+        return current
+    dt = state.time_step.astype(state.motion.velocity.dtype)
+    probe = duplicate(state)
+    probe.motion.velocity[...] = 0.0
+    probe.assembly.walls.motion[:, 2:] = 0.0
+    probe = replace(probe, features=replace(state.features, account=False, servo=False))
+    run_sweep(probe, 1, no_recording(state))
+    kick = probe.motion.velocity / 2.0
+    if state.features.damping:
+        alpha = state.assembly.grains.damping[:, None, None]
+        kick -= alpha * np.abs(kick) * np.sign(state.motion.velocity)
+    current.motion.velocity[...] += kick
+    current.motion.displacement[...] += dt * current.motion.velocity
+    walls = current.assembly.walls
+    walls.motion[:, :2] += dt * walls.motion[:, 2:]
+    walls.reaction[...] = probe.assembly.walls.reaction
+    return replace(current, steps=1)
+
+
+def with_new_neighbours(state: State) -> State:
+    """The same state with its pair list made anew; histories of pairs that stay are kept.
+
+    Lanes share one list, so it is made from their mean positions with a skin widened by what they differ.
+    """
+    displacement = state.motion.displacement[:, :2].astype(float)
+    mean = displacement.mean(axis=2)
+    spread = float(np.hypot(*np.moveaxis(displacement - mean[:, :, None], 1, 0)).max())
+    centres = np.column_stack([state.scene.x, state.scene.y]) + state.unsorted(mean)
+    skin = SKIN * float(np.mean(state.scene.radius)) + 2.0 * spread
+    old = state.assembly
+    wall_moved = float(np.abs(old.walls.motion[:, 0]).max(initial=0.0))
+    fresh = assemble(state.scene, centres, skin + wall_moved, state.features.lanes, state.motion.velocity.dtype)
+    new_keys = pair_keys(listed_pairs(fresh), state.scene.count)
+    old_keys = pair_keys(listed_pairs(old), state.scene.count)
+    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
+    for name in ("intact", "linear", "shear", "root", "bond_force"):
+        getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
+    carry_wall_histories(fresh, old)
+    assembly = replace(fresh, walls=old.walls)
+    return replace(state, assembly=assembly, origin=aligned_copy(state.motion.displacement[:, :2]))
+
+
+def carry_wall_histories(fresh: Assembly, old: Assembly) -> None:
+    """Copy the histories of wall pairs that stay, in place."""
+    walls = max(1, len(old.walls.normal))
+
+    def keys(assembly: Assembly) -> Integers:
+        disk = np.repeat(np.arange(len(assembly.wall_pairs.start) - 1), np.diff(assembly.wall_pairs.start))
+        return disk * walls + assembly.wall_pairs.wall
+
+    _, new_place, old_place = np.intersect1d(keys(fresh), keys(old), assume_unique=True, return_indices=True)
+    for name in ("shear", "root"):
+        getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]

@@ -1,0 +1,111 @@
+"""Arrays in records and in the database: read-only copies, comparison by value, compressed blobs."""
+
+import dataclasses
+import io
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+__all__ = ["ComparedByValue", "frozen_array", "pack_arrays", "plain_finite_numbers", "unpack_arrays"]
+
+
+class ComparedByValue:
+    """Base of frozen dataclasses that hold arrays: equal when all fields are, arrays element by element.
+
+    The comparison that `dataclasses` generates fails on arrays, because ``a == b`` is an array then.
+    Declare such a class with ``@dataclass(frozen=True, slots=True, eq=False)``.
+    """
+
+    __slots__ = ()
+
+    __hash__ = None  # type: ignore[assignment]  # compared by value and holding arrays: not hashable
+
+    def __eq__(self, other: object) -> bool:
+        """Compare field by field; values of different shape or type of array are different."""
+        if type(self) is not type(other) or not dataclasses.is_dataclass(self):
+            return NotImplemented
+        return all(
+            _same(getattr(self, field.name), getattr(other, field.name)) for field in dataclasses.fields(self)
+        )
+
+
+def _same(first: object, second: object) -> bool:
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return first.dtype == second.dtype and np.array_equal(first, second)
+    return bool(first == second)
+
+
+def frozen_array(
+    owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]
+) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
+    """Return `values` as a contiguous read-only copy, checked.
+
+    Parameters
+    ----------
+    owner, name : str
+        Class and field, for the error message.
+    values : array_like
+    dtype : dtype
+    shape : tuple of int or None
+        Expected shape; None allows any length along that axis.
+
+    Raises
+    ------
+    ValueError
+        For another shape, for NaN or infinity, and for values that `dtype` can't hold.
+    """
+    given = np.asarray(values)
+    array = np.array(given, dtype=dtype, order="C", copy=True)
+    fits = array.ndim == len(shape) and all(
+        want in (None, have) for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise ValueError(f"{owner}.{name} has shape {array.shape}; give an array of shape {wanted}.")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError(f"{owner}.{name} holds NaN or infinity; store finite numbers or None.")
+    if array.dtype.kind in "iu" and not np.array_equal(array, given):
+        raise ValueError(f"{owner}.{name} holds values that {array.dtype} can't represent.")
+    array.setflags(write=False)
+    return array
+
+
+def plain_finite_numbers(record: object) -> None:
+    """Turn NumPy scalars in a record's fields into Python numbers and refuse NaN and infinity.
+
+    Database drivers don't know NumPy's scalars, and a missing number is None.
+
+    Raises
+    ------
+    ValueError
+        Naming the field.
+    """
+    for field in dataclasses.fields(record):  # type: ignore[arg-type]  # every caller is a dataclass
+        value = getattr(record, field.name)
+        if isinstance(value, np.generic):
+            value = value.item()
+            object.__setattr__(record, field.name, value)
+        if isinstance(value, float) and not math.isfinite(value):
+            owner = type(record).__name__
+            raise ValueError(
+                f"{owner}.{field.name} is {value}; a missing number is None, never NaN or infinity."
+            )
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Compress named arrays into the bytes of a NumPy ``.npz`` file.
+
+    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``.
+    """
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **dict(arrays))
+    return buffer.getvalue()
+
+
+def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
+    """Inverse of `pack_arrays`."""
+    with np.load(io.BytesIO(blob), allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}

@@ -1,0 +1,55 @@
+"""Canonical JSON of a configuration, its hash, and the readable difference of two configurations."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["canonical_json", "config_difference", "content_hash"]
+
+
+def canonical_json(config: Mapping[str, Any]) -> str:
+    """Return JSON text that is the same for equal configurations: keys sorted, no spaces, shortest floats.
+
+    Raises
+    ------
+    ValueError
+        For NaN and infinity.
+    """
+    return json.dumps(config, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def content_hash(config: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of `canonical_json`, as 64 hexadecimal digits."""
+    return hashlib.sha256(canonical_json(config).encode()).hexdigest()
+
+
+def config_difference(stored: str, given: str) -> list[str]:
+    """List what differs between two configurations in JSON text.
+
+    Returns
+    -------
+    list of str
+        One line per nested key, such as ``packing.friction: 0.2 -> 0.5``.
+
+    Examples
+    --------
+    >>> config_difference('{"packing": {"friction": 0.2}}', '{"packing": {"friction": 0.5}}')
+    ['packing.friction: 0.2 -> 0.5']
+    """
+    before, after = _flatten(json.loads(stored)), _flatten(json.loads(given))
+    absent = "(not there)"
+    return [
+        f"{key}: {before.get(key, absent)} -> {after.get(key, absent)}"
+        for key in sorted(before.keys() | after.keys())
+        if before.get(key, absent) != after.get(key, absent)
+    ]
+
+
+def _flatten(value: object, prefix: str = "") -> dict[str, str]:
+    if isinstance(value, dict) and value:
+        flat: dict[str, str] = {}
+        for key, item in value.items():
+            flat.update(_flatten(item, f"{prefix}.{key}" if prefix else str(key)))
+        return flat
+    return {prefix: json.dumps(value, ensure_ascii=False)}

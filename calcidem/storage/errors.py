@@ -1,0 +1,101 @@
+"""Errors of the store: each says what happened, why, and what to do about it."""
+
+__all__ = [
+    "CampaignMismatchError",
+    "DamagedStoreError",
+    "DiskFullError",
+    "ForeignDatabaseError",
+    "InvalidRecordError",
+    "LeaseHeldError",
+    "LeaseLostError",
+    "NewerSchemaError",
+    "OlderSchemaError",
+    "QueryError",
+    "ReadOnlyStoreError",
+    "StoreError",
+    "StoreLockedError",
+    "StoreUnavailableError",
+    "UnknownCampaignError",
+    "UnknownCellError",
+]
+
+
+class StoreError(Exception):
+    """Base of all errors of the store.
+
+    Parameters
+    ----------
+    problem : str
+        What happened and why, with the place (file or URL) and the value.
+    cure : str
+        What the user can do.
+    """
+
+    def __init__(self, problem: str, cure: str) -> None:
+        super().__init__(f"{problem} {cure}")
+        self.problem = problem
+        self.cure = cure
+
+    def __reduce__(self) -> tuple[type["StoreError"], tuple[str, str]]:
+        """Pickle with both arguments, so that an error can travel between MPI ranks."""
+        return type(self), (self.problem, self.cure)
+
+
+class StoreLockedError(StoreError):
+    """Another process kept the database locked for longer than the waiting time."""
+
+
+class DiskFullError(StoreError):
+    """The disk, or the quota, has no room for the transaction; nothing of it was stored."""
+
+
+class ReadOnlyStoreError(StoreError):
+    """The file, its folder or the server session doesn't allow writing."""
+
+
+class StoreUnavailableError(StoreError):
+    """The file can't be opened, or the database server can't be reached."""
+
+
+class ForeignDatabaseError(StoreError):
+    """The file or database exists but was not made by calcidem."""
+
+
+class NewerSchemaError(StoreError):
+    """The database was written by a later calcidem, whose schema this one doesn't know."""
+
+
+class OlderSchemaError(StoreError):
+    """The database was written by an earlier calcidem and has to be upgraded before it is read."""
+
+
+class DamagedStoreError(StoreError):
+    """The file's content is damaged."""
+
+
+class CampaignMismatchError(StoreError):
+    """A campaign of that name exists with another physical configuration."""
+
+
+class UnknownCampaignError(StoreError):
+    """No such campaign in the store, or several where one has to be named."""
+
+
+class UnknownCellError(StoreError):
+    """A cell that is not part of the campaign's plan."""
+
+
+class InvalidRecordError(StoreError):
+    """The database's constraints refused a record."""
+
+
+class QueryError(StoreError):
+    """A filter expression that can't be understood."""
+
+
+class LeaseHeldError(StoreError):
+    """Another process is the master of this campaign."""
+
+
+class LeaseLostError(StoreError):
+    """Another process took the campaign over; this one must not write any more."""

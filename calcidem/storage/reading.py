@@ -1,0 +1,196 @@
+"""Queries of a campaign: from a `Selection` to records and columns."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import ColumnElement, Select, and_, case, func, select, tuple_
+from sqlalchemy.orm import InstrumentedAttribute, Session
+
+from calcidem.storage import rows
+from calcidem.storage.campaign_records import CampaignRecord
+from calcidem.storage.errors import QueryError
+from calcidem.storage.models import LOST, Attempt, Campaign, Cell, CementRow, PathRow, Result, SignalRow
+from calcidem.storage.quantities import QUANTITY_BY_NAME, STATUS
+from calcidem.storage.records import AttemptCount, AttemptRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.store import Selection
+from calcidem.storage.where import parse_where
+
+__all__ = [
+    "CHUNK",
+    "attempt_counts",
+    "attempts_of",
+    "campaign_record",
+    "cell_in",
+    "chunks",
+    "results_of",
+    "selected_cells",
+    "status_counts",
+    "table",
+]
+
+T = TypeVar("T")
+
+CHUNK = 500
+"""Rows for one query where keys are listed: far below the number of parameters any database allows."""
+
+
+def chunks(items: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
+    """Cut a sequence into pieces of at most `size`."""
+    for start in range(0, len(items), size):
+        yield items[start : start + size]
+
+
+def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+    """Join a planned cell with its outcome, the attempt it came from and its path, where there are any."""
+    return (
+        statement.select_from(Cell)
+        .outerjoin(Result, Result.cell_id == Cell.id)
+        .outerjoin(Attempt, and_(Attempt.cell_id == Cell.id, Attempt.number == Result.attempt))
+        .outerjoin(PathRow, PathRow.cell_id == Cell.id)
+    )
+
+
+def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
+    """Conditions of a query over `with_results`."""
+    found = [Cell.campaign_id == campaign_id]
+    if selection.seeds is not None:
+        found.append(_is_one_of(selection.seeds))
+    if selection.contents is not None:
+        found.append(Cell.content.in_(selection.contents))
+    if selection.statuses is not None:
+        # Without pending the plain column will do, which has an index.
+        status = STATUS if CellStatus.PENDING in selection.statuses else Result.status
+        found.append(status.in_([s.value for s in selection.statuses]))
+    if selection.where is not None:
+        found.append(parse_where(selection.where))
+    return found
+
+
+def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
+    """Condition on the seed; a range without gaps, the usual case, needs two parameters instead of one a seed."""
+    listed = list(seeds)
+    if listed and listed[-1] - listed[0] == len(listed) - 1:
+        return Cell.seed.between(listed[0], listed[-1])
+    return Cell.seed.in_(listed)
+
+
+def selected_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
+    """Ids of the selected cells, by seed, then content."""
+    statement = with_results(select(Cell.id)).where(*conditions(campaign_id, selection))
+    return list(session.scalars(statement.order_by(Cell.seed, Cell.content)))
+
+
+def table(
+    session: Session, campaign_id: int, names: Sequence[str], selection: Selection
+) -> dict[str, NDArray[Any]]:
+    """See `Store.table`."""
+    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
+    if unknown:
+        raise QueryError(
+            f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}."
+        )
+    statement = with_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
+    statement = statement.where(*conditions(campaign_id, selection)).order_by(Cell.seed, Cell.content)
+    found = session.execute(statement).all()
+    columns = zip(*found, strict=True) if found else [()] * len(names)
+    kinds = {"real": np.float64, "whole": np.float64, "text": np.object_}
+    return {
+        name: np.array(column, dtype=kinds[QUANTITY_BY_NAME[name].kind])
+        for name, column in zip(names, columns, strict=True)
+    }
+
+
+def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
+    """Outcomes of the cells (those that have one), by seed, then content."""
+    listed = Cell.id.in_(cell_ids)
+    statement = with_results(select(Cell.id, Cell.seed, Cell.content, *rows.RESULT_COLUMNS))
+    found = session.execute(
+        statement.where(listed, Result.status.is_not(None)).order_by(Cell.seed, Cell.content)
+    )
+    signals: dict[int, SignalRow] = {}
+    cements: dict[int, CementRow] = {}
+    if with_arrays:
+        signals = {
+            row.cell_id: row
+            for row in session.scalars(select(SignalRow).where(SignalRow.cell_id.in_(cell_ids)))
+        }
+        cements = {
+            row.cell_id: row
+            for row in session.scalars(select(CementRow).where(CementRow.cell_id.in_(cell_ids)))
+        }
+    for row in found:
+        signal, cement = signals.get(row.id), cements.get(row.id)
+        yield rows.cell_result(
+            row,
+            rows.signal(signal) if signal is not None else None,
+            rows.cement_pattern(cement) if cement is not None else None,
+        )
+
+
+def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
+    """All attempts at the cells, by seed, content and number."""
+    statement = select(Cell.seed, Cell.content, Attempt).join(Cell, Attempt.cell_id == Cell.id)
+    statement = statement.where(Cell.id.in_(cell_ids)).order_by(Cell.seed, Cell.content, Attempt.number)
+    yield from (rows.attempt_record(row) for row in session.execute(statement))
+
+
+def attempt_counts(
+    session: Session, campaign_id: int, keys: Sequence[CellKey] | None
+) -> dict[CellKey, AttemptCount]:
+    """See `Store.attempt_counts`."""
+    losses = func.sum(case((and_(Attempt.outcome == LOST, Attempt.forgiven.is_(False)), 1), else_=0))
+    statement = (
+        select(Cell.seed, Cell.content, func.max(Attempt.number), losses)
+        .join(Attempt, Attempt.cell_id == Cell.id)
+        .where(Cell.campaign_id == campaign_id)
+        .group_by(Cell.id, Cell.seed, Cell.content)
+    )
+    if keys is None:
+        return _counts(session, statement)
+    counts = dict.fromkeys(keys, AttemptCount())
+    for chunk in chunks(keys):
+        counts |= _counts(session, statement.where(cell_in(chunk)))
+    return counts
+
+
+def _counts(session: Session, statement: Select[*tuple[Any, ...]]) -> dict[CellKey, AttemptCount]:
+    return {
+        CellKey(seed, content): AttemptCount(attempts, int(losses))
+        for seed, content, attempts, losses in session.execute(statement)
+    }
+
+
+def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
+    """Condition that a cell is one of the keys."""
+    return tuple_(Cell.seed, Cell.content).in_([(key.seed, key.content) for key in keys])
+
+
+def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:
+    """See `Store.status_counts`."""
+    statement = (
+        select(Cell.content, STATUS, func.count())
+        .select_from(Cell)
+        .outerjoin(Result, Result.cell_id == Cell.id)
+        .where(Cell.campaign_id == campaign_id)
+        .group_by(Cell.content, STATUS)
+        .order_by(Cell.content)
+    )
+    return {(content, CellStatus(status)): count for content, status, count in session.execute(statement)}
+
+
+def campaign_record(session: Session, row: Campaign) -> CampaignRecord:
+    """Build a campaign with the seeds and contents of its planned cells."""
+
+    def planned(column: InstrumentedAttribute[Any]) -> tuple[Any, ...]:
+        return tuple(session.scalars(select(column).where(Cell.campaign_id == row.id).distinct()))
+
+    return CampaignRecord(
+        hash=row.hash,
+        name=row.name,
+        config=row.config,
+        contents=planned(Cell.content),
+        seeds=planned(Cell.seed),
+        created=row.created,
+    )

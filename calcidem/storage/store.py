@@ -1,0 +1,341 @@
+"""The contract that every store keeps."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calcidem.storage.campaign_records import CampaignRecord, PackingRecord, RunRecord
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    Signal,
+    canonical_content,
+)
+
+__all__ = ["RETRIED_BY_DEFAULT", "LeaseGrant", "Selection", "Store", "VsMatrix"]
+
+RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which cells a query is about; None means no restriction.
+
+    Parameters
+    ----------
+    seeds : collection of int, optional
+    contents : collection of float, optional
+        Percent; compared as `canonical_content`.
+    statuses : collection of CellStatus, optional
+        May include `CellStatus.PENDING` for planned cells without an outcome.
+    where : str, optional
+        Filter expression (`calcidem.storage.where.parse_where`).
+    """
+
+    seeds: Collection[int] | None = None
+    contents: Collection[float] | None = None
+    statuses: Collection[CellStatus] | None = None
+    where: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.seeds is not None:
+            object.__setattr__(self, "seeds", tuple(sorted({int(seed) for seed in self.seeds})))
+        if self.contents is not None:
+            object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
+        if self.statuses is not None:
+            object.__setattr__(self, "statuses", tuple(CellStatus(status) for status in self.statuses))
+
+
+ALL_CELLS = Selection()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VsMatrix:
+    """Shear-wave velocities of a campaign.
+
+    Parameters
+    ----------
+    seeds : (s,) int64 array
+        Ascending.
+    contents : (c,) float64 array
+        Ascending [%].
+    vs : (s, c) float64 array
+        Velocity [m/s]; NaN where the cell is not done.
+    """
+
+    seeds: NDArray[np.int64]
+    contents: NDArray[np.float64]
+    vs: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseGrant:
+    """The right to write a campaign.
+
+    Parameters
+    ----------
+    token : str
+        Identity of this master.
+    taken_over_from : str or None
+        ``host, process N, last heard of at T`` of a dead master whose lease this one took over; to be reported.
+    """
+
+    token: str
+    taken_over_from: str | None
+
+
+class Store(ABC):
+    """Campaigns, their cells and their outcomes, kept for good.
+
+    Rules that hold for every implementation:
+
+    1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign` chooses the one that all
+       other methods are about.
+    2. A campaign's physics never changes: its name goes with one hash. Its plan of seeds and contents only grows.
+    3. Each writing method is one transaction: when it returns, all of it is on disk; when it raises, nothing is.
+    4. Writing the same thing again changes nothing. A result is identified by its cell and the number of its attempt.
+    5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of the same or a later
+       attempt, and to a done one.
+    6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells pending again and
+       keeps their history.
+    7. Attempts are counted from 1 for each cell over all runs, those whose worker was lost included. The caller gives a result
+       the number ``attempts + 1`` of `attempt_counts`.
+    8. Callers get frozen records, never rows; errors are `StoreError` with cause and cure.
+    9. At most one process holds the lease of a campaign. Once its lease has been taken over, a store refuses to write.
+       Writing without ever having asked for the lease is allowed, for imports and single commands.
+    10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
+
+    A store is a context manager that closes itself. It may be used by one thread at a time.
+    """
+
+    # ---- campaigns and runs -------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def campaigns(self) -> tuple[CampaignRecord, ...]:
+        """All campaigns, oldest first."""
+
+    @abstractmethod
+    def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
+        """Create the campaign, or continue the one with the same hash and extend its plan by what is new.
+
+        Returns
+        -------
+        CampaignRecord
+            As stored: with the seeds and contents of all plans so far.
+
+        Raises
+        ------
+        CampaignMismatchError
+            If the name is taken by a campaign with another hash; the message lists the differences, one nested key a line.
+        """
+
+    @abstractmethod
+    def use_campaign(self, name: str | None = None) -> CampaignRecord:
+        """Choose an existing campaign; without a name the only one there is.
+
+        Raises
+        ------
+        UnknownCampaignError
+            If there is none of that name, or several and no name was given.
+        """
+
+    @abstractmethod
+    def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
+        """Plan all cells of seeds x contents that are not planned yet; return how many were added."""
+
+    @abstractmethod
+    def begin_run(self, run: RunRecord) -> int:
+        """Store the provenance of a run that starts now; attempts recorded from here on belong to it. Return its number."""
+
+    @abstractmethod
+    def end_run(self, exit_state: str, ended: datetime) -> None:
+        """Store how and when the run of `begin_run` ended."""
+
+    @abstractmethod
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """All runs of the campaign with their numbers, oldest first."""
+
+    # ---- lease ---------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def acquire_lease(self) -> LeaseGrant:
+        """Become the campaign's only master.
+
+        Raises
+        ------
+        LeaseHeldError
+            If another living process is it; the message says which, and when it would count as dead.
+        """
+
+    @abstractmethod
+    def heartbeat(self) -> None:
+        """Say that this master is alive; recording does it too. Call it at least every minute.
+
+        Raises
+        ------
+        LeaseLostError
+            If another process took over.
+        """
+
+    @abstractmethod
+    def release_lease(self) -> None:
+        """Give the lease back; does nothing without one."""
+
+    # ---- writing -------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def save_packing(self, packing: PackingRecord) -> None:
+        """Store a packing under its index; one with the same hash is left as it is.
+
+        Raises
+        ------
+        CampaignMismatchError
+            If the index has a packing with another hash.
+        """
+
+    @abstractmethod
+    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
+        """Store outcomes in one transaction (rules 4 and 5).
+
+        Returns
+        -------
+        int
+            How many were stored; the others were kept out by rule 5.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
+
+    @abstractmethod
+    def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
+        """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
+
+        Unlike the other writes each call counts, since a loss has no result to be recognised by.
+        """
+
+    @abstractmethod
+    def retry(
+        self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
+    ) -> tuple[CellKey, ...]:
+        """Make settled cells pending again, and forget the losses counted for them.
+
+        Parameters
+        ----------
+        statuses : collection of CellStatus
+            Which outcomes; done is refused.
+        keys : iterable of CellKey, optional
+            Only these cells.
+
+        Returns
+        -------
+        tuple of CellKey
+            The cells that are pending again.
+
+        Raises
+        ------
+        ValueError
+            If `statuses` contains done, pending or running.
+        """
+
+    @abstractmethod
+    def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
+        """Store a history as another store kept it (for imports); attempts that are there already stay."""
+
+    # ---- reading -------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def load_packing(self, index: int = 0) -> PackingRecord | None:
+        """Return a packing, or None if there is none of that index."""
+
+    @abstractmethod
+    def packing_indices(self) -> tuple[int, ...]:
+        """Indices of the stored packings, ascending."""
+
+    @abstractmethod
+    def pending(
+        self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
+    ) -> tuple[CellKey, ...]:
+        """Return the planned cells without an outcome, by seed, then content."""
+
+    @abstractmethod
+    def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
+        """Status of each planned cell."""
+
+    @abstractmethod
+    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        """Return how many cells of each content have each status."""
+
+    @abstractmethod
+    def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
+        """Attempts of these cells, or of all that were tried; a cell never tried counts 0."""
+
+    @abstractmethod
+    def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
+        """All attempts at the selected cells, by seed, content and number."""
+
+    @abstractmethod
+    def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
+        """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
+
+        Parameters
+        ----------
+        selection : Selection
+        with_arrays : bool
+            Whether to load signals and cement patterns; without it they are None. Path features always come along.
+        """
+
+    @abstractmethod
+    def signal(self, key: CellKey) -> Signal | None:
+        """Return the signals of a cell, None if none were kept."""
+
+    @abstractmethod
+    def table(self, names: Sequence[str], selection: Selection = ALL_CELLS) -> dict[str, NDArray[Any]]:
+        """Return columns of the selected planned cells, by seed, then content, in one query.
+
+        Parameters
+        ----------
+        names : sequence of str
+            From `calcidem.storage.quantities.QUANTITIES`.
+        selection : Selection
+
+        Returns
+        -------
+        dict of str to array
+            All of the same length: object arrays for texts (None where missing), float64 for numbers (NaN where missing).
+        """
+
+    def vs_matrix(self) -> VsMatrix:
+        """Return all velocities as a matrix (seeds, contents)."""
+        columns = self.table(("seed", "content", "vs"))
+        seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
+        contents, column = np.unique(columns["content"], return_inverse=True)
+        vs = np.full((seeds.size, contents.size), np.nan)
+        vs[row, column] = columns["vs"]
+        return VsMatrix(seeds, contents, vs)
+
+    # ---- life ----------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the lease and all connections; a closed store may be closed again."""
+
+    def __enter__(self) -> Self:
+        """Use the store in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()

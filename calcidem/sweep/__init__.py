@@ -1,0 +1,59 @@
+"""Master/worker scheduler over MPI and its serial twin: it knows batches, a computation and a sink.
+
+with Session() as session:
+    ...                                     # prepare, session.broadcast(...)
+    end = run_sweep(session.comm, batches, compute, sink, stop_request=session.stop_request)
+    session.end(end.exit_code, end)
+"""
+
+from calcidem.sweep.attempt import Compute
+from calcidem.sweep.batch import Batch, Cell, plan_batches
+from calcidem.sweep.deadline import SweepInterrupted, TimeLimitReached
+from calcidem.sweep.environment import LaunchEnvironment, describe_environment, refuse_singletons
+from calcidem.sweep.errors import LaunchError, MasterLostError, SweepError
+from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.progress import BarProgress, LineProgress, Progress, SilentProgress, progress_for
+from calcidem.sweep.schedule import Tally
+from calcidem.sweep.session import Session
+from calcidem.sweep.signals import StopLevel, StopRequest
+from calcidem.sweep.sink import Sink
+from calcidem.sweep.sweep import run_sweep
+from calcidem.sweep.sweep_end import SweepEnd, SweepState
+
+__all__ = [
+    "EXIT_COMPLETE",
+    "EXIT_ERROR",
+    "EXIT_RESUMABLE",
+    "BarProgress",
+    "Batch",
+    "BatchOutcome",
+    "Cell",
+    "Compute",
+    "Failure",
+    "FailureKind",
+    "LaunchEnvironment",
+    "LaunchError",
+    "LineProgress",
+    "MasterLostError",
+    "Place",
+    "Progress",
+    "Session",
+    "SilentProgress",
+    "Sink",
+    "StopLevel",
+    "StopRequest",
+    "SweepEnd",
+    "SweepError",
+    "SweepInterrupted",
+    "SweepOptions",
+    "SweepState",
+    "Tally",
+    "TimeLimitReached",
+    "describe_environment",
+    "plan_batches",
+    "progress_for",
+    "refuse_singletons",
+    "run_sweep",
+]

@@ -1,0 +1,230 @@
+"""The workers as the master sees them: who is idle, who computes what, who is lost."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic
+
+from mpi4py import MPI
+
+from calcidem.sweep.batch import CellT
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
+from calcidem.sweep.protocol import (
+    MASTER,
+    Incoming,
+    Tag,
+    acknowledge_failures,
+    failed_ranks,
+    start_receive,
+    start_send,
+    wait_until,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.sweep_end import SweepEnd
+
+WATCHDOG_INTERVAL = 0.25
+"""Seconds between looks for workers past their limit; going through all of them takes time."""
+
+KILL_PATIENCE = 1.0
+"""Seconds within which a killed process must be gone."""
+
+
+@dataclass(slots=True)
+class Worker(Generic[CellT]):
+    """What the master knows about a worker."""
+
+    place: Place
+    batch: Batch[CellT] | None = None
+    since: float = 0.0
+    task: MPI.Request = MPI.REQUEST_NULL
+
+
+@dataclass(frozen=True, slots=True)
+class Loss(Generic[CellT]):
+    """A worker that is gone, and the batch that was in its hands, if any."""
+
+    place: Place
+    batch: Batch[CellT] | None
+    reason: str
+    seconds: float
+
+
+class Crew(Generic[CellT]):
+    """All workers of a communicator; rank 0 is the master.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the sweep.
+    watchdog_limit
+        Seconds after which a worker that still computes the same batch is given up, or None.
+    fault_tolerant
+        Whether the MPI library goes on when a rank is lost (ULFM).
+    """
+
+    def __init__(self, comm: MPI.Comm, watchdog_limit: float | None, fault_tolerant: bool) -> None:
+        self._comm = comm
+        self._watchdog_limit = watchdog_limit
+        self._next_watchdog = 0.0
+        self._fault_tolerant = fault_tolerant
+        self._workers: dict[int, Worker[CellT]] = {}
+        self._idle: deque[int] = deque()
+        self._incoming: list[Incoming] = []
+        self._watch = ProcessWatch()
+        self._known_failed: frozenset[int] = frozenset()
+        self.expected = set(range(comm.Get_size())) - {MASTER}
+        """Ranks not lost so far, whether they have reported yet or not."""
+
+    @property
+    def broken(self) -> bool:
+        """Whether a rank is lost and the MPI library cannot go on without it."""
+        return not self._fault_tolerant and len(self.expected) < self._comm.Get_size() - 1
+
+    @property
+    def running(self) -> int:
+        """Number of workers that have a batch."""
+        return len(self._workers) - len(self._idle)
+
+    @property
+    def has_idle(self) -> bool:
+        """Whether a worker waits for a batch."""
+        return bool(self._idle)
+
+    def assign(self, batch: Batch[CellT]) -> None:
+        """Hand a batch to a worker that waits for one."""
+        rank = self._idle.popleft()
+        worker = self._workers[rank]
+        worker.batch = batch
+        worker.since = time.monotonic()
+        worker.task = start_send(self._comm, batch, rank, Tag.TASK)
+
+    def receive(self) -> list[BatchOutcome[CellT, Any]]:
+        """Take in what has arrived: note new workers, return the outcomes."""
+        while (message := self._probe()) is not None:
+            self._incoming.append(message)
+        outcomes: list[BatchOutcome[CellT, Any]] = []
+        on_their_way: list[Incoming] = []
+        for message in self._incoming:
+            try:
+                arrived = message.arrived()
+            except MPI.Exception:
+                continue  # the sender died half-way; it is buried soon
+            if not arrived:
+                on_their_way.append(message)
+            elif message.tag is Tag.HELLO:
+                self._join(message)
+            elif message.source in self._workers:  # else it was given up, and its batch handed out again
+                outcomes.append(self._outcome(message))
+        self._incoming = on_their_way
+        return outcomes
+
+    def lost(self) -> dict[int, str]:
+        """Return the ranks that are lost, each with the reason; they stay in the crew until `bury`."""
+        reasons: dict[int, str] = dict.fromkeys(self._watch.ended(), "its process ended")
+        failed = failed_ranks(self._comm)
+        if failed != self._known_failed:
+            self._known_failed = failed
+            acknowledge_failures(self._comm)
+        for rank in failed & self.expected:
+            reasons.setdefault(rank, "MPI reports that its process failed")
+        now = time.monotonic()
+        if self._watchdog_limit is not None and now >= self._next_watchdog:
+            self._next_watchdog = now + WATCHDOG_INTERVAL
+            for rank, worker in self._workers.items():
+                if worker.batch is not None and now - worker.since > self._watchdog_limit:
+                    reasons.setdefault(
+                        rank, f"no answer for {self._watchdog_limit:g} s, past the hard time limit"
+                    )
+        return reasons
+
+    def bury(self, lost: dict[int, str]) -> list[Loss[CellT]]:
+        """Strike lost workers off, kill those that still run, and return what they leave behind.
+
+        To be called after a `receive` that followed `lost`, so that an outcome sent before the death counts.
+        """
+        losses: list[Loss[CellT]] = []
+        for rank, reason in lost.items():
+            self.expected.discard(rank)
+            worker = self._workers.pop(rank, None)
+            if self._fault_tolerant:
+                self._watch.kill(rank)  # without ULFM this would end the master as well
+            self._watch.remove(rank)
+            if worker is None:  # it died before it had reported
+                losses.append(Loss(Place(rank, "unknown host"), None, reason, 0.0))
+                continue
+            if worker.batch is None:
+                self._idle.remove(rank)
+            seconds = time.monotonic() - worker.since
+            losses.append(Loss(worker.place, worker.batch, reason, seconds))
+        return losses
+
+    def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
+        """Tell all workers how the sweep ended; return those that don't answer and may still run."""
+        requests = {rank: start_send(self._comm, end, rank, Tag.STOP) for rank in self.expected}
+
+        def all_stopped() -> bool:
+            for rank in [rank for rank, request in requests.items() if self._is_over(request)]:
+                del requests[rank]
+            return requests.keys() <= self._gone()
+
+        if not wait_until(all_stopped, grace) and self._fault_tolerant:
+            for rank in requests:
+                self._watch.kill(rank)
+            wait_until(all_stopped, KILL_PATIENCE)
+        silent = frozenset(requests) - self._gone()
+        for rank in self._workers:
+            self._watch.remove(rank)
+        return silent
+
+    def _gone(self) -> set[int]:
+        return self._watch.ended() | failed_ranks(self._comm)
+
+    @staticmethod
+    def _is_over(request: MPI.Request) -> bool:
+        try:
+            return request.Test()
+        except MPI.Exception:
+            return True  # the receiver died
+
+    def _probe(self) -> Incoming | None:
+        try:
+            return start_receive(self._comm, MPI.ANY_SOURCE)
+        except MPI.Exception as error:
+            if error.Get_error_class() not in _failure_classes():
+                raise
+            acknowledge_failures(self._comm)
+            return None
+
+    def _join(self, message: Incoming) -> None:
+        if message.source not in self.expected:
+            return
+        identity: ProcessIdentity = message.value()
+        self._workers[message.source] = Worker(Place(message.source, identity.host))
+        self._idle.append(message.source)
+        self._watch.add(message.source, identity)
+
+    def _outcome(self, message: Incoming) -> BatchOutcome[CellT, Any]:
+        worker = self._workers[message.source]
+        batch, worker.batch = worker.batch, None
+        if batch is None:
+            raise RuntimeError(f"rank {message.source} sent an outcome without having a batch")
+        worker.task.Wait()  # complete, since the batch has been computed; this only frees the request
+        self._idle.append(message.source)
+        try:
+            outcome: BatchOutcome[CellT, Any] = message.value()
+        except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
+            failure = Failure.from_exception(FailureKind.FAILED, error)
+            return BatchOutcome(batch, worker.place, time.monotonic() - worker.since, failure=failure)
+        return outcome
+
+
+def _failure_classes() -> Iterable[int]:
+    """Return the MPI error classes that mean: a rank has died."""
+    return (MPI.ERR_PROC_FAILED, MPI.ERR_PROC_FAILED_PENDING)

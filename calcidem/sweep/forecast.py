@@ -1,0 +1,65 @@
+"""How long a sweep will still take, from what its batches have cost so far."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable
+
+    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.outcome import BatchOutcome
+
+
+class Forecast:
+    """Counts cells and measures their cost in each group of batches.
+
+    A group that has been measured counts with its own mean seconds for each cell; one that has not, with its
+    estimated cost, scaled by what the estimates were worth elsewhere.
+
+    Parameters
+    ----------
+    batches
+        All batches of the sweep.
+    """
+
+    def __init__(self, batches: Iterable[Batch[Any]]) -> None:
+        self._remaining: Counter[Hashable] = Counter()
+        self._estimate: dict[Hashable, float] = defaultdict(float)
+        for batch in batches:
+            self._remaining[batch.group] += len(batch.cells)
+            self._estimate[batch.group] += batch.cost
+        for group, cells in self._remaining.items():
+            self._estimate[group] /= cells
+        self.total = self._remaining.total()
+        self._seconds: dict[Hashable, float] = defaultdict(float)
+        self._measured: Counter[Hashable] = Counter()
+
+    @property
+    def settled(self) -> int:
+        """Number of cells that are settled."""
+        return self.total - self._remaining.total()
+
+    def record(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count a final outcome; only results say what a cell costs."""
+        group, cells = outcome.batch.group, len(outcome.batch.cells)
+        self._remaining[group] -= cells
+        if outcome.failure is None:
+            self._seconds[group] += outcome.seconds
+            self._measured[group] += cells
+
+    def seconds_left(self, workers: int) -> float | None:
+        """Return the seconds that the remaining cells need on so many workers, or None if unknown."""
+        estimated = sum(self._estimate[group] * cells for group, cells in self._measured.items())
+        if self.settled == self.total:
+            return 0.0
+        if estimated == 0.0 or workers < 1:
+            return None
+        scale = sum(self._seconds.values()) / estimated
+        work = 0.0
+        for group, cells in self._remaining.items():
+            measured = self._measured[group]
+            per_cell = self._seconds[group] / measured if measured else self._estimate[group] * scale
+            work += cells * per_cell
+        return work / workers

@@ -1,0 +1,62 @@
+"""Settings of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class SweepOptions:
+    """Limits of a sweep, the same on all ranks.
+
+    Three nested limits guard a batch. Past `time_limit` the computation's own check ends it, which costs the
+    batch only. Past `hard_limit` the kernel kills the worker, which works in compiled code too. Past
+    `watchdog_limit` the master gives the worker up, which works even if it is stopped or its node is gone.
+
+    Parameters
+    ----------
+    time_limit
+        Seconds that a batch may take, including compilation, or None for no limit and no guards.
+    hard_limit_factor
+        The hard limit as a multiple of the time limit, larger than 1.
+    watchdog_margin
+        Seconds that the master waits past the hard limit.
+    stop_grace
+        Seconds that the master waits for its workers when the sweep ends in order; some may be starting.
+    hurry_grace
+        The same when the sweep ends at a signal or by an error.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    time_limit: float | None = None
+    hard_limit_factor: float = 1.5
+    watchdog_margin: float = 5.0
+    stop_grace: float = 60.0
+    hurry_grace: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.time_limit is not None and not self.time_limit > 0.0:
+            raise ValueError(f"time_limit is {self.time_limit} s: give more than 0 s, or None for no limit")
+        if not self.hard_limit_factor > 1.0:
+            raise ValueError(
+                f"hard_limit_factor is {self.hard_limit_factor}: give more than 1, the batch must have time"
+                " to notice its own limit first"
+            )
+        for name in ("watchdog_margin", "stop_grace", "hurry_grace"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)} s: give 0 s or more")
+
+    @property
+    def hard_limit(self) -> float | None:
+        """Seconds after which the kernel kills a worker that still computes the same batch."""
+        return None if self.time_limit is None else self.time_limit * self.hard_limit_factor
+
+    @property
+    def watchdog_limit(self) -> float | None:
+        """Seconds after which the master gives up a worker that still computes the same batch."""
+        return None if self.hard_limit is None else self.hard_limit + self.watchdog_margin

@@ -1,0 +1,108 @@
+"""What became of a batch: results, or a failure that is data like any other."""
+
+from __future__ import annotations
+
+import platform
+import traceback
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from calcidem.sweep.batch import CellT
+
+if TYPE_CHECKING:
+    from calcidem.sweep.batch import Batch
+
+ResultT = TypeVar("ResultT")
+
+
+class FailureKind(StrEnum):
+    """Why a batch has no results; the values are the names under which cells are stored."""
+
+    FAILED = "failed"
+    """The computation raised an exception."""
+    TIMED_OUT = "timed_out"
+    """The computation reached the time limit of a batch."""
+    QUARANTINED = "quarantined"
+    """The cell took its worker down so often that it is not tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something was computed."""
+
+    rank: int
+    host: str
+
+    @classmethod
+    def here(cls, rank: int) -> Place:
+        """Return the place of this process, which has the given rank."""
+        return cls(rank=rank, host=platform.node())
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a batch has no results.
+
+    Parameters
+    ----------
+    kind
+        Class of the failure.
+    message
+        One sentence for a person.
+    traceback
+        Python traceback of the exception, or an empty text.
+    """
+
+    kind: FailureKind
+    message: str
+    traceback: str = ""
+
+    @classmethod
+    def from_exception(cls, kind: FailureKind, error: BaseException) -> Failure:
+        """Return an exception as data, since the exception itself might not survive pickling."""
+        return cls(
+            kind=kind,
+            message=f"{type(error).__name__}: {error}",
+            traceback="".join(traceback.format_exception(error)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BatchOutcome(Generic[CellT, ResultT]):
+    """What became of a batch.
+
+    Parameters
+    ----------
+    batch
+        The batch.
+    place
+        Rank and host that computed it.
+    seconds
+        Wall time of the computation in s.
+    results
+        One result for each cell in the order of `batch.cells`, or None.
+    failure
+        Why there are no results, or None.
+
+    Raises
+    ------
+    ValueError
+        Unless exactly one of `results` and `failure` is given, with one result for each cell.
+    """
+
+    batch: Batch[CellT]
+    place: Place
+    seconds: float
+    results: tuple[ResultT, ...] | None = None
+    failure: Failure | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the outcome is one or the other."""
+        if (self.results is None) == (self.failure is None):
+            raise ValueError(f"batch {self.batch.identifier}: give either results or failure")
+        if self.results is not None and len(self.results) != len(self.batch.cells):
+            raise ValueError(
+                f"batch {self.batch.identifier}: {len(self.results)} results for {len(self.batch.cells)}"
+                " cells; return exactly one result for each cell"
+            )

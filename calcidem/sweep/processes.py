@@ -1,0 +1,99 @@
+"""Operating-system help against processes that die, hang or outlive their launcher (Linux)."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import platform
+import select
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent() -> None:
+    """Let the kernel kill this process as soon as its parent ends.
+
+    A rank whose mpirun was killed would otherwise go on for ever: the parent of a rank is mpirun itself or,
+    on other nodes, its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
+    the launcher is gone by then, initialisation fails and the rank ends, so no moment is left unguarded.
+
+    Raises
+    ------
+    OSError
+        If the kernel refuses.
+    """
+    parent = os.getppid()
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
+    if os.getppid() != parent:  # it ended between the two calls, so its death will not be signalled
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessIdentity:
+    """What names a process for others on the same machine.
+
+    `machine` is equal for two processes exactly if their process numbers mean the same: same boot of the
+    same kernel, same namespace (containers).
+    """
+
+    process: int
+    machine: str
+    host: str
+
+    @classmethod
+    def of_this_process(cls) -> Self:
+        """Return the identity of the calling process."""
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        namespace = Path("/proc/self/ns/pid").readlink()
+        return cls(process=os.getpid(), machine=f"{boot} {namespace}", host=platform.node())
+
+
+class ProcessWatch:
+    """Processes on this machine, each known to the caller by a key.
+
+    They are held by file descriptors, so that their numbers can't come to mean other processes, and asked for
+    all at once. Processes on other machines, or on a kernel without such descriptors (before Linux 5.3),
+    can't be watched: they are never among the `ended`, and `kill` does nothing.
+    """
+
+    def __init__(self) -> None:
+        self._descriptor_of: dict[int, int] = {}
+        self._key_of: dict[int, int] = {}
+        self._poll = select.poll()
+        self._machine = ProcessIdentity.of_this_process().machine
+
+    def add(self, key: int, identity: ProcessIdentity) -> None:
+        """Begin to watch a process, if it can be watched from here."""
+        if identity.machine != self._machine:
+            return
+        with contextlib.suppress(OSError):
+            descriptor = os.pidfd_open(identity.process)
+            self._poll.register(descriptor, select.POLLIN)
+            self._descriptor_of[key] = descriptor
+            self._key_of[descriptor] = key
+
+    def ended(self) -> set[int]:
+        """Return the keys of all watched processes that are gone, however they ended."""
+        return {self._key_of[descriptor] for descriptor, _ in self._poll.poll(0)}
+
+    def kill(self, key: int) -> None:
+        """Kill a process, also one that is stopped or deep in compiled code."""
+        if key in self._descriptor_of:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._descriptor_of[key], signal.SIGKILL)
+
+    def remove(self, key: int) -> None:
+        """Stop to watch a process."""
+        descriptor = self._descriptor_of.pop(key, None)
+        if descriptor is not None:
+            self._poll.unregister(descriptor)
+            del self._key_of[descriptor]
+            os.close(descriptor)

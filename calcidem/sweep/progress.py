@@ -1,0 +1,237 @@
+"""What a person sees while a sweep runs: a bar on a terminal, lines in a log."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.progress import (
+    Progress as RichProgress,
+)
+
+from calcidem.sweep.forecast import Forecast
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.outcome import BatchOutcome, Place
+    from calcidem.sweep.sweep_end import SweepEnd
+
+
+class Progress(Protocol):
+    """What a sweep tells about itself, on rank 0 only."""
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Batches are about to be handed out to so many workers."""
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """An outcome is stored."""
+
+    def lost(self, place: Place, reason: str) -> None:
+        """A worker is lost."""
+
+    def tick(self, workers: int, running: int) -> None:
+        """Time has passed; so many workers are left, so many of them compute."""
+
+    def ended(self, end: SweepEnd) -> None:
+        """The sweep has ended."""
+
+
+class SilentProgress:
+    """Tells nothing."""
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Tell nothing."""
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Tell nothing."""
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Tell nothing."""
+
+    def tick(self, workers: int, running: int) -> None:
+        """Tell nothing."""
+
+    def ended(self, end: SweepEnd) -> None:
+        """Tell nothing."""
+
+
+class LineProgress:
+    """Writes a line now and then, for logs of batch systems.
+
+    The pause between two lines starts at `shortest` seconds and grows by half each time up to `longest`, so
+    that a short run shows something and a run of days doesn't fill its log. Failures and lost workers are
+    told at once.
+
+    Parameters
+    ----------
+    console
+        Where to write.
+    shortest, longest
+        Limits of the pause in s.
+    """
+
+    def __init__(self, console: Console, shortest: float = 5.0, longest: float = 600.0) -> None:
+        self._console = console
+        self._pause = shortest
+        self._longest = longest
+        self._next = time.monotonic() + shortest
+        self._forecast = Forecast([])
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Write how much there is to do."""
+        self._forecast = Forecast(batches)
+        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {_count(workers, 'worker')}")
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count, and write if the batch failed."""
+        self._forecast.record(outcome)
+        if outcome.failure is not None:
+            self._write(failure_line(outcome))
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Write which worker is lost."""
+        self._write(loss_line(place, reason))
+
+    def tick(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
+        """Write how far the sweep is, if it is time to."""
+        if time.monotonic() < self._next:
+            return
+        self._pause = min(1.5 * self._pause, self._longest)
+        self._next = time.monotonic() + self._pause
+        done, total = self._forecast.settled, self._forecast.total
+        left = duration(self._forecast.seconds_left(workers))
+        self._write(
+            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {_count(workers, 'worker')}"
+        )
+
+    def ended(self, end: SweepEnd) -> None:
+        """Write how it ended."""
+        self._write(end_line(end))
+
+    def _write(self, line: str) -> None:
+        self._console.print(
+            f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True
+        )
+
+
+class BarProgress:
+    """Draws a bar with the time left on a terminal.
+
+    The bar is drawn by the sweep's own ticks and not by a thread, which would cost as much as the master.
+
+    Parameters
+    ----------
+    console
+        The terminal.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._forecast = Forecast([])
+        self._bar = RichProgress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("cells"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]} left"),
+            TextColumn("{task.fields[crew]}"),
+            console=console,
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task("computing", total=None, left="?", crew="")
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Draw the empty bar."""
+        self._forecast = Forecast(batches)
+        self._bar.update(self._task, total=self._forecast.total, crew=_count(workers, "worker"))
+        self._bar.start()
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count, and write a line above the bar if the batch failed."""
+        self._forecast.record(outcome)
+        if outcome.failure is not None:
+            self._console.print(failure_line(outcome), markup=False, highlight=False)
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Write a line above the bar."""
+        self._console.print(loss_line(place, reason), markup=False, highlight=False)
+
+    def tick(self, workers: int, running: int) -> None:
+        """Draw the bar again."""
+        self._bar.update(
+            self._task,
+            completed=self._forecast.settled,
+            left=duration(self._forecast.seconds_left(workers)),
+            crew=f"{running} of {_count(workers, 'worker')} busy",
+        )
+        self._bar.refresh()
+
+    def ended(self, end: SweepEnd) -> None:
+        """Draw the bar for the last time and write how it ended."""
+        self._bar.update(self._task, completed=self._forecast.settled, left="0 s", crew="")
+        self._bar.stop()
+        self._console.print(end_line(end), markup=False, highlight=False)
+
+
+def progress_for(console: Console) -> Progress:
+    """Return the display that suits a console: a bar on a terminal, lines anywhere else."""
+    return BarProgress(console) if console.is_terminal else LineProgress(console)
+
+
+def duration(seconds: float | None) -> str:
+    """Return a duration for a person: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
+    if seconds is None:
+        return "?"
+    if seconds < 100:  # noqa: PLR2004 - two digits are enough for a person
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 100:  # noqa: PLR2004 - as above
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:  # noqa: PLR2004 - two days
+        return f"{hours} h {minutes:02d} min"
+    days, hours = divmod(hours, 24)
+    return f"{days} d {hours} h"
+
+
+def failure_line(outcome: BatchOutcome[Any, Any]) -> str:
+    """Return one line about a batch that failed."""
+    if outcome.failure is None:
+        raise ValueError(f"batch {outcome.batch.identifier} has not failed")
+    cells = ", ".join(str(cell) for cell in outcome.batch.cells)
+    place = outcome.place
+    return f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
+
+
+def loss_line(place: Place, reason: str) -> str:
+    """Return one line about a lost worker."""
+    return f"lost rank {place.rank} ({place.host}): {reason}"
+
+
+def end_line(end: SweepEnd) -> str:
+    """Return one line about how a sweep ended."""
+    tally = end.tally
+    parts = [
+        f"{end.state} after {duration(end.seconds)}",
+        f"{tally.settled} cells settled",
+        f"{tally.failed} failed" if tally.failed else "",
+        f"{tally.timed_out} timed out" if tally.timed_out else "",
+        f"{tally.quarantined} quarantined" if tally.quarantined else "",
+        f"{_count(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
+        end.detail,
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -1,0 +1,120 @@
+"""Which batch comes next and what to do with each outcome: the decisions, without any communication."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from calcidem.sweep.batch import CellT
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.outcome import Place
+
+ResultT = TypeVar("ResultT")
+
+LOSSES_BEFORE_SPLIT = 2
+"""A batch that has lost this many workers goes on as single cells, so that the bad cell stands alone."""
+
+LOSSES_BEFORE_QUARANTINE = 3
+"""A cell that has taken down this many workers is not tried again."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """What has happened so far, in cells unless said otherwise."""
+
+    settled: int = 0
+    failed: int = 0
+    timed_out: int = 0
+    quarantined: int = 0
+    lost_workers: int = 0
+
+
+@dataclass
+class Schedule(Generic[CellT]):
+    """The batches still to be handed out.
+
+    Master and serial run share these rules:
+
+    - Batches are handed out in the order given.
+    - A batch of several cells that raised is split and its cells are computed again one by one, next, so that
+      only the bad cell fails. One that timed out is not: its cells advance side by side, so that each alone
+      would take about as long.
+    - A batch that lost its worker is handed out again after all others, so that a bad cell finds little
+      left to harm; after `LOSSES_BEFORE_SPLIT` losses as single cells.
+    - A single cell with `LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
+
+    Parameters
+    ----------
+    batches
+        What to compute, in this order; the identifiers must differ.
+
+    Raises
+    ------
+    ValueError
+        If two batches have the same identifier.
+    """
+
+    batches: Sequence[Batch[CellT]]
+    tally: Tally = field(default_factory=Tally)
+
+    def __post_init__(self) -> None:
+        """Queue the batches."""
+        self._queue: deque[Batch[CellT]] = deque(self.batches)
+        self._suspects: deque[Batch[CellT]] = deque()
+        identifiers = {batch.identifier for batch in self._queue}
+        if len(identifiers) != len(self._queue):
+            raise ValueError("batches: two of them have the same identifier; number them from 0")
+        self._next_identifier = max(identifiers, default=-1) + 1
+
+    def __len__(self) -> int:
+        """Return the number of batches that wait to be handed out."""
+        return len(self._queue) + len(self._suspects)
+
+    def take(self) -> Batch[CellT] | None:
+        """Remove and return the next batch, or None if there is none."""
+        for line in (self._queue, self._suspects):
+            if line:
+                return line.popleft()
+        return None
+
+    def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
+        """Judge the outcome of a batch: return it if it is final, None if its cells are computed again."""
+        cells = len(outcome.batch.cells)
+        if outcome.failure is not None and outcome.failure.kind is FailureKind.FAILED and cells > 1:
+            self._queue.extendleft(reversed(self._split(outcome.batch)))
+            return None
+        self.tally.settled += cells
+        if outcome.failure is not None:
+            if outcome.failure.kind is FailureKind.FAILED:
+                self.tally.failed += cells
+            elif outcome.failure.kind is FailureKind.TIMED_OUT:
+                self.tally.timed_out += cells
+        return outcome
+
+    def lose(
+        self, batch: Batch[CellT], reason: str, place: Place, seconds: float
+    ) -> BatchOutcome[CellT, ResultT] | None:
+        """Take a batch back whose worker was lost: return a final outcome if its only cell is quarantined."""
+        self.tally.lost_workers += 1
+        batch = batch.lost_once_more()
+        if len(batch.cells) > 1:
+            self._suspects.extend(self._split(batch) if batch.losses >= LOSSES_BEFORE_SPLIT else (batch,))
+            return None
+        if batch.losses < LOSSES_BEFORE_QUARANTINE:
+            self._suspects.append(batch)
+            return None
+        self.tally.settled += 1
+        self.tally.quarantined += 1
+        message = f"took down {batch.losses} workers and is not tried again; the last one: {reason}"
+        return BatchOutcome(batch, place, seconds, failure=Failure(FailureKind.QUARANTINED, message))
+
+    def _split(self, batch: Batch[CellT]) -> tuple[Batch[CellT], ...]:
+        parts = batch.split(self._next_identifier)
+        self._next_identifier += len(parts)
+        return parts

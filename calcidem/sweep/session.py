@@ -1,0 +1,152 @@
+"""The life of a program that may be one of many ranks: begin, prepare together, end all alike."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn, TypeVar
+
+from calcidem.sweep.environment import fault_tolerance_enabled, launcher
+from calcidem.sweep.errors import MasterLostError
+from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.signals import StopRequest, leave_signals_to_master
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+    from typing import Self
+
+    from mpi4py import MPI
+
+    from calcidem.sweep.sweep_end import SweepEnd
+
+ValueT = TypeVar("ValueT")
+
+EXIT_CODE_FILE_VARIABLE = "CALCIDEM_EXIT_CODE_FILE"
+"""Names a file into which rank 0 writes its exit code as its last act.
+
+mpirun's own exit code can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM
+it is 1 whatever the ranks return. A launcher script that finds this file empty knows that the run was cut off.
+"""
+
+
+class Session:
+    """Context manager around a program that runs alone or as one of many ranks.
+
+    MPI is loaded only if an MPI launcher started the process. No rank outlives its launcher; an exception
+    that leaves the block ends all ranks, so that none waits for another for ever; signals are noted from the
+    start (`stop_request`). A parallel program ends inside the block, with `end` or `abort`.
+
+    Attributes
+    ----------
+    comm
+        Communicator of all ranks, or None if the program runs alone.
+    rank, size
+        Number of this rank, from 0, and of all ranks.
+    stop_request
+        Signals that ask the program to stop, noted on rank 0; the other ranks leave them to it.
+    """
+
+    def __init__(self) -> None:
+        self.comm: MPI.Comm | None = None
+        self.rank = 0
+        self.size = 1
+        self.stop_request = StopRequest(end_at_once=self._abort_mpi)
+
+    def __enter__(self) -> Self:
+        """Join the other ranks, if this process was launched as one of them."""
+        if launcher() is not None:
+            die_with_parent()
+            import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
+
+            mpi4py.rc.thread_level = "funneled"  # only the main thread calls MPI
+            from mpi4py import MPI  # noqa: PLC0415 - as above
+
+            self.comm = MPI.COMM_WORLD
+            self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
+        if self.rank == 0:
+            self.stop_request.__enter__()
+        else:
+            leave_signals_to_master()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End all ranks if an exception leaves the block on one of many; a program alone just goes on."""
+        if self.rank == 0:
+            self.stop_request.__exit__(kind, error, trace)
+        if self.comm is None or self.size == 1 or isinstance(error, SystemExit):
+            return
+        if error is None:
+            self.end(EXIT_COMPLETE)
+        sys.stderr.write(f"rank {self.rank}: {''.join(traceback.format_exception(error))}")
+        self.abort(EXIT_RESUMABLE if isinstance(error, MasterLostError) else EXIT_ERROR)
+
+    def broadcast(self, value: ValueT | None) -> ValueT:
+        """Return on all ranks the value that rank 0 gives, without keeping a core busy while waiting."""
+        if self.comm is None:
+            if value is None:
+                raise ValueError("value is None on rank 0: give the value to broadcast")
+            return value
+        from calcidem.sweep.collective import broadcast  # noqa: PLC0415 - as above
+
+        return broadcast(self.comm, value)
+
+    def once_per_node(self, action: Callable[[], object]) -> None:
+        """Call `action` on one rank of each node, for instance to compile; return once all are done."""
+        if self.comm is None:
+            action()
+            return
+        from calcidem.sweep.collective import once_per_node  # noqa: PLC0415 - as above
+
+        once_per_node(self.comm, action)
+
+    def end(self, exit_code: int, sweep_end: SweepEnd | None = None) -> NoReturn:
+        """End this rank in order; every rank calls this, rank 0 after all its work, files closed.
+
+        Parameters
+        ----------
+        exit_code
+            What the program returns; that of rank 0 counts.
+        sweep_end
+            End of the last sweep: if ranks didn't answer, they are not waited for.
+        """
+        self._flush(exit_code)
+        if self.comm is not None and self.size > 1:
+            if sweep_end is not None and sweep_end.unresponsive_ranks:
+                self._abort_mpi(exit_code)
+            own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
+            if fault_tolerance_enabled():
+                os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
+            from calcidem.sweep.collective import barrier  # noqa: PLC0415 - as above
+
+            barrier(self.comm)  # a rank that ends early makes mpirun end the others
+            sys.exit(own_code)
+        sys.exit(exit_code)
+
+    def abort(self, exit_code: int) -> NoReturn:
+        """End all ranks at once, wherever they are: for errors that only one rank has met."""
+        self._flush(exit_code)
+        self._abort_mpi(exit_code)
+        os._exit(exit_code)
+
+    def _flush(self, exit_code: int) -> None:
+        """Bring everything out that Python holds back, and note the exit code."""
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        path = os.environ.get(EXIT_CODE_FILE_VARIABLE)
+        if path and self.rank == 0:
+            Path(path).write_text(f"{exit_code}\n", encoding="ascii")
+
+    def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
+        if self.comm is not None and self.size > 1:
+            self.comm.Abort(exit_code)

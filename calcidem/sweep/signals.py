@@ -1,0 +1,98 @@
+"""Signals as requests to stop: noted by the handler, obeyed by the loop that polls them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from calcidem.sweep.exit_codes import EXIT_RESUMABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType, TracebackType
+    from typing import Any, Self
+
+DRAIN_SIGNALS = (signal.SIGUSR1,)
+"""Finish the running batches, store them, then stop."""
+
+# mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them 0.25 s later and
+# returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
+HURRY_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2)
+"""Store what is done and stop now; the running batches are dropped."""
+
+REPEAT_IGNORED = 1.0
+"""Seconds within which a repeated signal is the same request: a batch system and mpirun may both send it."""
+
+
+class StopLevel(IntEnum):
+    """How urgently the sweep is to end."""
+
+    NONE = 0
+    DRAIN = 1
+    HURRY = 2
+
+
+class StopRequest:
+    """Context manager that turns signals into a level to be polled; must be entered on the main thread.
+
+    A second urgent signal, at least `REPEAT_IGNORED` after the first, ends the process at once.
+
+    Parameters
+    ----------
+    end_at_once
+        Called for the second urgent signal, before the process ends by itself with `EXIT_RESUMABLE`.
+    """
+
+    def __init__(self, end_at_once: Callable[[], object] | None = None) -> None:
+        self._end_at_once = end_at_once
+        self._hurry_since: float | None = None
+        self._previous: dict[signal.Signals, Any] = {}
+        self.level = StopLevel.NONE
+        self.reason = ""
+
+    def __enter__(self) -> Self:
+        """Install the handlers."""
+        for number in DRAIN_SIGNALS:
+            self._previous[number] = signal.signal(number, self._drain)
+        for number in HURRY_SIGNALS:
+            self._previous[number] = signal.signal(number, self._hurry)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Put the former handlers back."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def hurry(self) -> bool:
+        """Tell whether the running batches are to be dropped."""
+        return self.level is StopLevel.HURRY
+
+    def _drain(self, number: int, _frame: FrameType | None) -> None:
+        if self.level is StopLevel.NONE:
+            self.level = StopLevel.DRAIN
+            self.reason = signal.Signals(number).name
+
+    def _hurry(self, number: int, _frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if self._hurry_since is None:
+            self._hurry_since = now
+            self.level = StopLevel.HURRY
+            self.reason = signal.Signals(number).name
+        elif now - self._hurry_since > REPEAT_IGNORED:
+            if self._end_at_once is not None:
+                self._end_at_once()
+            os._exit(EXIT_RESUMABLE)
+
+
+def leave_signals_to_master() -> None:
+    """Ignore all signals that mean stop: mpirun sends them to every rank, but rank 0 alone decides."""
+    for number in (*DRAIN_SIGNALS, *HURRY_SIGNALS):
+        signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,60 @@
+"""How a sweep ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.schedule import Tally
+
+
+class SweepState(StrEnum):
+    """Why a sweep ended."""
+
+    COMPLETE = "complete"
+    """Every batch is settled."""
+    STOPPED = "stopped"
+    """A signal asked for it."""
+    OUT_OF_WORKERS = "out of workers"
+    """All workers are lost, or one is and the MPI library cannot go on without it."""
+    ERROR = "error"
+    """The master met an error, most likely while storing."""
+
+
+EXIT_CODES = {
+    SweepState.COMPLETE: EXIT_COMPLETE,
+    SweepState.STOPPED: EXIT_RESUMABLE,
+    SweepState.OUT_OF_WORKERS: EXIT_RESUMABLE,
+    SweepState.ERROR: EXIT_ERROR,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SweepEnd:
+    """How a sweep ended, the same on all ranks.
+
+    Parameters
+    ----------
+    state
+        Why it ended.
+    detail
+        One sentence for a person, or an empty text.
+    tally
+        Numbers of cells and lost workers.
+    seconds
+        Wall time of the sweep in s.
+    unresponsive_ranks
+        Ranks that may still run but did not answer when they were told to stop; known on rank 0 only.
+    """
+
+    state: SweepState
+    detail: str = ""
+    tally: Tally = field(default_factory=Tally)
+    seconds: float = 0.0
+    unresponsive_ranks: frozenset[int] = frozenset()
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code that says so: 0 complete, 75 stopped but resumable, 1 error."""
+        return EXIT_CODES[self.state]
