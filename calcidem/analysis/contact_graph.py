@@ -38,6 +38,11 @@ class ContactGraph:
         Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
         grain.
 
+    Attributes
+    ----------
+    entry_contacts
+        The contact that each entry of the sparse matrix belongs to, integers, shape (2 m,).
+
     Raises
     ------
     ValueError
@@ -51,7 +56,7 @@ class ContactGraph:
     receiver: NDArray[np.int64]
     _row_starts: NDArray[np.int32] = field(init=False, repr=False)
     _neighbours: NDArray[np.int32] = field(init=False, repr=False)
-    _contacts: NDArray[np.int64] = field(init=False, repr=False)
+    entry_contacts: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check the contacts and arrange them for the searches."""
@@ -61,7 +66,7 @@ class ContactGraph:
             for name in ("transmitter", "receiver")
         }
         _check(self.grain_count, pairs, lists)
-        # Every contact is stored in both directions, rows and columns ascending; `contacts` says which
+        # Every contact is stored in both directions, rows and columns ascending; `entry_contacts` says which
         # contact an entry belongs to, so that a cell only has to fill in the weights.
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
@@ -71,7 +76,7 @@ class ContactGraph:
             **lists,
             "_row_starts": starts.astype(np.int32),
             "_neighbours": columns[order].astype(np.int32),
-            "_contacts": order % max(len(pairs), 1),
+            "entry_contacts": order % max(len(pairs), 1),
         }
         for name, array in values.items():
             array.flags.writeable = False
@@ -111,7 +116,7 @@ class ContactGraph:
 
     def matrix(self, bonded: ArrayLike, weights: ContactWeights) -> csr_array:
         """Give the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
-        data = self.contact_weights(bonded, weights)[self._contacts]
+        data = self.contact_weights(bonded, weights)[self.entry_contacts]
         return csr_array(
             (data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count)
         )
@@ -200,12 +205,12 @@ def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWe
     grain = int(graph.transmitter[distance[graph.transmitter] <= shortest + slack][0])
     grains, kinds = [grain], []
     while distance[grain] > 0:
-        entries = slice(graph._row_starts[grain], graph._row_starts[grain + 1])  # noqa: SLF001 - same module
-        neighbours = graph._neighbours[entries]  # noqa: SLF001 - same module
+        entries = slice(lengths.indptr[grain], lengths.indptr[grain + 1])
+        neighbours = lengths.indices[entries]
         onward = lengths.data[entries] + distance[neighbours] <= distance[grain] + slack
         entry = entries.start + int(np.argmax(onward))  # the first one that is true
-        kinds.append(bool(mask[graph._contacts[entry]]))  # noqa: SLF001 - same module
-        grain = int(graph._neighbours[entry])  # noqa: SLF001 - same module
+        kinds.append(bool(mask[graph.entry_contacts[entry]]))
+        grain = int(lengths.indices[entry])
         grains.append(grain)
     return PreferentialPath(tuple(grains), tuple(kinds))
 

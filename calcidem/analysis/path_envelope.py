@@ -9,6 +9,7 @@ found with a few searches and then holds exactly for all ratios.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -47,10 +48,7 @@ class PathEnvelope:
     @property
     def corners(self) -> tuple[float, ...]:
         """The ratios at which one path takes over from the one before."""
-        return tuple(
-            (after.hertz_contacts - before.hertz_contacts) / (before.bond_contacts - after.bond_contacts)
-            for before, after in zip(self.lines[:-1], self.lines[1:], strict=True)
-        )
+        return tuple(_corner(before, after) for before, after in pairwise(self.lines))
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Give C_d for omega_h = 1 and omega_LPB = `ratio`.
@@ -116,17 +114,44 @@ def path_envelope(
         return PathLine(path.hertz_contacts, path.bond_contacts)
 
     def between(left: PathLine, right: PathLine) -> list[PathLine]:
-        rise = right.hertz_contacts - left.hertz_contacts
-        run = left.bond_contacts - right.bond_contacts
-        if run <= 0 or not low < rise / run < high:
-            return []  # equal lines, or lines that only tie at an end of the range
-        middle = shortest(rise / run)
-        # Lengths times `run` at the cut, in integers: is the new path strictly shorter?
-        gain = run * (left.hertz_contacts - middle.hertz_contacts) + rise * (
-            left.bond_contacts - middle.bond_contacts
-        )
-        return [*between(left, middle), middle, *between(middle, right)] if gain > 0 else []
+        if left == right or not low < _corner(left, right) < high:
+            return []
+        middle = shortest(_corner(left, right))
+        if not _shorter_at_corner(middle, left, right):
+            return []
+        return [*between(left, middle), middle, *between(middle, right)]
 
     first, last = shortest(low), shortest(high)
-    lines = [first, *between(first, last), last]
-    return PathEnvelope(tuple(dict.fromkeys(lines)), low, high)
+    found = list(dict.fromkeys([first, *between(first, last), last]))
+    return PathEnvelope(_strictly_shortest(found, low, high), low, high)
+
+
+def _strictly_shortest(found: list[PathLine], low: float, high: float) -> tuple[PathLine, ...]:
+    """Drop the lines that only touch the envelope, at a corner or at an end of the range.
+
+    A search there may return any of the paths that tie. Equal corners are equal numbers, since each is the
+    quotient of two integers, rounded once.
+    """
+    lines: list[PathLine] = []
+    for line in found:
+        while lines and _corner(lines[-1], line) <= (
+            _corner(lines[-2], lines[-1]) if len(lines) > 1 else low
+        ):
+            lines.pop()
+        if not lines or _corner(lines[-1], line) < high:
+            lines.append(line)
+    return tuple(lines)
+
+
+def _corner(before: PathLine, after: PathLine) -> float:
+    """Give the ratio at which two different lines cut."""
+    return (after.hertz_contacts - before.hertz_contacts) / (before.bond_contacts - after.bond_contacts)
+
+
+def _shorter_at_corner(middle: PathLine, left: PathLine, right: PathLine) -> bool:
+    """Say whether `middle` is strictly shorter where the other two cut; in integers, so without round-off."""
+    rise = right.hertz_contacts - left.hertz_contacts
+    run = left.bond_contacts - right.bond_contacts
+    hertz_gain = left.hertz_contacts - middle.hertz_contacts
+    bond_gain = left.bond_contacts - middle.bond_contacts
+    return run * hertz_gain + rise * bond_gain > 0

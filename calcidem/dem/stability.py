@@ -8,8 +8,17 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.scene import Scene
 
 
-def critical_time_step(scene: Scene, assembly: Assembly, features: Features) -> Floats:
-    """Rigorous lower bound of the critical time step in the reference geometry, (L,) s.
+def critical_time_step(
+    scene: Scene,
+    assembly: Assembly,
+    features: Features,
+    overlap: Floats | None = None,
+    wall_overlap: Floats | None = None,
+) -> Floats:
+    """Rigorous lower bound of the critical time step, (L,) s.
+
+    ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
+    stiffness of Hertz contacts; those of the reference geometry by default.
 
     Central differences are stable iff ``dt < 2 / omega_max``, and
     ``omega_max^2 <= max_i (2 (1 + alpha_i) / m_i) lambda_max(B_i)`` with the 3 x 3 matrices
@@ -18,7 +27,7 @@ def critical_time_step(scene: Scene, assembly: Assembly, features: Features) -> 
     ``(a - b)^2 <= 2 a^2 + 2 b^2`` for each pair; a wall does not move, so its contacts count half. Local
     damping multiplies a force by up to ``1 + alpha``, as a mass smaller by that factor would.
     """
-    normal, shear, twist = pair_stiffness(assembly, features)
+    normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
     first = np.repeat(np.arange(scene.count), np.diff(pairs.start))
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
@@ -27,9 +36,12 @@ def critical_time_step(scene: Scene, assembly: Assembly, features: Features) -> 
         add_contacts(matrices, disk, n, side, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
     wall_pairs, walls = assembly.wall_pairs, assembly.walls
     disk = np.repeat(np.arange(scene.count), np.diff(wall_pairs.start))
-    tangent = np.repeat(wall_pairs.tangent.astype(float)[:, :, None], features.lanes, axis=2)
-    still = np.zeros((len(disk), features.lanes))
-    add_contacts(matrices, disk, walls.normal[wall_pairs.wall].astype(float), 1.0, tangent[:, 0] / 2, tangent[:, 1] / 2, still)
+    depth = wall_pairs.overlap[:, None] if wall_overlap is None else wall_overlap
+    shape = (len(disk), features.lanes)
+    tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
+    wall_shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
+    wall_normal = walls.normal[wall_pairs.wall].astype(float)
+    add_contacts(matrices, disk, wall_normal, 1.0, tangent / 2.0, wall_shear / 2.0, np.zeros(shape))
     if not features.rotation:
         matrices[..., 2, :] = matrices[..., :, 2] = 0.0
     largest = np.linalg.eigvalsh(matrices)[..., -1]
@@ -47,12 +59,20 @@ def no_contact_step(scene: Scene) -> float:
     return 2.0 / float(np.sqrt(12.0 * stiffness / np.min(scene.mass)))
 
 
-def pair_stiffness(assembly: Assembly, features: Features) -> tuple[Floats, Floats, Floats]:
-    """Normal, shear and rotational stiffness of every pair in every lane at the reference overlap, each (M, L)."""
+def hertz_tangent(coefficient: Floats, overlap: Floats) -> Floats:
+    """Normal stiffness of Hertz contacts, 3/2 h_n sqrt(overlap), N/m; zero where nothing overlaps."""
+    return 1.5 * coefficient.astype(float)[:, None] * np.sqrt(np.maximum(overlap.astype(float), 0.0))
+
+
+def pair_stiffness(
+    assembly: Assembly, features: Features, shear_ratio: float, overlap: Floats | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Normal, shear and rotational stiffness of every pair in every lane, each (M, L)."""
     pairs = assembly.pairs
     shape = (len(pairs.second), features.lanes)
-    normal = np.broadcast_to(pairs.tangent[:, :1].astype(float), shape).copy()
-    shear = np.broadcast_to(pairs.tangent[:, 1:].astype(float), shape).copy()
+    depth = pairs.geometry[:, 3:] if overlap is None else overlap
+    normal = np.broadcast_to(hertz_tangent(pairs.hertz, depth), shape)
+    shear = shear_ratio * normal
     twist = np.zeros(shape)
     if features.bonds:
         bits = (pairs.cemented[:, None] >> np.arange(features.lanes, dtype=np.uint32)) & 1

@@ -47,6 +47,8 @@ class State:
         What the kernel was told to do.
     time_step
         (L,) s.
+    limit
+        (L,) s, the stability limit at the start.
     steps
         Steps done.
     assembly
@@ -62,6 +64,7 @@ class State:
     scene: Scene
     features: Features
     time_step: Floats
+    limit: Floats
     steps: int
     assembly: Assembly
     motion: Motion
@@ -128,6 +131,7 @@ def start(
     features: Features | None = None,
     precision: Precision = "float64",
     time_step: Floats | float | None = None,
+    step_fraction: float = SAFETY,
     velocity: Floats | None = None,
     spin: Floats | None = None,
     preload: Preload | None = None,
@@ -145,7 +149,9 @@ def start(
     precision
         Of all arrays of the kernel.
     time_step
-        s, one number or (L,); 0.8 of the stability limit by default.
+        s, one number or (L,); a part of the stability limit by default.
+    step_fraction
+        That part.
     velocity, spin
         (N, 2) m/s and (N,) rad/s at time zero.
     preload
@@ -162,7 +168,7 @@ def start(
     centres = np.column_stack([scene.x, scene.y])
     assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
-    step = SAFETY * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
+    step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
     require(bool(np.all(step > 0.0)), "time_step", step, "give a positive number of seconds")
     require(
         bool(np.all(step <= limit)), "time_step", step.tolist(), f"above the stability limit of {limit.tolist()} s: choose a smaller one"
@@ -179,6 +185,7 @@ def start(
         scene=scene,
         features=chosen,
         time_step=np.array(step, dtype=float),
+        limit=limit,
         steps=0,
         assembly=assembly,
         motion=motion,

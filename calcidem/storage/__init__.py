@@ -1,4 +1,4 @@
-"""Results kept for good: records, the `Store` contract and its SQL implementation, export, and reading for analysis.
+"""Results kept for good: records, the `Store` contract and its SQL implementation, export and reading.
 
 Open a database for writing with `calcidem.storage.sql_store.open_store`, for reading with
 `calcidem.storage.campaign.open_campaign`; `calcidem.storage.export` writes and reads NetCDF.

@@ -25,11 +25,10 @@ class ComparedByValue:
 
     def __eq__(self, other: object) -> bool:
         """Compare field by field; values of different shape or type of array are different."""
-        if type(self) is not type(other) or not dataclasses.is_dataclass(self):
+        if type(self) is not type(other):
             return NotImplemented
-        return all(
-            _same(getattr(self, field.name), getattr(other, field.name)) for field in dataclasses.fields(self)
-        )
+        names = [field.name for field in dataclasses.fields(self)]  # type: ignore[arg-type]  # see the class
+        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
 
 
 def _same(first: object, second: object) -> bool:

@@ -1,4 +1,4 @@
-"""Frozen records of a campaign, its packings and its runs (see `calcidem.storage.records` for cells)."""
+"""Frozen records of a campaign, its packings and its runs (cells are in `calcidem.storage.cell_records`)."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.arrays import ComparedByValue, frozen_array, plain_finite_numbers
-from calcidem.storage.records import canonical_content
+from calcidem.storage.cell_records import canonical_content
 
 __all__ = ["CampaignRecord", "PackingRecord", "RunRecord", "as_utc"]
 
@@ -62,6 +62,7 @@ class PackingRecord(ComparedByValue):
     state: bytes = b""
 
     def __post_init__(self) -> None:
+        """Check and normalise the fields."""
         plain_finite_numbers(self)
         if self.index < 0:
             raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
@@ -107,6 +108,7 @@ class CampaignRecord:
     created: datetime
 
     def __post_init__(self) -> None:
+        """Check and normalise the fields."""
         for field in ("hash", "name"):
             if not getattr(self, field):
                 raise ValueError(f"CampaignRecord.{field} is empty; give a text.")
@@ -158,6 +160,7 @@ class RunRecord:
     exit_state: str | None = None
 
     def __post_init__(self) -> None:
+        """Check and normalise the fields."""
         object.__setattr__(self, "started", as_utc(self.started))
         if self.ended is not None:
             object.__setattr__(self, "ended", as_utc(self.ended))

@@ -72,8 +72,9 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
 def make_engine(address: Address, *, read_only: bool) -> Engine:
     """Create an engine whose transactions are real on every backend.
 
-    SQLite is opened with foreign keys on, a waiting time for locks and synchronous=FULL; a writer also chooses the journal: a
-    write-ahead log on a local disk, a rollback journal (DELETE) on a network file system, where the log doesn't work.
+    SQLite is opened with foreign keys on, a waiting time for locks and synchronous=FULL; a writer also
+    chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network file
+    system, where the log doesn't work.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def make_engine(address: Address, *, read_only: bool) -> Engine:
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     query: dict[str, str] = {"uri": "true", "mode": "ro" if read_only else "rwc"}
-    if read_only and not os.access(path.parent, os.W_OK) and not Path(f"{path}-wal").exists():
+    if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)

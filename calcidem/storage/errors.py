@@ -3,6 +3,7 @@
 __all__ = [
     "CampaignMismatchError",
     "DamagedStoreError",
+    "DiskError",
     "DiskFullError",
     "ForeignDatabaseError",
     "InvalidRecordError",
@@ -45,8 +46,12 @@ class StoreLockedError(StoreError):
     """Another process kept the database locked for longer than the waiting time."""
 
 
-class DiskFullError(StoreError):
-    """The disk, or the quota, has no room for the transaction; nothing of it was stored."""
+class DiskError(StoreError):
+    """Reading or writing the file failed: the disk, a quota, or the network behind the file system."""
+
+
+class DiskFullError(DiskError):
+    """The disk has no room for the transaction; nothing of it was stored."""
 
 
 class ReadOnlyStoreError(StoreError):

@@ -69,7 +69,8 @@ def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
 def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
     """Whether a path is on a network or cluster file system.
 
-    Every ``fuse.*`` type counts as one (sshfs, glusterfs, s3fs ...): there a wrong guess costs speed, the other way it costs data.
+    Every ``fuse.*`` type counts as one (sshfs, glusterfs, s3fs ...): there a wrong guess costs speed, the
+    other way it costs data.
     """
     kind = filesystem_type(path, mountinfo)
     return kind is not None and (kind in NETWORK_FILESYSTEMS or kind.startswith("fuse."))

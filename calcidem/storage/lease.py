@@ -1,7 +1,7 @@
 """One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
 
-The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides between machines,
-where locks on network file systems can't be relied on.
+The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides
+between machines, where locks on network file systems can't be relied on.
 """
 
 import errno
@@ -27,7 +27,7 @@ STALE_AFTER = timedelta(minutes=5)
 
 
 class FileLock:
-    """An exclusive lock on ``<database>.lock``, which the kernel drops when the process ends, however it ends.
+    """An exclusive lock on ``<database>.lock``; the kernel drops it when the process ends, however it ends.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ class FileLock:
     def acquire(self) -> bool:
         """Try to lock without waiting; False if another process has the lock.
 
-        A file system without locks (some cluster mounts) counts as success with `held` False: the row alone decides then.
+        A file system without locks (some cluster mounts) counts as success with `held` False: the row alone
+        decides then.
         """
         while not self.held:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -124,7 +125,9 @@ def held_error(holder: Lease | None) -> LeaseHeldError:
     else:
         who = f"process {holder.pid} on {holder.host} (last heard of at {holder.heartbeat:%H:%M:%S} UTC)"
         free = holder.heartbeat + STALE_AFTER
-        cure = f"Wait until it has ended; if it is dead and on another machine, its lease ends at {free:%H:%M:%S} UTC."
+        cure = (
+            f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
+        )
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 

@@ -1,8 +1,9 @@
 """Database schema as SQLAlchemy 2 typed models; rules that can be stated as constraints are.
 
-One row of `Cell` for each planned (campaign, seed, content); its outcome, if it has one, is the `Result` of the
-same id, with `SignalRow`, `CementRow` and `PathRow` beside it. `Attempt` keeps the history. The absence of a `Result` is
-what "pending" means. Arrays are compressed NumPy ``.npz`` bytes (`calcidem.storage.arrays`).
+One row of `Cell` for each planned (campaign, seed, content); its outcome, if it has one, is the `Result` of
+the same id, with `SignalRow`, `CementRow` and `PathRow` beside it. `Attempt` keeps the history. The absence
+of a `Result` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes
+(`calcidem.storage.arrays`).
 """
 
 from datetime import UTC, datetime
@@ -26,7 +27,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from calcidem.storage.records import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
+from calcidem.storage.cell_records import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
 
 __all__ = [
     "Attempt",
@@ -49,7 +50,7 @@ LARGEST = (
 
 
 class UtcDateTime(TypeDecorator[datetime]):
-    """A moment in UTC; SQLite has no time zones, so they are taken off on the way in and put back on the way out."""
+    """A moment in UTC; SQLite has no time zones, so it is taken off on the way in and put back."""
 
     impl = DateTime(timezone=True)
     cache_ok = True
@@ -157,7 +158,7 @@ class Run(Base):
 
 
 class Packing(Base):
-    """A packing with its report (`PackingRecord`); `number` is its index, `grains` holds the arrays x, y and radius."""
+    """A packing with its report (`PackingRecord`); `grains` holds the arrays x, y and radius."""
 
     __tablename__ = "packing"
     __table_args__ = (

@@ -6,7 +6,7 @@ Filters, tables and the NetCDF export read it, so that a quantity has the same n
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sqlalchemy import SQLColumnExpression, func
+from sqlalchemy import SQLColumnExpression, func, literal_column
 
 from calcidem.storage.models import Attempt, Cell, PathRow, Result
 from calcidem.storage.records import CellStatus
@@ -39,8 +39,12 @@ class Quantity:
     expression: SQLColumnExpression[Any]
 
 
-STATUS = func.coalesce(Result.status, CellStatus.PENDING.value)
-"""A planned cell without a result is pending."""
+STATUS = func.coalesce(Result.status, literal_column(repr(CellStatus.PENDING.value)))
+"""A planned cell without a result is pending.
+
+The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
+and refuses to group by this.
+"""
 
 QUANTITIES = (
     Quantity("seed", "whole", "1", "seed of the random cement pattern", Cell.seed),

@@ -9,11 +9,17 @@ from sqlalchemy import ColumnElement, Select, and_, case, func, select, tuple_
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage import rows
-from calcidem.storage.campaign_records import CampaignRecord
 from calcidem.storage.errors import QueryError
 from calcidem.storage.models import LOST, Attempt, Campaign, Cell, CementRow, PathRow, Result, SignalRow
 from calcidem.storage.quantities import QUANTITY_BY_NAME, STATUS
-from calcidem.storage.records import AttemptCount, AttemptRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+)
 from calcidem.storage.store import Selection
 from calcidem.storage.where import parse_where
 
@@ -69,7 +75,7 @@ def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[boo
 
 
 def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
-    """Condition on the seed; a range without gaps, the usual case, needs two parameters instead of one a seed."""
+    """Condition on the seed; a range without gaps, the usual case, needs two parameters only."""
     listed = list(seeds)
     if listed and listed[-1] - listed[0] == len(listed) - 1:
         return Cell.seed.between(listed[0], listed[-1])

@@ -7,7 +7,6 @@ from typing import Any
 from sqlalchemy import Row
 
 from calcidem.storage.arrays import pack_arrays, unpack_arrays
-from calcidem.storage.campaign_records import PackingRecord, RunRecord
 from calcidem.storage.models import Attempt, CementRow, Packing, PathRow, Result, Run, SignalRow
 from calcidem.storage.quantities import PATH_PREFIX
 from calcidem.storage.records import (
@@ -15,7 +14,9 @@ from calcidem.storage.records import (
     CellKey,
     CellResult,
     CementPattern,
+    PackingRecord,
     PathFeatures,
+    RunRecord,
     Signal,
 )
 

@@ -6,7 +6,7 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, inspect
+from sqlalchemy import Connection, func, inspect, select
 
 from calcidem.storage.engine import Address
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
@@ -15,6 +15,8 @@ __all__ = ["VERSION_TABLE", "prepare_schema", "require_current_schema"]
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
+
+UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
 
 def _configuration(connection: Connection | None = None) -> Config:
@@ -34,6 +36,8 @@ def prepare_schema(connection: Connection, address: Address) -> None:
     NewerSchemaError
         If its revision is unknown here.
     """
+    if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
+        connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
     if _revision(connection, address) != _head():
         command.upgrade(_configuration(connection), "head")
 
@@ -56,7 +60,8 @@ def require_current_schema(connection: Connection, address: Address) -> None:
     if revision != _head():
         raise OlderSchemaError(
             f"{address} was written by an earlier calcidem (schema {revision}, this one reads {_head()}).",
-            "Continue its campaign, or run 'calcidem retry' on it: opening it for writing upgrades it and keeps its values.",
+            "Continue its campaign, or run 'calcidem retry' on it: opening it for writing upgrades it "
+            "and keeps its values.",
         )
 
 

@@ -12,11 +12,21 @@ from sqlalchemy.orm import Session
 from typing_extensions import override
 
 from calcidem.storage import lease, reading, rows, writing
-from calcidem.storage.campaign_records import CampaignRecord, PackingRecord, RunRecord, as_utc
+from calcidem.storage.campaign_records import as_utc
 from calcidem.storage.engine import Address, make_engine, parse_address
 from calcidem.storage.errors import StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.models import Campaign, Cell, Lease, Packing, Run, SignalRow
-from calcidem.storage.records import AttemptCount, AttemptRecord, CellKey, CellResult, CellStatus, Signal
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    PackingRecord,
+    RunRecord,
+    Signal,
+)
 from calcidem.storage.schema import prepare_schema, require_current_schema
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
 from calcidem.storage.transaction import transaction
@@ -40,7 +50,8 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
     ------
     StoreError
         `ForeignDatabaseError`, `NewerSchemaError`, `OlderSchemaError` (read-only), `StoreUnavailableError`,
-        `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left as it was.
+        `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left
+        as it was.
     """
     return SqlStore(parse_address(path_or_url), read_only=read_only)
 
@@ -70,7 +81,7 @@ class SqlStore(Store):
             self._engine.dispose()
             raise
 
-    # ---- transactions ----------------------------------------------------------------------------------------
+    # Transactions
 
     def _reading(self) -> AbstractContextManager[Session]:
         return transaction(self._engine, self.address, write=False)
@@ -91,7 +102,7 @@ class SqlStore(Store):
             )
         return self._campaign_id
 
-    # ---- campaigns and runs ----------------------------------------------------------------------------------
+    # Campaigns and runs
 
     @override
     def campaigns(self) -> tuple[CampaignRecord, ...]:
@@ -151,7 +162,7 @@ class SqlStore(Store):
             found = session.scalars(select(Run).where(Run.campaign_id == self._campaign).order_by(Run.id))
             return tuple((row.id, rows.run_record(row)) for row in found)
 
-    # ---- lease -----------------------------------------------------------------------------------------------
+    # Lease
 
     @override
     def acquire_lease(self) -> LeaseGrant:
@@ -186,7 +197,7 @@ class SqlStore(Store):
         if self._lock is not None:
             self._lock.release()
 
-    # ---- writing ---------------------------------------------------------------------------------------------
+    # Writing
 
     @override
     def save_packing(self, packing: PackingRecord) -> None:
@@ -224,7 +235,7 @@ class SqlStore(Store):
         with self._writing() as session:
             writing.restore_attempts(session, self._campaign, attempts)
 
-    # ---- reading ---------------------------------------------------------------------------------------------
+    # Reading
 
     @override
     def load_packing(self, index: int = 0) -> PackingRecord | None:
@@ -296,7 +307,7 @@ class SqlStore(Store):
         with self._reading() as session:
             return reading.table(session, self._campaign, names, selection)
 
-    # ---- life ------------------------------------------------------------------------------------------------
+    # Life
 
     @override
     def close(self) -> None:

@@ -10,13 +10,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.campaign_records import CampaignRecord, PackingRecord, RunRecord
 from calcidem.storage.records import (
     AttemptCount,
     AttemptRecord,
+    CampaignRecord,
     CellKey,
     CellResult,
     CellStatus,
+    PackingRecord,
+    RunRecord,
     Signal,
     canonical_content,
 )
@@ -47,6 +49,7 @@ class Selection:
     where: str | None = None
 
     def __post_init__(self) -> None:
+        """Check and normalise the fields."""
         if self.seeds is not None:
             object.__setattr__(self, "seeds", tuple(sorted({int(seed) for seed in self.seeds})))
         if self.contents is not None:
@@ -86,7 +89,8 @@ class LeaseGrant:
     token : str
         Identity of this master.
     taken_over_from : str or None
-        ``host, process N, last heard of at T`` of a dead master whose lease this one took over; to be reported.
+        ``host, process N, last heard of at T`` of a dead master whose lease this one took over; to be
+        reported.
     """
 
     token: str
@@ -98,26 +102,30 @@ class Store(ABC):
 
     Rules that hold for every implementation:
 
-    1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign` chooses the one that all
-       other methods are about.
-    2. A campaign's physics never changes: its name goes with one hash. Its plan of seeds and contents only grows.
-    3. Each writing method is one transaction: when it returns, all of it is on disk; when it raises, nothing is.
-    4. Writing the same thing again changes nothing. A result is identified by its cell and the number of its attempt.
-    5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of the same or a later
-       attempt, and to a done one.
-    6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells pending again and
-       keeps their history.
-    7. Attempts are counted from 1 for each cell over all runs, those whose worker was lost included. The caller gives a result
-       the number ``attempts + 1`` of `attempt_counts`.
+    1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign`
+       chooses the one that all other methods are about.
+    2. A campaign's physics never changes: its name goes with one hash. Its plan of seeds and contents only
+       grows.
+    3. Each writing method is one transaction: when it returns, all of it is on disk; when it raises,
+       nothing is.
+    4. Writing the same thing again changes nothing. A result is identified by its cell and the number of
+       its attempt.
+    5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of
+       the same or a later attempt, and to a done one.
+    6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells
+       pending again and keeps their history.
+    7. Attempts are counted from 1 for each cell over all runs, those whose worker was lost included. The
+       caller gives a result the number ``attempts + 1`` of `attempt_counts`.
     8. Callers get frozen records, never rows; errors are `StoreError` with cause and cure.
-    9. At most one process holds the lease of a campaign. Once its lease has been taken over, a store refuses to write.
-       Writing without ever having asked for the lease is allowed, for imports and single commands.
+    9. At most one process holds the lease of a campaign. Once its lease has been taken over, a store
+       refuses to write. Writing without ever having asked for the lease is allowed, for imports and single
+       commands.
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
 
     A store is a context manager that closes itself. It may be used by one thread at a time.
     """
 
-    # ---- campaigns and runs -------------------------------------------------------------------------------------
+    # Campaigns and runs
 
     @abstractmethod
     def campaigns(self) -> tuple[CampaignRecord, ...]:
@@ -135,7 +143,8 @@ class Store(ABC):
         Raises
         ------
         CampaignMismatchError
-            If the name is taken by a campaign with another hash; the message lists the differences, one nested key a line.
+            If the name is taken by a campaign with another hash; the message lists the differences, one
+            nested key a line.
         """
 
     @abstractmethod
@@ -154,7 +163,10 @@ class Store(ABC):
 
     @abstractmethod
     def begin_run(self, run: RunRecord) -> int:
-        """Store the provenance of a run that starts now; attempts recorded from here on belong to it. Return its number."""
+        """Store the provenance of a run and return its number.
+
+        Attempts recorded from here on belong to it.
+        """
 
     @abstractmethod
     def end_run(self, exit_state: str, ended: datetime) -> None:
@@ -164,7 +176,7 @@ class Store(ABC):
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         """All runs of the campaign with their numbers, oldest first."""
 
-    # ---- lease ---------------------------------------------------------------------------------------------------
+    # Lease
 
     @abstractmethod
     def acquire_lease(self) -> LeaseGrant:
@@ -190,7 +202,7 @@ class Store(ABC):
     def release_lease(self) -> None:
         """Give the lease back; does nothing without one."""
 
-    # ---- writing -------------------------------------------------------------------------------------------------
+    # Writing
 
     @abstractmethod
     def save_packing(self, packing: PackingRecord) -> None:
@@ -252,7 +264,7 @@ class Store(ABC):
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
         """Store a history as another store kept it (for imports); attempts that are there already stay."""
 
-    # ---- reading -------------------------------------------------------------------------------------------------
+    # Reading
 
     @abstractmethod
     def load_packing(self, index: int = 0) -> PackingRecord | None:
@@ -260,7 +272,7 @@ class Store(ABC):
 
     @abstractmethod
     def packing_indices(self) -> tuple[int, ...]:
-        """Indices of the stored packings, ascending."""
+        """Return the indices of the stored packings, ascending."""
 
     @abstractmethod
     def pending(
@@ -278,7 +290,7 @@ class Store(ABC):
 
     @abstractmethod
     def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
-        """Attempts of these cells, or of all that were tried; a cell never tried counts 0."""
+        """Count the attempts of these cells, or of all that were tried; a cell never tried counts 0."""
 
     @abstractmethod
     def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
@@ -292,7 +304,8 @@ class Store(ABC):
         ----------
         selection : Selection
         with_arrays : bool
-            Whether to load signals and cement patterns; without it they are None. Path features always come along.
+            Whether to load signals and cement patterns; without it they are None. Path features always come
+            along.
         """
 
     @abstractmethod
@@ -312,7 +325,8 @@ class Store(ABC):
         Returns
         -------
         dict of str to array
-            All of the same length: object arrays for texts (None where missing), float64 for numbers (NaN where missing).
+            All of the same length: object arrays for texts (None where missing), float64 for numbers (NaN
+            where missing).
         """
 
     def vs_matrix(self) -> VsMatrix:
@@ -324,7 +338,7 @@ class Store(ABC):
         vs[row, column] = columns["vs"]
         return VsMatrix(seeds, contents, vs)
 
-    # ---- life ----------------------------------------------------------------------------------------------------
+    # Life
 
     @abstractmethod
     def close(self) -> None:

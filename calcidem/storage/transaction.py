@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 from calcidem.storage.engine import WRITES, Address
 from calcidem.storage.errors import (
     DamagedStoreError,
+    DiskError,
     DiskFullError,
     ForeignDatabaseError,
     InvalidRecordError,
@@ -27,7 +28,7 @@ SQLITE_ERRORS: dict[int, type[StoreError]] = {
     5: StoreLockedError,  # SQLITE_BUSY
     6: StoreLockedError,  # SQLITE_LOCKED
     8: ReadOnlyStoreError,  # SQLITE_READONLY
-    10: DamagedStoreError,  # SQLITE_IOERR
+    10: DiskError,  # SQLITE_IOERR
     11: DamagedStoreError,  # SQLITE_CORRUPT
     13: DiskFullError,  # SQLITE_FULL
     14: StoreUnavailableError,  # SQLITE_CANTOPEN
@@ -51,14 +52,15 @@ POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
 )
 
 CURES: dict[type[StoreError], str] = {
-    StoreLockedError: "Try again when the other process has finished; nothing of this transaction was stored.",
-    DiskFullError: "Free some space and continue; nothing of this transaction was stored, all before it is safe.",
+    StoreLockedError: "Try again when the other process has finished; it was not stored.",
+    DiskError: "Check the disk, your quota and the file system's network; nothing of this was stored.",
+    DiskFullError: "Free some space and continue; nothing of this was stored, all before it is safe.",
     ReadOnlyStoreError: "Check the permissions of the file and of its folder, or work on a copy.",
-    StoreUnavailableError: "Check the name, the permissions and, for a server, that it runs and accepts you.",
+    StoreUnavailableError: "Check the name, the permissions and, for a server, that it runs.",
     ForeignDatabaseError: "Choose another file name; this file was left as it is.",
-    InvalidRecordError: "Nothing of this transaction was stored; this is a mistake in the values or in the program.",
-    DamagedStoreError: "Check the disk; 'sqlite3 FILE .recover' saves what can be read, and an exported .nc file can be "
-    "imported again.",
+    InvalidRecordError: "Nothing of this was stored; the values, or the program that made them, are wrong.",
+    DamagedStoreError: "Check the disk; 'sqlite3 FILE .recover' saves what can be read, and an exported "
+    ".nc file can be imported again.",
 }
 
 

@@ -1,7 +1,7 @@
 """Filter expressions such as ``vs > 1500 and status == 'done'``, turned into bound SQL parameters.
 
-The text is parsed as a Python expression and only comparisons of known quantities with literals are accepted, so nothing
-of it ever reaches the database as SQL.
+The text is parsed as a Python expression and only comparisons of known quantities with literals are
+accepted, so nothing of it ever reaches the database as SQL.
 """
 
 import ast
@@ -37,8 +37,8 @@ def parse_where(text: str) -> ColumnElement[bool]:
     Parameters
     ----------
     text : str
-        Comparisons (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) of quantities with numbers or
-        quoted words, joined by ``and``, ``or``, ``not`` and parentheses.
+        Comparisons (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) of quantities
+        with numbers or quoted words, joined by ``and``, ``or``, ``not`` and parentheses.
 
     Raises
     ------

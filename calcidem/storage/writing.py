@@ -9,7 +9,6 @@ from sqlalchemy import delete, insert, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from calcidem.storage import rows
-from calcidem.storage.campaign_records import CampaignRecord, PackingRecord
 from calcidem.storage.canonical import config_difference
 from calcidem.storage.errors import CampaignMismatchError, UnknownCellError
 from calcidem.storage.models import (
@@ -24,7 +23,15 @@ from calcidem.storage.models import (
     SignalRow,
 )
 from calcidem.storage.reading import CHUNK, attempt_counts, cell_in, chunks
-from calcidem.storage.records import AttemptCount, AttemptRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    PackingRecord,
+)
 
 __all__ = [
     "begin_campaign",
@@ -57,7 +64,7 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
             f"The stored campaign '{campaign.name}' has another configuration (stored -> given):\n  "
             + "\n  ".join(differences)
             + "\n",
-            "Give the old values to continue it, or a new database (or a new campaign name) for the new ones.",
+            "Give the old values to continue it, or a new database or campaign name for the new ones.",
         )
     row = Campaign(hash=campaign.hash, name=campaign.name, config=campaign.config, created=campaign.created)
     session.add(row)
@@ -68,9 +75,8 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
 def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], contents: Iterable[float]) -> int:
     """Plan the cells of seeds x contents that are not planned yet; return how many."""
     wanted = [CellKey(seed, content) for seed, content in product(sorted(set(seeds)), sorted(set(contents)))]
-    planned = set(
-        session.execute(select(Cell.seed, Cell.content).where(Cell.campaign_id == campaign_id)).tuples()
-    )
+    statement = select(Cell.seed, Cell.content).where(Cell.campaign_id == campaign_id)
+    planned = {(seed, content) for seed, content in session.execute(statement)}
     new = [
         {"campaign_id": campaign_id, "seed": key.seed, "content": key.content}
         for key in dict.fromkeys(wanted)
@@ -90,7 +96,7 @@ def save_packing(session: Session, campaign_id: int, packing: PackingRecord) -> 
         session.add(rows.packing_row(campaign_id, packing))
     elif stored != packing.hash:
         raise CampaignMismatchError(
-            f"Packing {packing.index} of the campaign is stored with hash {stored}, the given one has {packing.hash}.",
+            f"Packing {packing.index} is stored with hash {stored}, the given one has {packing.hash}.",
             "Continue with the stored packing (load_packing), or start a new database.",
         )
 
@@ -128,7 +134,7 @@ def record_results(
 
 
 def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult]]:
-    """Cut into batches in which no cell occurs twice, so that later outcomes of a cell meet the earlier ones stored."""
+    """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
     batch: dict[CellKey, CellResult] = {}
     for result in results:
         if result.key in batch or len(batch) == CHUNK:
@@ -165,7 +171,10 @@ def _gives_way(known: _Known, result: CellResult, *, replace_done: bool) -> bool
 def _replace(
     session: Session, accepted: Sequence[tuple[int, CellResult]], run_id: int | None, recorded: datetime
 ) -> None:
-    """Store outcomes in place of what there was; an attempt with the same outcome keeps its row (an import restored it)."""
+    """Store outcomes in place of what there was.
+
+    An attempt that is there with the same outcome keeps its row: an import has restored it.
+    """
     session.execute(delete(Result).where(Result.cell_id.in_([cell_id for cell_id, _ in accepted])))
     numbered = tuple_(Attempt.cell_id, Attempt.number)
     listed = numbered.in_([(cell_id, result.attempt) for cell_id, result in accepted])
@@ -238,7 +247,7 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
         numbered = tuple_(Attempt.cell_id, Attempt.number)
         listed = [(known[attempt.key].cell_id, attempt.number) for attempt in chunk]
         statement = select(Attempt.cell_id, Attempt.number).where(numbered.in_(listed))
-        existing = set(session.execute(statement).tuples())
+        existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
         names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")
         values = [
             {"cell_id": known[attempt.key].cell_id} | {name: getattr(attempt, name) for name in names}

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from calcidem.sweep.batch import Batch
+    from calcidem.sweep.options import SweepOptions
     from calcidem.sweep.sweep_end import SweepEnd
 
 WATCHDOG_INTERVAL = 0.25
@@ -43,7 +44,7 @@ class Worker(Generic[CellT]):
     place: Place
     batch: Batch[CellT] | None = None
     since: float = 0.0
-    task: MPI.Request = MPI.REQUEST_NULL
+    task: MPI.Request | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +64,16 @@ class Crew(Generic[CellT]):
     ----------
     comm
         Communicator of the sweep.
-    watchdog_limit
-        Seconds after which a worker that still computes the same batch is given up, or None.
+    options
+        Limits of a batch.
     fault_tolerant
         Whether the MPI library goes on when a rank is lost (ULFM).
     """
 
-    def __init__(self, comm: MPI.Comm, watchdog_limit: float | None, fault_tolerant: bool) -> None:
+    def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:
         self._comm = comm
-        self._watchdog_limit = watchdog_limit
+        self._hard_limit = options.hard_limit
+        self._watchdog_limit = options.watchdog_limit
         self._next_watchdog = 0.0
         self._fault_tolerant = fault_tolerant
         self._workers: dict[int, Worker[CellT]] = {}
@@ -79,6 +81,7 @@ class Crew(Generic[CellT]):
         self._incoming: list[Incoming] = []
         self._watch = ProcessWatch()
         self._known_failed: frozenset[int] = frozenset()
+        self._given_up: set[int] = set()
         self.expected = set(range(comm.Get_size())) - {MASTER}
         """Ranks not lost so far, whether they have reported yet or not."""
 
@@ -139,9 +142,7 @@ class Crew(Generic[CellT]):
             self._next_watchdog = now + WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
                 if worker.batch is not None and now - worker.since > self._watchdog_limit:
-                    reasons.setdefault(
-                        rank, f"no answer for {self._watchdog_limit:g} s, past the hard time limit"
-                    )
+                    reasons.setdefault(rank, f"no answer within {self._watchdog_limit:g} s")
         return reasons
 
     def bury(self, lost: dict[int, str]) -> list[Loss[CellT]]:
@@ -153,8 +154,10 @@ class Crew(Generic[CellT]):
         for rank, reason in lost.items():
             self.expected.discard(rank)
             worker = self._workers.pop(rank, None)
-            if self._fault_tolerant:
-                self._watch.kill(rank)  # without ULFM this would end the master as well
+            # Without ULFM a kill would end the master as well; the session aborts all ranks instead.
+            gone = rank in self._gone() or (self._fault_tolerant and self._watch.kill(rank))
+            if not gone:
+                self._given_up.add(rank)
             self._watch.remove(rank)
             if worker is None:  # it died before it had reported
                 losses.append(Loss(Place(rank, "unknown host"), None, reason, 0.0))
@@ -162,7 +165,7 @@ class Crew(Generic[CellT]):
             if worker.batch is None:
                 self._idle.remove(rank)
             seconds = time.monotonic() - worker.since
-            losses.append(Loss(worker.place, worker.batch, reason, seconds))
+            losses.append(Loss(worker.place, worker.batch, self._explain(reason, seconds), seconds))
         return losses
 
     def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
@@ -170,6 +173,7 @@ class Crew(Generic[CellT]):
         requests = {rank: start_send(self._comm, end, rank, Tag.STOP) for rank in self.expected}
 
         def all_stopped() -> bool:
+            self.receive()  # a worker that joins only now waits to be heard before it listens
             for rank in [rank for rank, request in requests.items() if self._is_over(request)]:
                 del requests[rank]
             return requests.keys() <= self._gone()
@@ -178,10 +182,18 @@ class Crew(Generic[CellT]):
             for rank in requests:
                 self._watch.kill(rank)
             wait_until(all_stopped, KILL_PATIENCE)
-        silent = frozenset(requests) - self._gone()
+        silent = (self._given_up | requests.keys()) - self._gone()
         for rank in self._workers:
             self._watch.remove(rank)
-        return silent
+        return frozenset(silent)
+
+    def _explain(self, reason: str, seconds: float) -> str:
+        """Add to the reason of a loss that the worker's own hard stop was due."""
+        if self._hard_limit is None or self._watchdog_limit is None:
+            return reason
+        if self._hard_limit <= seconds < self._watchdog_limit:
+            return f"{reason} at the hard time limit of {self._hard_limit:g} s"
+        return reason
 
     def _gone(self) -> set[int]:
         return self._watch.ended() | failed_ranks(self._comm)
@@ -213,7 +225,7 @@ class Crew(Generic[CellT]):
     def _outcome(self, message: Incoming) -> BatchOutcome[CellT, Any]:
         worker = self._workers[message.source]
         batch, worker.batch = worker.batch, None
-        if batch is None:
+        if batch is None or worker.task is None:
             raise RuntimeError(f"rank {message.source} sent an outcome without having a batch")
         worker.task.Wait()  # complete, since the batch has been computed; this only frees the request
         self._idle.append(message.source)

@@ -9,8 +9,6 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from calcidem.sweep.batch import CellT
-from calcidem.sweep.context import SweepContext
 from calcidem.sweep.crew import Crew
 from calcidem.sweep.protocol import Backoff
 from calcidem.sweep.signals import StopLevel
@@ -19,6 +17,8 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepState
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from calcidem.sweep.batch import CellT
+    from calcidem.sweep.context import SweepContext
     from calcidem.sweep.crew import Loss
     from calcidem.sweep.outcome import BatchOutcome
 
@@ -38,7 +38,7 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     """
     start = time.monotonic()
     options = context.options
-    crew: Crew[CellT] = Crew(comm, options.watchdog_limit, fault_tolerant)
+    crew: Crew[CellT] = Crew(comm, options, fault_tolerant)
     try:
         state, detail = master_exec(crew, context)
     except BaseException as error:
@@ -53,16 +53,17 @@ def master_exec(crew: Crew[CellT], context: SweepContext[CellT]) -> tuple[SweepS
     backoff = Backoff()
     next_tick = 0.0
     while True:
+        level = context.stop_request.level  # taken first, so that the last round misses nothing
         lost = crew.lost()
         outcomes = crew.receive()
         losses = crew.bury(lost)
         settled = (context.schedule.settle(outcome) for outcome in outcomes)
         final = [outcome for outcome in settled if outcome is not None]
-        handed_out = _hand_out(crew, context)  # before storing, which would keep workers waiting
-        context.store(final)
+        handed_out = level is StopLevel.NONE and _hand_out(crew, context)
+        context.store(final)  # after handing out, so that no worker waits for it
         _account_for(losses, context)
 
-        if (end := _reason_to_end(crew, context)) is not None:
+        if (end := _reason_to_end(crew, context, level)) is not None:
             return end
         if time.monotonic() > next_tick:
             next_tick = time.monotonic() + TICK
@@ -78,9 +79,9 @@ def master_stop(crew: Crew[CellT], end: SweepEnd, grace: float) -> SweepEnd:
 
 
 def _hand_out(crew: Crew[CellT], context: SweepContext[CellT]) -> bool:
-    """Give every idle worker a batch, as long as there are any; tell whether there was something to give."""
+    """Give every idle worker a batch, as long as there is one; tell whether there was."""
     handed_out = False
-    while context.stop_request.level is StopLevel.NONE and crew.has_idle:
+    while crew.has_idle:
         batch = context.schedule.take()
         if batch is None:
             break
@@ -103,15 +104,17 @@ def _account_for(losses: list[Loss[CellT]], context: SweepContext[CellT]) -> Non
         context.store([outcome] if outcome is not None else [])
 
 
-def _reason_to_end(crew: Crew[CellT], context: SweepContext[CellT]) -> tuple[SweepState, str] | None:
+def _reason_to_end(
+    crew: Crew[CellT], context: SweepContext[CellT], level: StopLevel
+) -> tuple[SweepState, str] | None:
     """Return why the sweep is over, or None if it isn't."""
-    stop_request, schedule = context.stop_request, context.schedule
-    if stop_request.hurry():
-        return SweepState.STOPPED, f"{stop_request.reason}: running batches were dropped"
-    if crew.running == 0 and len(schedule) == 0:
+    signal_name = context.stop_request.reason
+    if crew.running == 0 and len(context.schedule) == 0:
         return SweepState.COMPLETE, ""
-    if crew.running == 0 and stop_request.level is StopLevel.DRAIN:
-        return SweepState.STOPPED, f"{stop_request.reason}: running batches were finished"
+    if level is StopLevel.HURRY:
+        return SweepState.STOPPED, f"{signal_name}: running batches were dropped"
+    if level is StopLevel.DRAIN and crew.running == 0:
+        return SweepState.STOPPED, f"{signal_name}: running batches were finished"
     if not crew.expected:
         return SweepState.OUT_OF_WORKERS, "all workers are lost; run the same command again to continue"
     if crew.broken:

@@ -61,7 +61,7 @@ class ProcessWatch:
 
     They are held by file descriptors, so that their numbers can't come to mean other processes, and asked for
     all at once. Processes on other machines, or on a kernel without such descriptors (before Linux 5.3),
-    can't be watched: they are never among the `ended`, and `kill` does nothing.
+    can't be watched: they are never among the `ended`, and `kill` returns False.
     """
 
     def __init__(self) -> None:
@@ -84,11 +84,13 @@ class ProcessWatch:
         """Return the keys of all watched processes that are gone, however they ended."""
         return {self._key_of[descriptor] for descriptor, _ in self._poll.poll(0)}
 
-    def kill(self, key: int) -> None:
-        """Kill a process, also one that is stopped or deep in compiled code."""
-        if key in self._descriptor_of:
-            with contextlib.suppress(ProcessLookupError):
-                signal.pidfd_send_signal(self._descriptor_of[key], signal.SIGKILL)
+    def kill(self, key: int) -> bool:
+        """Kill a process, also one that is stopped or deep in compiled code; tell whether it is watched."""
+        if key not in self._descriptor_of:
+            return False
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._descriptor_of[key], signal.SIGKILL)
+        return True
 
     def remove(self, key: int) -> None:
         """Stop to watch a process."""

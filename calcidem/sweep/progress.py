@@ -5,21 +5,15 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.progress import (
-    Progress as RichProgress,
-)
+import rich.progress
 
 from calcidem.sweep.forecast import Forecast
+from calcidem.sweep.wording import count, duration, end_line, failure_line, loss_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from rich.console import Console
 
     from calcidem.sweep.batch import Batch
     from calcidem.sweep.outcome import BatchOutcome, Place
@@ -30,19 +24,19 @@ class Progress(Protocol):
     """What a sweep tells about itself, on rank 0 only."""
 
     def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Batches are about to be handed out to so many workers."""
+        """Take note of the batches that are about to be handed out to so many workers."""
 
     def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """An outcome is stored."""
+        """Take note that an outcome is stored."""
 
     def lost(self, place: Place, reason: str) -> None:
-        """A worker is lost."""
+        """Take note that a worker is lost."""
 
     def tick(self, workers: int, running: int) -> None:
-        """Time has passed; so many workers are left, so many of them compute."""
+        """Take note that time has passed; so many workers are left, so many of them compute."""
 
     def ended(self, end: SweepEnd) -> None:
-        """The sweep has ended."""
+        """Take note that the sweep has ended."""
 
 
 class SilentProgress:
@@ -89,7 +83,7 @@ class LineProgress:
     def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Write how much there is to do."""
         self._forecast = Forecast(batches)
-        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {_count(workers, 'worker')}")
+        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {count(workers, 'worker')}")
 
     def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Count, and write if the batch failed."""
@@ -110,7 +104,7 @@ class LineProgress:
         done, total = self._forecast.settled, self._forecast.total
         left = duration(self._forecast.seconds_left(workers))
         self._write(
-            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {_count(workers, 'worker')}"
+            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {count(workers, 'worker')}"
         )
 
     def ended(self, end: SweepEnd) -> None:
@@ -137,14 +131,14 @@ class BarProgress:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._forecast = Forecast([])
-        self._bar = RichProgress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("cells"),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]} left"),
-            TextColumn("{task.fields[crew]}"),
+        self._bar = rich.progress.Progress(
+            rich.progress.TextColumn("{task.description}"),
+            rich.progress.BarColumn(),
+            rich.progress.MofNCompleteColumn(),
+            rich.progress.TextColumn("cells"),
+            rich.progress.TimeElapsedColumn(),
+            rich.progress.TextColumn("{task.fields[left]} left"),
+            rich.progress.TextColumn("{task.fields[crew]}"),
             console=console,
             auto_refresh=False,
         )
@@ -153,7 +147,7 @@ class BarProgress:
     def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Draw the empty bar."""
         self._forecast = Forecast(batches)
-        self._bar.update(self._task, total=self._forecast.total, crew=_count(workers, "worker"))
+        self._bar.update(self._task, total=self._forecast.total, crew=count(workers, "worker"))
         self._bar.start()
 
     def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
@@ -172,7 +166,7 @@ class BarProgress:
             self._task,
             completed=self._forecast.settled,
             left=duration(self._forecast.seconds_left(workers)),
-            crew=f"{running} of {_count(workers, 'worker')} busy",
+            crew=f"{running} of {count(workers, 'worker')} busy",
         )
         self._bar.refresh()
 
@@ -186,52 +180,3 @@ class BarProgress:
 def progress_for(console: Console) -> Progress:
     """Return the display that suits a console: a bar on a terminal, lines anywhere else."""
     return BarProgress(console) if console.is_terminal else LineProgress(console)
-
-
-def duration(seconds: float | None) -> str:
-    """Return a duration for a person: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
-    if seconds is None:
-        return "?"
-    if seconds < 100:  # noqa: PLR2004 - two digits are enough for a person
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 100:  # noqa: PLR2004 - as above
-        return f"{minutes} min"
-    hours, minutes = divmod(minutes, 60)
-    if hours < 48:  # noqa: PLR2004 - two days
-        return f"{hours} h {minutes:02d} min"
-    days, hours = divmod(hours, 24)
-    return f"{days} d {hours} h"
-
-
-def failure_line(outcome: BatchOutcome[Any, Any]) -> str:
-    """Return one line about a batch that failed."""
-    if outcome.failure is None:
-        raise ValueError(f"batch {outcome.batch.identifier} has not failed")
-    cells = ", ".join(str(cell) for cell in outcome.batch.cells)
-    place = outcome.place
-    return f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
-
-
-def loss_line(place: Place, reason: str) -> str:
-    """Return one line about a lost worker."""
-    return f"lost rank {place.rank} ({place.host}): {reason}"
-
-
-def end_line(end: SweepEnd) -> str:
-    """Return one line about how a sweep ended."""
-    tally = end.tally
-    parts = [
-        f"{end.state} after {duration(end.seconds)}",
-        f"{tally.settled} cells settled",
-        f"{tally.failed} failed" if tally.failed else "",
-        f"{tally.timed_out} timed out" if tally.timed_out else "",
-        f"{tally.quarantined} quarantined" if tally.quarantined else "",
-        f"{_count(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
-        end.detail,
-    ]
-    return ", ".join(part for part in parts if part)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -41,12 +41,12 @@ class Tag(IntEnum):
 class Backoff:
     """Sleeps that get longer while nothing happens.
 
-    1 ms at most: it delays a batch of seconds by nothing that matters, and polling so often was measured to
-    cost about 2 % of a core.
+    2 ms at most: that delays a batch of seconds by nothing that matters, and polling so often costs between
+    1 and 2 % of a core.
     """
 
     SHORTEST = 20e-6
-    LONGEST = 1e-3
+    LONGEST = 2e-3
 
     def __init__(self) -> None:
         self._pause = self.SHORTEST

@@ -6,7 +6,6 @@ import time
 from typing import TYPE_CHECKING, TypeVar
 
 from calcidem.sweep.attempt import attempt
-from calcidem.sweep.batch import CellT
 from calcidem.sweep.deadline import Deadline, SweepInterrupted
 from calcidem.sweep.outcome import Place
 from calcidem.sweep.signals import StopLevel
@@ -14,6 +13,7 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
     from calcidem.sweep.attempt import Compute
+    from calcidem.sweep.batch import CellT
     from calcidem.sweep.context import SweepContext
 
 ResultT = TypeVar("ResultT")

@@ -30,7 +30,7 @@ EXIT_CODE_FILE_VARIABLE = "CALCIDEM_EXIT_CODE_FILE"
 """Names a file into which rank 0 writes its exit code as its last act.
 
 mpirun's own exit code can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM
-it is 1 whatever the ranks return. A launcher script that finds this file empty knows that the run was cut off.
+it is 1 whatever the ranks return. A launcher script that finds no such file knows that the run was cut off.
 """
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, TypeVar
 
-from calcidem.sweep.batch import CellT
 from calcidem.sweep.context import SweepContext
 from calcidem.sweep.environment import fault_tolerance_enabled
 from calcidem.sweep.options import SweepOptions
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from calcidem.sweep.attempt import Compute
-    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.batch import Batch, CellT
     from calcidem.sweep.progress import Progress
     from calcidem.sweep.sink import Sink
     from calcidem.sweep.sweep_end import SweepEnd

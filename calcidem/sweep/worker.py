@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, TypeVar
 from mpi4py import MPI
 
 from calcidem.sweep.attempt import attempt
-from calcidem.sweep.batch import CellT
 from calcidem.sweep.deadline import Deadline, SweepInterrupted
 from calcidem.sweep.errors import MasterLostError
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from calcidem.sweep.attempt import Compute
-    from calcidem.sweep.batch import Batch
+    from calcidem.sweep.batch import Batch, CellT
     from calcidem.sweep.options import SweepOptions
     from calcidem.sweep.sweep_end import SweepEnd
 

@@ -1,0 +1,207 @@
+"""Reading a state: contact forces, unbalanced force, energies.
+
+Histories of contacts belong to the position before the last drift. To read them at the present position
+the kernel itself does one step on a copy, so that no law is written a second time.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.state import State, duplicate, listed_pairs, no_recording, run_sweep
+
+
+@dataclass(frozen=True, slots=True)
+class ContactForces:
+    """Contacts of one lane that carry force or cement.
+
+    Attributes
+    ----------
+    pairs
+        (C, 2) indices of the disks in the scene; (C,) disk and wall for wall contacts are in `WallForces`.
+    overlap
+        (C,) m.
+    normal, shear
+        (C,) N/m on the second disk; compression positive, shear along ``t = (-n_y, n_x)``.
+    moment
+        (C,) N, of the bond on the second disk.
+    bonded
+        (C,) True where an intact bond is.
+    """
+
+    pairs: Integers
+    overlap: Floats
+    normal: Floats
+    shear: Floats
+    moment: Floats
+    bonded: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Energies:
+    """Energies of one lane, J per metre of thickness; the balance is ``supplied = stored + lost``.
+
+    ``kinetic`` uses the mean of the two half-step velocities. The last four are sums since the start and are
+    kept only if the state was started with the ``account`` feature.
+    """
+
+    kinetic: float
+    elastic: float
+    wall_work: float
+    friction_loss: float
+    damping_loss: float
+    load_work: float
+
+    @property
+    def imbalance(self) -> float:
+        """Kinetic and elastic energy and losses, less the work supplied; constant in an exact solution."""
+        return (
+            self.kinetic + self.elastic + self.friction_loss + self.damping_loss - self.wall_work - self.load_work
+        )
+
+
+def looked_ahead(state: State) -> State:
+    """The state one step later, with histories that belong to the present position."""
+    ahead = duplicate(state)
+    if ahead.features.search or ahead.features.recording or ahead.features.account:
+        ahead = replace(ahead, features=replace(state.features, search=False, recording=False, account=False))
+    run_sweep(ahead, 1, no_recording(state))
+    return ahead
+
+
+def overlaps(state: State) -> Floats:
+    """(M, L) overlaps of the listed pairs, m."""
+    pairs = state.assembly.pairs
+    ends = listed_pairs(state.assembly)
+    displacement = state.motion.displacement[:, :2].astype(float)
+    apart = displacement[ends[:, 1]] - displacement[ends[:, 0]]
+    n, distance = pairs.geometry[:, :2].astype(float), pairs.geometry[:, 2].astype(float)[:, None]
+    along = n[:, :1] * apart[:, 0] + n[:, 1:] * apart[:, 1]
+    reference = pairs.geometry[:, 3].astype(float)[:, None]
+    if not state.features.finite:
+        return reference - along
+    now = np.hypot(n[:, :1] * distance + apart[:, 0], n[:, 1:] * distance + apart[:, 1])
+    return reference - (2.0 * distance * along + np.sum(apart**2, axis=1)) / (now + distance)
+
+
+def wall_overlaps(state: State) -> Floats:
+    """(V, L) overlaps of the listed wall pairs, m."""
+    wall_pairs, walls = state.assembly.wall_pairs, state.assembly.walls
+    disk = np.repeat(np.arange(state.scene.count), np.diff(wall_pairs.start))
+    normal = walls.normal[wall_pairs.wall].astype(float)
+    moved = state.motion.displacement[disk, :2].astype(float)
+    away = normal[:, :1] * moved[:, 0] + normal[:, 1:] * moved[:, 1]
+    return wall_pairs.overlap.astype(float)[:, None] + walls.motion[wall_pairs.wall, 0] - away
+
+
+def contact_forces(state: State, lane: int = 0) -> ContactForces:
+    """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
+    if state.features.linear:
+        raise ValueError("regime = linear: it knows only forces added to the reference state; use small or finite")
+    ahead = looked_ahead(state)
+    pairs = ahead.assembly.pairs
+    ends = listed_pairs(state.assembly)
+    depth = overlaps(state)[:, lane]
+    intact = lane_of(pairs.intact, lane)
+    normal = pairs.hertz * np.maximum(depth, 0.0) ** 1.5
+    if state.features.linear_group:
+        pressed = np.maximum(depth - pairs.linear[:, 2], 0.0) * pairs.linear[:, 0]
+        normal = np.where(lane_of(pairs.cemented, lane), pressed, normal)
+    else:
+        normal = np.where(intact, 0.0, normal)
+    bond = pairs.bond_force[:, :, lane]
+    normal, shear = normal + bond[:, 0], pairs.shear[:, lane] + bond[:, 1]
+    present = (normal != 0.0) | intact
+    order = state.assembly.order
+    return ContactForces(
+        pairs=order[ends[present]],
+        overlap=depth[present],
+        normal=normal[present].astype(float),
+        shear=shear[present].astype(float),
+        moment=bond[present, 2].astype(float),
+        bonded=intact[present],
+    )
+
+
+def lane_of(bits: Integers, lane: int) -> npt.NDArray[np.bool_]:
+    """Truth values of one lane."""
+    return ((bits >> np.uint32(lane)) & 1).astype(bool)
+
+
+def wall_reactions(state: State, lane: int = 0) -> Floats:
+    """(W, 2) normal and shear force of the disks on each wall at the present position, N/m."""
+    return looked_ahead(state).assembly.walls.reaction[:, :2, lane].astype(float)
+
+
+def net_forces(state: State, lane: int = 0) -> Floats:
+    """(N, 3) net force (N/m) and moment (N) on the disks without damping, in the order of the scene.
+
+    Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
+    """
+    features = replace(state.features, damping=False)
+    ahead = looked_ahead(replace(state, features=features))
+    change = (ahead.motion.velocity[:, :, lane] - state.motion.velocity[:, :, lane]) / state.time_step[lane]
+    inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
+    return state.unsorted(change) * inertia
+
+
+def unbalanced_ratio(state: State, lane: int = 0) -> float:
+    """Sum of the net forces on the disks over the sum of the magnitudes of their contact forces (PFC 'mech-ratio-average')."""
+    net = net_forces(state, lane)
+    contacts = contact_forces(state, lane)
+    magnitude = 2.0 * float(np.hypot(contacts.normal, contacts.shear).sum())
+    magnitude += float(np.abs(wall_reactions(state, lane)).sum())
+    unbalanced = float(np.hypot(net[:, 0], net[:, 1]).sum())
+    return unbalanced / magnitude if magnitude > 0.0 else 0.0
+
+
+def energies(state: State, lane: int = 0) -> Energies:
+    """Energies of one lane at the present position."""
+    ahead = looked_ahead(state)
+    velocity = 0.5 * (state.motion.velocity[:, :, lane] + ahead.motion.velocity[:, :, lane]).astype(float)
+    order = state.assembly.order
+    inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[order]
+    return Energies(
+        kinetic=0.5 * float((inertia * velocity**2).sum()),
+        elastic=elastic_energy(state, ahead, lane),
+        wall_work=float(state.account[0, lane]),
+        friction_loss=float(state.account[1, lane]),
+        damping_loss=float(state.account[2, lane]),
+        load_work=float(state.account[3, lane]),
+    )
+
+
+def elastic_energy(state: State, ahead: State, lane: int) -> float:
+    """Energy stored in contacts: Hertz 2/5 F_n d, shear F_s^2 / (2 k_s), and the springs of linear groups and bonds."""
+    pairs, wall_pairs = ahead.assembly.pairs, ahead.assembly.wall_pairs
+    depth, wall_depth = overlaps(state)[:, lane], wall_overlaps(state)[:, lane]
+    ratio = state.scene.sand.shear_ratio
+    hertz, shear_stiffness = hertz_energy(pairs.hertz, depth, ratio)
+    intact, cemented = lane_of(pairs.intact, lane), lane_of(pairs.cemented, lane)
+    if state.features.linear_group:
+        linear = 0.5 * pairs.linear[:, 0] * np.maximum(depth - pairs.linear[:, 2], 0.0) ** 2
+        hertz = np.where(cemented, linear, hertz)
+        shear_stiffness = np.where(cemented, pairs.linear[:, 1], shear_stiffness)
+    else:
+        hertz = np.where(intact, 0.0, hertz)
+    stored = float(hertz.sum()) + spring_energy(pairs.shear[:, lane], shear_stiffness)
+    wall_hertz, wall_stiffness = hertz_energy(wall_pairs.hertz, wall_depth, ratio)
+    stored += float(wall_hertz.sum()) + spring_energy(wall_pairs.shear[:, lane], wall_stiffness)
+    if state.features.bonds:
+        for component in range(3):
+            stored += spring_energy(pairs.bond_force[:, component, lane], pairs.bond[:, component])
+    return stored
+
+
+def hertz_energy(coefficient: Floats, depth: Floats, shear_ratio: float) -> tuple[Floats, Floats]:
+    """Energy 2/5 F_n d of Hertz contacts and their shear stiffness."""
+    pressed = np.maximum(depth, 0.0)
+    return 0.4 * coefficient * pressed**2.5, 1.5 * coefficient * shear_ratio * np.sqrt(pressed)
+
+
+def spring_energy(force: Floats, stiffness: Floats) -> float:
+    """Summed F^2 / (2 k) of springs; those without stiffness carry nothing."""
+    safe = np.where(stiffness > 0.0, stiffness, 1.0)
+    return float(np.sum(np.where(stiffness > 0.0, force**2 / (2.0 * safe), 0.0)))

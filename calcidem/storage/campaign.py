@@ -1,0 +1,237 @@
+"""Reading a campaign for analysis: read-only, and safe while a run writes.
+
+Examples
+--------
+>>> import calcidem.storage.campaign as reading
+>>> reading.open_campaign("no-such-file.db")
+Traceback (most recent call last):
+    ...
+calcidem.storage.errors.StoreUnavailableError: ...
+"""
+
+import json
+import os
+from collections.abc import Collection, Iterator, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import xarray as xr
+
+from calcidem.storage.dataset import campaign_dataset, vs_array
+from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.quantities import QUANTITIES, QUANTITY_BY_NAME
+from calcidem.storage.records import (
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    PackingRecord,
+    RunRecord,
+    Signal,
+)
+from calcidem.storage.sql_store import open_store
+from calcidem.storage.store import Selection, Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Campaign", "open_campaign"]
+
+
+def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
+    """Open a campaign for reading; a run may go on writing it meanwhile.
+
+    Parameters
+    ----------
+    path_or_url : str or path
+        SQLite file or database URL.
+    name : str, optional
+        Which campaign, where the database has several.
+
+    Raises
+    ------
+    StoreError
+        If the database can't be read or has no such campaign (see `calcidem.storage.sql_store.open_store`).
+    """
+    store = open_store(path_or_url, read_only=True)
+    try:
+        return Campaign(store, store.use_campaign(name))
+    except BaseException:
+        store.close()
+        raise
+
+
+class Campaign:
+    """A campaign as its readers see it.
+
+    Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
+    manager.
+
+    Parameters
+    ----------
+    store : Store
+        With that campaign chosen; closed together with this object.
+    record : CampaignRecord
+    """
+
+    def __init__(self, store: Store, record: CampaignRecord) -> None:
+        self.store = store
+        self.record = record
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The physical configuration."""
+        config: dict[str, Any] = json.loads(self.record.config)
+        return config
+
+    def vs(self) -> xr.DataArray:
+        """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done."""
+        return vs_array(self.store)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return every scalar quantity of every cell (`calcidem.storage.dataset.campaign_dataset`)."""
+        return campaign_dataset(self.store, self.record)
+
+    def to_dataframe(
+        self,
+        columns: Sequence[str] | None = None,
+        *,
+        content: float | Collection[float] | None = None,
+        seed: int | Collection[int] | None = None,
+        status: str | Collection[str] | None = None,
+        where: str | None = None,
+    ) -> "pd.DataFrame":
+        """Return a pandas table with one row for each planned cell; parameters as in `select`.
+
+        Parameters
+        ----------
+        columns : sequence of str, optional
+            Quantities, by default all.
+        """
+        import pandas as pd  # noqa: PLC0415 - takes half a second to import, and few callers need it
+
+        names = [quantity.name for quantity in QUANTITIES] if columns is None else list(columns)
+        frame = pd.DataFrame(self.store.table(names, _selection(content, seed, status, where)))
+        # Int64 with a capital is the type of pandas for whole numbers some of which are missing.
+        return frame.astype({name: "Int64" for name in names if QUANTITY_BY_NAME[name].kind == "whole"})
+
+    def select(
+        self,
+        *,
+        content: float | Collection[float] | None = None,
+        seed: int | Collection[int] | None = None,
+        status: str | Collection[str] | None = None,
+        where: str | None = None,
+        with_arrays: bool = False,
+    ) -> Iterator[CellResult]:
+        """Give the outcomes of the selected cells as frozen records, by seed, then content.
+
+        Parameters
+        ----------
+        content : float or collection of float, optional
+            Percent.
+        seed : int or collection of int, optional
+        status : str or collection of str, optional
+            Such as ``"done"``.
+        where : str, optional
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.quantities.QUANTITIES`.
+        with_arrays : bool
+            Whether the records bring signals and cement patterns along.
+
+        Returns
+        -------
+        iterator of CellResult
+            Fetched as it is consumed.
+        """
+        return self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
+
+    def cell(self, *, seed: int, content: float) -> CellResult:
+        """Return the whole outcome of one cell, with its arrays.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        key = CellKey(seed, content)
+        found = next(self.select(seed=key.seed, content=key.content, with_arrays=True), None)
+        if found is None:
+            raise UnknownCellError(
+                f"The cell of seed {seed} and content {content} % has no outcome.",
+                "See 'pending' in the status, or extend the campaign.",
+            )
+        return found
+
+    def signal(self, *, seed: int, content: float) -> Signal:
+        """Return the sent and received signals of a cell.
+
+        Raises
+        ------
+        UnknownCellError
+            If none were kept.
+        """
+        found = self.store.signal(CellKey(seed, content))
+        if found is None:
+            raise UnknownCellError(
+                f"No signal is stored for seed {seed} and content {content} %.",
+                "Only cells that were computed with signals kept have one.",
+            )
+        return found
+
+    def packing(self, index: int = 0) -> PackingRecord:
+        """Return a packing of the campaign.
+
+        Raises
+        ------
+        UnknownCellError
+            If there is none of that index (yet).
+        """
+        found = self.store.load_packing(index)
+        if found is None:
+            raise UnknownCellError(
+                f"Packing {index} is not stored.", f"Stored are: {self.store.packing_indices()}."
+            )
+        return found
+
+    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        """Return how many cells of each content have each status."""
+        return self.store.status_counts()
+
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """Return the provenance of all runs with their numbers, oldest first."""
+        return self.store.runs()
+
+    def history(self, *, seed: int, content: float) -> tuple[AttemptRecord, ...]:
+        """Return all attempts at a cell."""
+        return tuple(self.store.history(Selection(seeds=(seed,), contents=(content,))))
+
+    def close(self) -> None:
+        """Release the connection."""
+        self.store.close()
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+def _selection(
+    content: float | Collection[float] | None,
+    seed: int | Collection[int] | None,
+    status: str | Collection[str] | None,
+    where: str | None,
+) -> Selection:
+    return Selection(
+        seeds=seed if isinstance(seed, Collection) or seed is None else (seed,),
+        contents=content if isinstance(content, Collection) or content is None else (content,),
+        statuses=None
+        if status is None
+        else [CellStatus(s) for s in ((status,) if isinstance(status, str) else status)],
+        where=where,
+    )

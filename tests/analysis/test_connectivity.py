@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalised_connectivity
+
+
+def test_weights_of_the_paper_follow_from_its_coordination_number() -> None:
+    """A coordination number of 3.05 gives the printed weights 0.475 and 0.328, up to their rounding."""
+    weights = ContactWeights.from_coordination_number(3.05)
+    assert weights.hertz == pytest.approx(0.475, abs=6e-4)
+    assert weights.bond == pytest.approx(0.328, abs=5e-4)
+
+
+def test_a_path_is_as_long_as_its_contacts_together() -> None:
+    """Ten sand contacts of 1 and five cemented ones of 0.83 make 14.15."""
+    assert connectivity(10, 5, ContactWeights.from_ratio(0.83)) == pytest.approx(14.15)
+
+
+def test_straight_length_counts_the_contacts_of_a_row() -> None:
+    """A row of 40 grains of 2.5 mm spans 0.1 m and has 39 contacts."""
+    assert PathScale(0.1, 2.5e-3).straight_contacts == pytest.approx(39)
+
+
+@given(
+    coordination=st.floats(1.5, 6),
+    grains=st.integers(2, 200),
+    share=st.floats(0, 1),
+)
+@settings(deadline=None)
+def test_normalised_connectivity_measures_the_sand_share_of_a_straight_row(
+    coordination: float, grains: int, share: float
+) -> None:
+    """On a straight row C_d,n is the share of sand contacts, whatever the weights."""
+    weights = ContactWeights.from_coordination_number(coordination)
+    scale = PathScale(distance=grains * 1e-3, median_diameter=1e-3)
+    contacts = scale.straight_contacts
+    c_d = weights.hertz * share * contacts + weights.bond * (1 - share) * contacts
+    # Subtracting nearly equal weights loses up to four digits here.
+    assert normalised_connectivity(c_d, weights, scale) == pytest.approx(share, abs=1e-9)
+
+
+def test_equal_weights_have_no_normalised_connectivity() -> None:
+    """Where both kinds of contact weigh the same, Eq. 9 divides by zero, which is refused."""
+    with pytest.raises(ValueError, match="bond < hertz"):
+        normalised_connectivity(40.0, ContactWeights(1.0, 1.0), PathScale(0.1, 2.5e-3))
+
+
+@pytest.mark.parametrize(("hertz", "bond"), [(1.0, 0.0), (1.0, 1.1), (1.0, -0.5), (float("nan"), 0.5)])
+def test_impossible_weights_are_refused(hertz: float, bond: float) -> None:
+    """Weights must be positive, and cement never lengthens the way."""
+    with pytest.raises(ValueError, match="0 < bond <= hertz"):
+        ContactWeights(hertz, bond)
+
+
+@pytest.mark.parametrize(("distance", "diameter"), [(0.1, 0.0), (0.1, 0.1), (0.001, 0.0025)])
+def test_impossible_scales_are_refused(distance: float, diameter: float) -> None:
+    """The median grain must be smaller than the distance."""
+    with pytest.raises(ValueError, match="median_diameter"):
+        PathScale(distance, diameter)
+
+
+def test_ratio_is_bond_over_hertz() -> None:
+    """The paper's physical weights have a ratio of 0.69."""
+    assert ContactWeights(0.475, 0.328).ratio == pytest.approx(0.6905, abs=1e-4)

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import networkx as nx
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calcidem.analysis.connectivity import ContactWeights, connectivity
+from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+Sample = tuple[ContactGraph, NDArray[np.bool_]]
+PHYSICAL = ContactWeights(0.475, 0.328)
+
+
+def length_of(path_weights: ContactWeights, sample: Sample) -> float:
+    """Give the length of the preferential path of a sample."""
+    path = preferential_path(*sample, path_weights)
+    return connectivity(path.hertz_contacts, path.bond_contacts, path_weights)
+
+
+def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
+    """In the drawing the path is 5 6 7 8 9, cemented but for the third contact."""
+    path = preferential_path(*drawn_sample, ContactWeights.from_ratio(0.5))
+    assert path.grains == (5, 6, 7, 8, 9)
+    assert path.bonded == (True, True, False, True)
+    assert (path.hertz_contacts, path.bond_contacts) == (1, 3)
+
+
+def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:
+    """With no contact cemented both rows are four contacts long, and the upper one has the lower numbers."""
+    graph, bonded = drawn_sample
+    assert preferential_path(graph, np.zeros_like(bonded), PHYSICAL).grains == (0, 1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 0.83, 1.0])
+def test_search_finds_the_shortest_of_all_paths(
+    seed: int,
+    ratio: float,
+    random_sample: Callable[..., Sample],
+    naive_paths: Callable[[ContactGraph], Iterator[tuple[int, ...]]],
+    path_length: Callable[..., float],
+) -> None:
+    """Where every path can be listed, the found one is the first in numbering among the shortest."""
+    graph, bonded = random_sample(seed, 11)
+    weights = ContactWeights.from_ratio(ratio)
+    lengths = {path: path_length(graph, bonded, weights, path) for path in naive_paths(graph)}
+    shortest = min(lengths.values())
+    tied = [path for path, length in lengths.items() if length <= shortest * (1 + 1e-9)]
+    assert preferential_path(graph, bonded, weights).grains == min(tied)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sparse_search_agrees_with_networkx(seed: int, random_sample: Callable[..., Sample]) -> None:
+    """On random planar graphs of 400 grains the length is the one networkx's Dijkstra finds on the model."""
+    graph, bonded = random_sample(seed, 400, share=seed / 8)
+    model = graph.to_networkx(bonded, PHYSICAL)
+    distances = nx.multi_source_dijkstra_path_length(model, set(graph.transmitter.tolist()))
+    expected = min(distances[grain] for grain in graph.receiver.tolist())
+    assert length_of(PHYSICAL, (graph, bonded)) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_path_is_a_chain_of_contacts_between_the_lists(
+    seed: int, random_sample: Callable[..., Sample]
+) -> None:
+    """A path touches the transmitter and the receiver only at its ends and knows its cemented contacts."""
+    graph, bonded = random_sample(seed, 300)
+    path = preferential_path(graph, bonded, PHYSICAL)
+    model = graph.to_networkx(bonded, PHYSICAL)
+    roles = [model.nodes[grain]["role"] for grain in path.grains]
+    assert roles[0] == "transmitter"
+    assert roles[-1] == "receiver"
+    assert set(roles[1:-1]) <= {"interior"}
+    steps = zip(path.grains[:-1], path.grains[1:], strict=True)
+    assert tuple(model.edges[step]["bonded"] for step in steps) == path.bonded
+
+
+def test_the_order_of_contacts_does_not_matter(random_sample: Callable[..., Sample]) -> None:
+    """Shuffling the contacts and swapping their ends leaves the path as it is, ties included."""
+    graph, bonded = random_sample(3, 300)
+    generator = np.random.default_rng(0)
+    order = generator.permutation(graph.contact_count)
+    shuffled = generator.permuted(graph.pairs[order], axis=1)
+    other = ContactGraph(graph.grain_count, shuffled, graph.transmitter[::-1], graph.receiver[::-1])
+    assert preferential_path(other, bonded[order], PHYSICAL) == preferential_path(graph, bonded, PHYSICAL)
+
+
+def test_more_cement_never_lengthens_the_path(random_sample: Callable[..., Sample]) -> None:
+    """Cementing contacts one group after another makes the weighted path shorter or leaves it."""
+    graph, _ = random_sample(5, 400)
+    rank = np.random.default_rng(1).permutation(graph.contact_count)
+    lengths = [length_of(PHYSICAL, (graph, rank < count)) for count in range(0, graph.contact_count, 100)]
+    assert all(after <= before + 1e-12 for before, after in itertools.pairwise(lengths))
+    assert lengths[-1] < lengths[0]
+
+
+def test_coordination_number_counts_every_contact_twice(drawn_sample: Sample) -> None:
+    """Thirteen contacts among ten grains make 2.6 contacts a grain."""
+    assert drawn_sample[0].coordination_number == pytest.approx(2.6)
+
+
+def test_the_model_has_every_grain_and_contact(drawn_sample: Sample) -> None:
+    """The networkx model of the drawing has 10 vertices and 13 edges, 3 with the weight of cement."""
+    model = drawn_sample[0].to_networkx(drawn_sample[1], PHYSICAL)
+    assert (model.number_of_nodes(), model.number_of_edges()) == (10, 13)
+    cemented = [data["weight"] for *_, data in model.edges(data=True) if data["bonded"]]
+    assert cemented == [0.328] * 3
+
+
+def test_a_gap_between_the_lists_is_refused() -> None:
+    """Without a chain of contacts from transmitter to receiver there is no path, and the message says so."""
+    graph = ContactGraph(4, np.array([(0, 1), (2, 3)]), np.array([0]), np.array([3]))
+    with pytest.raises(ValueError, match="no chain of contacts"):
+        preferential_path(graph, np.array([True, False]), PHYSICAL)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "transmitter", "receiver", "message"),
+    [
+        ([(0, 1), (1, 3)], [0], [2], "pairs names grains 0 to 3"),
+        ([(0, 1), (1, 1)], [0], [2], "grain|itself"),
+        ([(0, 1), (1, 0)], [0], [2], "more than once"),
+        ([(0, 1), (1, 2)], [], [2], "transmitter is empty"),
+        ([(0, 1), (1, 2)], [0], [-1], "receiver names grains"),
+        ([(0, 1), (1, 2)], [0, 2], [2], "both transmitter and receiver"),
+    ],
+)
+def test_malformed_graphs_are_refused(
+    pairs: list[tuple[int, int]], transmitter: list[int], receiver: list[int], message: str
+) -> None:
+    """Unknown grains, contacts with oneself or twice, and empty or shared lists are named."""
+    with pytest.raises(ValueError, match=message):
+        ContactGraph(3, np.array(pairs), np.array(transmitter, dtype=int), np.array(receiver, dtype=int))
+
+
+def test_a_mask_of_the_wrong_length_is_refused(drawn_sample: Sample) -> None:
+    """There is one boolean for each contact."""
+    with pytest.raises(ValueError, match="one boolean for each of 13 contacts"):
+        preferential_path(drawn_sample[0], np.array([True]), PHYSICAL)

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.correlation import correlate, fisher_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+
+def table(**variables: NDArray[np.float64]) -> xr.Dataset:
+    """Make a table along (seed, content) from arrays of that shape."""
+    first = next(iter(variables.values()))
+    return xr.Dataset(
+        {name: (("seed", "content"), values) for name, values in variables.items()},
+        coords={"seed": np.arange(first.shape[0]), "content": np.arange(first.shape[1], dtype=float)},
+    )
+
+
+def pair(found: xr.Dataset, name: str) -> float:
+    """Read one number of the pair (x, y)."""
+    return float(found[name].sel(variable="x", other="y"))
+
+
+@pytest.fixture
+def trending() -> xr.Dataset:
+    """Give 200 seeds x 5 contents of two variables that have nothing in common but growth with content."""
+    generator = np.random.default_rng(1)
+    trend = 10.0 * np.arange(5)
+    return table(x=trend + generator.normal(size=(200, 5)), y=3 * trend + generator.normal(size=(200, 5)))
+
+
+def test_coefficients_and_interval_are_scipys() -> None:
+    """Pearson's coefficient, its Fisher interval and Spearman's coefficient of all samples are SciPy's."""
+    generator = np.random.default_rng(2)
+    x = generator.normal(size=(30, 4))
+    y = x + generator.exponential(size=(30, 4))
+    found = correlate(table(x=x, y=y)).overall
+    expected = stats.pearsonr(x.ravel(), y.ravel())
+    assert pair(found, "pearson") == pytest.approx(expected.statistic)
+    assert pair(found, "pearson_low") == pytest.approx(expected.confidence_interval(0.95).low)
+    assert pair(found, "pearson_high") == pytest.approx(expected.confidence_interval(0.95).high)
+    assert pair(found, "spearman") == pytest.approx(stats.spearmanr(x.ravel(), y.ravel()).statistic)
+
+
+def test_a_common_trend_correlates_overall_but_not_within(trending: xr.Dataset) -> None:
+    """Variables with nothing in common but content correlate by 0.99 overall and not at all within one."""
+    found = correlate(trending)
+    assert pair(found.overall, "pearson") > 0.99
+    assert pair(found.within, "pearson_low") < 0 < pair(found.within, "pearson_high")
+
+
+def test_each_content_is_correlated_alone(trending: xr.Dataset) -> None:
+    """The matrix of a content is SciPy's coefficient of that content's samples."""
+    found = correlate(trending).by_content
+    assert found.sizes["content"] == 5
+    for content in range(5):
+        column = trending.sel(content=content)
+        expected = stats.pearsonr(column["x"], column["y"]).statistic
+        assert pair(found.sel(content=content), "pearson") == pytest.approx(expected)
+
+
+def test_within_is_the_partial_correlation_given_content() -> None:
+    """Subtracting content means is a regression on content indicators, and its residuals correlate alike."""
+    generator = np.random.default_rng(3)
+    x = generator.normal(loc=[0, 5, 9], size=(8, 3))
+    y = 0.5 * x + generator.normal(size=(8, 3))
+    indicators = np.tile(np.eye(3), (8, 1))
+    residuals = [
+        v.ravel() - indicators @ np.linalg.lstsq(indicators, v.ravel(), rcond=None)[0] for v in (x, y)
+    ]
+    found = correlate(table(x=x, y=y)).within
+    assert pair(found, "pearson") == pytest.approx(stats.pearsonr(*residuals).statistic)
+    low, _ = fisher_interval(np.array(pair(found, "pearson")), 24 - 2)
+    assert pair(found, "pearson_low") == pytest.approx(float(low))
+
+
+def test_intervals_cover_as_promised(within_binomial: Callable[[int, int, float], bool]) -> None:
+    """Of 300 tables with a true correlation of 0.6 at every content, 95 % have it in their interval."""
+    hits = 0
+    for trial in range(300):
+        generator = np.random.default_rng(trial)
+        x = generator.normal(size=(10, 4))
+        y = 0.6 * x + 0.8 * generator.normal(size=(10, 4))
+        trend = 7.0 * np.arange(4)
+        found = correlate(table(x=x + trend, y=y + trend)).within
+        hits += pair(found, "pearson_low") <= 0.6 <= pair(found, "pearson_high")
+    assert within_binomial(hits, 300, 0.95)
+
+
+def test_samples_with_a_gap_are_left_out_and_counted(trending: xr.Dataset) -> None:
+    """A sample that lacks one variable is in no matrix, and the counts say so."""
+    gaps = trending.copy(deep=True)
+    gaps["x"][3, 0] = np.nan
+    gaps["y"][4, 0] = np.nan
+    found = correlate(gaps)
+    assert found.left_out == 2
+    assert found.overall["n"] == 998
+    assert found.by_content["n"].to_numpy().tolist() == [198, 200, 200, 200, 200]
+    x, y = (np.delete(trending[name].to_numpy()[:, 0], [3, 4]) for name in ("x", "y"))
+    assert pair(found.by_content.sel(content=0), "pearson") == pytest.approx(stats.pearsonr(x, y).statistic)
+
+
+def test_a_variable_that_does_not_vary_has_no_correlation(trending: xr.Dataset) -> None:
+    """Without cement all seeds have 0 cemented contacts, which gives NaN there and numbers elsewhere."""
+    still = trending.copy(deep=True)
+    still["x"][:, 0] = 0.0
+    found = correlate(still).by_content
+    assert np.isnan(pair(found.sel(content=0), "pearson"))
+    assert np.isnan(pair(found.sel(content=0), "spearman"))
+    assert np.isfinite(pair(found.sel(content=1), "pearson"))
+
+
+def test_a_variable_correlates_with_itself_by_one(trending: xr.Dataset) -> None:
+    """The diagonal is one with an interval of no width, and the matrix is symmetric."""
+    found = correlate(trending).overall
+    for name in ("pearson", "pearson_low", "pearson_high", "spearman"):
+        np.testing.assert_array_equal(np.diag(found[name]), 1.0)
+        np.testing.assert_allclose(found[name], found[name].to_numpy().T)
+
+
+def test_an_empty_content_has_nan(trending: xr.Dataset) -> None:
+    """A content with no complete sample, or with too few for an interval, gives NaN and the others stay."""
+    gaps = trending.copy(deep=True)
+    gaps["x"][:, 2] = np.nan
+    gaps["x"][3:, 3] = np.nan
+    found = correlate(gaps)
+    assert np.isnan(pair(found.by_content.sel(content=2), "pearson"))
+    assert np.isfinite(pair(found.by_content.sel(content=3), "pearson"))
+    assert np.isnan(pair(found.by_content.sel(content=3), "pearson_low"))
+    assert np.isfinite(pair(found.within, "pearson"))
+
+
+def test_malformed_tables_are_refused(trending: xr.Dataset) -> None:
+    """One variable alone, or one with foreign dimensions, is refused."""
+    with pytest.raises(ValueError, match="at least two"):
+        correlate(trending[["x"]])
+    with pytest.raises(ValueError, match="variable z"):
+        correlate(trending.assign(z=("seed", np.zeros(200))))

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.distribution import describe, describe_contents, tabulate
+from calcidem.analysis.outcomes import count_outcomes
+
+
+def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:
+    """Make a velocity matrix with seeds 0, 1, ..."""
+    return xr.DataArray(
+        np.array(values), dims=("seed", "content"), coords={"seed": range(len(values)), "content": contents}
+    )
+
+
+def test_description_is_made_of_scipys_statistics() -> None:
+    """Every number of a description of 116 values is the one SciPy or NumPy gives."""
+    values = np.random.default_rng(1).normal(1211, 261, 116)
+    found = describe(values)
+    assert found.n == 116
+    assert found.mean == pytest.approx(values.mean())
+    assert found.standard_deviation == pytest.approx(stats.tstd(values))
+    assert found.skewness == pytest.approx(stats.skew(values))
+    assert found.kurtosis == pytest.approx(stats.kurtosis(values, fisher=False))
+    assert found.normality.statistic == pytest.approx(stats.jarque_bera(values).statistic)
+    fitted = stats.norm(values.mean(), stats.tstd(values))
+    assert found.normal_fit.largest_distance == pytest.approx(stats.kstest(values, fitted.cdf).statistic)
+    np.testing.assert_allclose(found.normal_fit.density([1000, 1200]), fitted.pdf([1000, 1200]))
+
+
+def test_all_intervals_hold_the_middle_of_a_normal_sample() -> None:
+    """Intervals of mean and deviation hold them, and prediction intervals are wider than the mean's."""
+    found = describe(np.random.default_rng(2).normal(500, 50, 116))
+    for interval in (found.mean_interval, found.mean_interval_bootstrap):
+        assert interval.contains(found.mean)
+    for interval in (found.standard_deviation_interval, found.standard_deviation_interval_bootstrap):
+        assert interval.contains(found.standard_deviation)
+    for interval in (found.prediction_interval, found.prediction_interval_ordered):
+        assert interval.half_width > 5 * found.mean_interval.half_width
+
+
+def test_outcomes_are_counted_apart() -> None:
+    """A cell that failed and one that was not computed are both without velocity and are counted apart."""
+    nan = float("nan")
+    vs = matrix([[200.0, nan], [210.0, nan], [nan, 900.0]], [0.11, 5.0])
+    status = vs.copy(data=np.array([["done", "no_arrival"], ["done", "unstable"], ["", "done"]]))
+    counts = count_outcomes(vs, status)
+    assert counts["measured"].to_numpy().tolist() == [2, 1]
+    assert counts["missing"].to_numpy().tolist() == [1, 0]
+    assert counts["failed"].to_numpy().tolist() == [0, 2]
+    assert counts["failures"].sel(outcome="unstable", content=5.0) == 1
+    rows = describe_contents(vs, status)
+    assert [(row.content, row.vs.n, row.missing, row.failed) for row in rows] == [
+        (0.11, 2, 1, 0),
+        (5.0, 1, 0, 2),
+    ]
+
+
+def test_without_status_every_gap_counts_as_not_computed() -> None:
+    """With no outcomes at hand nothing is called a failure."""
+    counts = count_outcomes(matrix([[200.0, float("nan")]], [0.11, 5.0]))
+    assert counts["missing"].to_numpy().tolist() == [0, 1]
+    assert counts["failed"].to_numpy().tolist() == [0, 0]
+    assert counts.sizes["outcome"] == 0
+
+
+@pytest.mark.parametrize(("velocity", "status"), [(200.0, "unstable"), (float("nan"), "done"), (200.0, "")])
+def test_velocity_and_status_must_agree(velocity: float, status: str) -> None:
+    """A failed cell with a velocity, or a done one without, is refused and named."""
+    vs = matrix([[velocity]], [5.0])
+    with pytest.raises(ValueError, match=r"seed 0 at 5\.0 %"):
+        count_outcomes(vs, vs.copy(data=np.array([[status]])))
+
+
+def test_malformed_matrices_are_refused() -> None:
+    """Infinite velocities, foreign dimensions and unequal shapes are refused."""
+    vs = matrix([[200.0, 300.0]], [0.11, 5.0])
+    with pytest.raises(ValueError, match="infinite"):
+        count_outcomes(vs * np.inf)
+    with pytest.raises(ValueError, match="dimensions"):
+        count_outcomes(vs.rename(seed="run"))
+    with pytest.raises(ValueError, match="shape"):
+        count_outcomes(vs, xr.DataArray([["done"]], dims=("seed", "content")))
+    with pytest.raises(ValueError, match="finite"):
+        describe([1.0, float("nan")])
+
+
+def test_dimension_order_does_not_matter() -> None:
+    """A matrix given as (content, seed) is described like its transpose."""
+    vs = matrix([[200.0, 900.0], [220.0, 950.0], [230.0, 990.0]], [0.11, 5.0])
+    assert repr(describe_contents(vs)) == repr(describe_contents(vs.T))
+
+
+def test_a_content_without_any_velocity_is_described_by_nan() -> None:
+    """A column of nothing but gaps gives n = 0 and NaN, and does not disturb the others."""
+    rows = describe_contents(matrix([[200.0, float("nan")], [220.0, float("nan")]], [0.11, 5.0]))
+    assert rows[0].vs.mean == pytest.approx(210.0)
+    assert rows[1].vs.n == 0
+    assert np.isnan([rows[1].vs.mean, rows[1].vs.standard_deviation, rows[1].vs.skewness]).all()
+
+
+def test_the_uncemented_sample_has_no_scatter() -> None:
+    """At 0 % all seeds are the same sample, with zero deviation and no skewness."""
+    found = describe(np.full(116, 169.73))
+    assert (found.mean, found.standard_deviation) == (169.73, 0.0)
+    assert np.isnan([found.skewness, found.normality.statistic, found.normal_fit.largest_distance]).all()
+    assert found.standard_deviation_interval_bootstrap.high == 0.0
+
+
+def test_the_table_holds_the_records() -> None:
+    """The table has each record's numbers at its content, intervals as bounds, and units."""
+    vs = matrix(np.random.default_rng(3).normal(800, 90, (12, 2)).tolist(), [3.17, 4.0])
+    rows = describe_contents(vs)
+    table = tabulate(rows)
+    for row in rows:
+        column = table.sel(content=row.content)
+        assert column["n"] == row.vs.n
+        assert column["mean"] == row.vs.mean
+        assert column["jarque_bera"] == row.vs.normality.statistic
+        assert column["p_small_sample"] == row.vs.normality.p_small_sample
+        assert column["mean_interval"].sel(bound="low") == row.vs.mean_interval.low
+        assert column["prediction_interval"].sel(bound="high") == row.vs.prediction_interval.high
+        assert column["normal_fit_largest_distance"] == row.vs.normal_fit.largest_distance
+    assert table["mean_interval"].attrs["units"] == "m/s"
+    assert table["skewness"].attrs["units"] == "1"

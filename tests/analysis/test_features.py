@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calcidem.analysis.connectivity import ContactWeights, PathScale
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
+from calcidem.analysis.features import FEATURES, PathFeatures, measure_path, path_features
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+WEIGHTS = ContactWeights.from_ratio(0.5)
+
+
+def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np.bool_]]) -> None:
+    """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
+    found = path_features(*drawn_sample, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
+    assert found.path.grains == (5, 6, 7, 8, 9)
+    assert (found.contacts, found.hertz_contacts, found.bond_contacts) == (4, 1, 3)
+    assert found.bond_proportion == 3 / 4
+    assert found.longest_bond_run == 2
+    assert found.longest_bond_run_proportion == 2 / 4
+    assert found.connectivity == pytest.approx(1 + 3 * 0.5)
+    assert found.normalised_connectivity == pytest.approx(1 / 4)  # one of four contacts is sand
+
+
+def test_each_feature_is_defined_once() -> None:
+    """The eight definitions are the eight fields of the record, each with its own symbol and words."""
+    names = [feature.name for feature in FEATURES]
+    assert names == [field.name for field in fields(PathFeatures)][1:]
+    assert len(FEATURES) == len({feature.symbol for feature in FEATURES}) == 8
+    assert len({feature.definition for feature in FEATURES}) == 8
+
+
+@given(bonded=st.lists(st.booleans(), min_size=1, max_size=60))
+@settings(deadline=None)
+def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
+    """Counts add up, shares lie in [0, 1], and the longest run is the longest word of the path as text."""
+    path = PreferentialPath(tuple(range(len(bonded) + 1)), tuple(bonded))
+    found = measure_path(path, WEIGHTS, PathScale(0.1, 2.5e-3))
+    text = "".join("b" if kind else " " for kind in bonded)
+    assert found.longest_bond_run == max((len(run) for run in text.split()), default=0)
+    assert found.contacts == found.hertz_contacts + found.bond_contacts == len(bonded)
+    assert 0 <= found.longest_bond_run_proportion <= found.bond_proportion <= 1

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calcidem.analysis.intervals import (
+    Interval,
+    bootstrap_interval,
+    mean,
+    mean_interval,
+    ordered_prediction_interval,
+    prediction_interval,
+    standard_deviation,
+    standard_deviation_interval,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+SAMPLE = np.array([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0])
+
+
+def test_mean_and_deviation_of_a_sample_counted_by_hand() -> None:
+    """The values 2 4 4 4 5 5 7 9 have mean 5 and squares of deviations that add up to 32."""
+    assert mean(SAMPLE) == pytest.approx(5.0)
+    assert standard_deviation(SAMPLE) == pytest.approx(np.sqrt(32 / 7))
+
+
+def test_equal_values_have_exactly_no_deviation() -> None:
+    """A hundred and sixteen copies of a number have that number as mean and no deviation at all."""
+    copies = np.full(116, 169.73)
+    assert mean(copies) == 169.73
+    assert standard_deviation(copies) == 0.0
+    for interval in (mean_interval(copies), bootstrap_interval(copies, mean), prediction_interval(copies)):
+        assert interval == Interval(169.73, 169.73)
+    assert standard_deviation_interval(copies) == Interval(0.0, 0.0)
+
+
+def test_mean_interval_is_scipys() -> None:
+    """The interval of the mean is the one of SciPy's one-sample t-test."""
+    expected = stats.ttest_1samp(SAMPLE, 0).confidence_interval(0.9)
+    interval = mean_interval(SAMPLE, 0.9)
+    assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_deviation_interval_from_printed_quantiles() -> None:
+    """With 7 degrees of freedom, tables give 1.690 and 16.013 for chi-square at 2.5 % and 97.5 %."""
+    interval = standard_deviation_interval(SAMPLE)
+    assert interval.low == pytest.approx(np.sqrt(32 / 16.013), rel=1e-3)
+    assert interval.high == pytest.approx(np.sqrt(32 / 1.690), rel=1e-3)
+
+
+def test_prediction_interval_from_a_printed_quantile() -> None:
+    """With 7 degrees of freedom the 97.5 % point of Student's t is 2.365 in printed tables."""
+    half = 2.365 * np.sqrt(32 / 7) * np.sqrt(1 + 1 / 8)
+    assert prediction_interval(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
+
+
+def test_ordered_prediction_interval_takes_the_right_ranks() -> None:
+    """Of 39 values the extremes hold a new one with 95 %, of 79 the second from each end, of 38 none do."""
+    assert ordered_prediction_interval(np.arange(39.0)) == Interval(0.0, 38.0)
+    assert ordered_prediction_interval(np.arange(79.0)) == Interval(1.0, 77.0)
+    assert np.isnan(ordered_prediction_interval(np.arange(38.0)).low)
+
+
+def test_bootstrap_is_reproducible_and_near_t_for_normal_values() -> None:
+    """For 200 normal values the bootstrap repeats itself and is as wide as Student's t within a tenth."""
+    values = np.random.default_rng(1).normal(1000, 100, 200)
+    first, again = bootstrap_interval(values, mean), bootstrap_interval(values, mean)
+    assert first == again
+    assert first.half_width == pytest.approx(mean_interval(values).half_width, rel=0.1)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_too_few_values_leave_intervals_undefined(n: int) -> None:
+    """One value has no interval, and two are too few to resample."""
+    values = np.arange(float(n))
+    assert np.isnan(bootstrap_interval(values, mean).low)
+    assert np.isnan(mean_interval(values).low) == (n == 1)
+    assert np.isnan(standard_deviation_interval(values).high) == (n == 1)
+    assert np.isnan(prediction_interval(values).high) == (n == 1)
+
+
+@pytest.mark.parametrize(
+    ("interval", "truth"), [(mean_interval, 1000.0), (standard_deviation_interval, 100.0)]
+)
+def test_intervals_of_normal_values_cover_as_promised(
+    interval: Callable[[NDArray[np.float64]], Interval],
+    truth: float,
+    within_binomial: Callable[[int, int, float], bool],
+) -> None:
+    """Of 1000 intervals from 12 normal values each, 95 % hold the true mean and the true deviation."""
+    samples = np.random.default_rng(2).normal(1000, 100, (1000, 12))
+    hits = sum(interval(sample).contains(truth) for sample in samples)
+    assert within_binomial(hits, 1000, 0.95)
+
+
+def test_prediction_interval_covers_as_promised(within_binomial: Callable[[int, int, float], bool]) -> None:
+    """Of 1000 intervals from 12 normal values each, 95 % hold a thirteenth."""
+    samples = np.random.default_rng(3).normal(1000, 100, (1000, 13))
+    hits = sum(prediction_interval(sample[:-1]).contains(sample[-1]) for sample in samples)
+    assert within_binomial(hits, 1000, 0.95)
+
+
+def test_ordered_prediction_interval_covers_whatever_the_distribution(
+    within_binomial: Callable[[int, int, float], bool],
+) -> None:
+    """Of 1000 intervals from 39 values of a very skewed distribution each, 95 % hold a fortieth."""
+    samples = np.random.default_rng(4).exponential(1.0, (1000, 40))
+    hits = sum(ordered_prediction_interval(sample[:-1]).contains(sample[-1]) for sample in samples)
+    assert within_binomial(hits, 1000, 0.95)
+
+
+def test_bootstrap_covers_a_skewed_mean() -> None:
+    """Of 200 bootstrap intervals from 80 exponential values each, 95 % hold the true mean within 4.5 points.
+
+    The bootstrap is right only for large samples: three points are the binomial error (two standard
+    deviations), the rest what is known of its shortfall at this size.
+    """
+    samples = np.random.default_rng(5).exponential(1.0, (200, 80))
+    hits = sum(bootstrap_interval(sample, mean, replicates=999).contains(1.0) for sample in samples)
+    assert hits / 200 == pytest.approx(0.95, abs=0.045)

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calcidem.analysis.intervals import mean_interval
+from calcidem.analysis.planning import _mean_half_width, narrowing, plan_seeds, seeds_needed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def test_seeds_for_the_papers_widest_content() -> None:
+    """A deviation of 260.74 m/s (5 %) needs 656 seeds for a half-width of 20 m/s."""
+    assert seeds_needed(260.74, 20.0) == 656
+    assert 1.9636 * 260.74 / np.sqrt(656) < 20.0 < 1.9636 * 260.74 / np.sqrt(655)
+
+
+@given(
+    deviation=st.floats(0.1, 1000), half_width=st.floats(1, 1000), level=st.sampled_from([0.8, 0.95, 0.99])
+)
+@settings(deadline=None)
+def test_the_number_is_the_smallest_that_suffices(deviation: float, half_width: float, level: float) -> None:
+    """The half-width with that many seeds is small enough, and with one fewer it is not."""
+    n = seeds_needed(deviation, half_width, level)
+    assert _mean_half_width(deviation, n, level) <= half_width
+    assert n == 2 or _mean_half_width(deviation, n - 1, level) > half_width
+
+
+def test_plan_counts_what_is_there() -> None:
+    """A plan knows the seeds present, the half-width they give, and how many are still to be computed."""
+    values = np.append(np.random.default_rng(1).normal(1200, 260, 40), np.nan)
+    plan = plan_seeds(values, 40.0)
+    assert plan.present == 40
+    assert plan.present_half_width == pytest.approx(mean_interval(values[:40]).half_width)
+    assert plan.more == plan.needed - 40 > 0
+    assert plan.needed_low < plan.needed < plan.needed_high
+
+
+def test_a_campaign_that_is_narrow_enough_needs_no_more() -> None:
+    """Where the interval is narrower than asked, nothing is left to compute; nor without any scatter."""
+    assert plan_seeds(np.random.default_rng(1).normal(1200, 260, 40), 200.0).more == 0
+    assert plan_seeds(np.full(5, 169.73), 0.1).more == 0
+
+
+def test_the_range_of_the_plan_covers_the_true_need(
+    within_binomial: Callable[[int, int, float], bool],
+) -> None:
+    """Of 400 plans from 10 normal values each, 95 % have the true need in their range."""
+    truth = seeds_needed(100.0, 10.0)
+    samples = np.random.default_rng(2).normal(0, 100, (400, 10))
+    plans = [plan_seeds(sample, 10.0) for sample in samples]
+    hits = sum(plan.needed_low <= truth <= plan.needed_high for plan in plans)
+    assert within_binomial(hits, 400, 0.95)
+
+
+def test_half_widths_of_normal_values_are_the_known_ones() -> None:
+    """For 400 normal values, deviation and skewness scatter by s / sqrt(2 n) and sqrt(6 / n)."""
+    values = np.random.default_rng(3).normal(1000, 100, 5000)
+    found = narrowing(values, [400])
+    assert float(found["mean"][0]) == pytest.approx(1.966 * 100 / 20, rel=0.05)
+    assert float(found["standard_deviation"][0]) == pytest.approx(1.96 * 100 / np.sqrt(800), rel=0.1)
+    assert float(found["skewness"][0]) == pytest.approx(1.96 * np.sqrt(6 / 400), rel=0.1)
+
+
+def test_four_times_the_seeds_halve_every_half_width() -> None:
+    """From 100 to 400 seeds every interval becomes half as wide, within a tenth."""
+    found = narrowing(np.random.default_rng(4).normal(1000, 100, 500), [100, 400])
+    for name in ("mean", "standard_deviation", "skewness"):
+        assert float(found[name][0] / found[name][1]) == pytest.approx(2.0, rel=0.1)
+
+
+def test_values_without_scatter_have_no_error() -> None:
+    """Equal values have half-widths of zero and no skewness."""
+    found = narrowing(np.full(10, 5.0), [3, 20])
+    assert (found["mean"] == 0).all()
+    assert (found["standard_deviation"] == 0).all()
+    assert np.isnan(found["skewness"]).all()
+
+
+def test_impossible_plans_are_refused() -> None:
+    """A half-width of zero, a deviation of NaN, a single value and counts below three are refused."""
+    with pytest.raises(ValueError, match="half_width"):
+        seeds_needed(100.0, 0.0)
+    with pytest.raises(ValueError, match="standard_deviation"):
+        seeds_needed(float("nan"), 10.0)
+    with pytest.raises(ValueError, match="at least two"):
+        plan_seeds([1.0, float("nan")], 10.0)
+    with pytest.raises(ValueError, match="at least 3 seeds"):
+        narrowing([1.0, 2.0, 3.0], [2, 5])

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import pytest
+
+from calcidem.analysis.published import published_study
+from calcidem.analysis.published_check import Finding, check_study, check_verdicts
+
+
+def finding(place: str, words: str) -> Finding:
+    """Pick the one finding at a place whose printed side has certain words."""
+    (found,) = [item for item in check_study() if item.place == place and words in item.printed]
+    return found
+
+
+def test_the_tables_are_whole() -> None:
+    """There are 17 contents from 0 to 9 %, 16 of them with velocities, and 116 seeds make 1972 samples."""
+    study = published_study()
+    assert len(study.contents) == 17
+    assert [row.content for row in study.contents] == sorted({row.content for row in study.contents})
+    assert [row.content for row in study.contents if row.vs is None] == [0.0]
+    assert study.seeds * len(study.contents) == study.samples
+
+
+def test_entries_are_the_printed_ones() -> None:
+    """Spot checks of all four tables against the paper."""
+    study = published_study()
+    assert study.parameters["bond_effective_modulus"] == 8e10
+    assert {row.content: row.frequency for row in study.contents}[5.0] == 15e3
+    row = dict(study.velocities)[5.0]
+    assert (row.mean, row.standard_deviation, row.skewness, row.kurtosis) == (1211.31, 260.74, 0.36, 2.60)
+    assert [law.weights.bond for law in study.laws] == [0.328, 0.83]
+
+
+def test_six_verdicts_disagree_with_their_moments() -> None:
+    """The moments at 0.23, 0.34, 0.45, 0.55, 4 and 9 % reject normality, and the table marks them normal."""
+    wrong = [check for check in check_verdicts() if not check.agrees]
+    assert [check.content for check in wrong] == [0.23, 0.34, 0.45, 0.55, 4.0, 9.0]
+    assert all(check.printed_normal for check in wrong)
+
+
+def test_the_small_sample_p_rejects_the_same_contents() -> None:
+    """Allowing for n = 116 by simulation changes none of the six verdicts."""
+    wrong = [check for check in check_verdicts() if check.printed_normal and check.test.p_small_sample < 0.05]
+    assert [check.content for check in wrong] == [0.23, 0.34, 0.45, 0.55, 4.0, 9.0]
+
+
+@pytest.mark.parametrize("stage", ["I", "II", "III", "IV"])
+def test_rates_are_end_point_slopes(stage: str) -> None:
+    """The printed rates are the slopes between 0.11 and 0.66, 1.24 and 3.17, 4 and 6, 7 and 9 %."""
+    assert finding(f"Section 3.2.1, stage {stage}", "m/s per percent").agrees
+
+
+def test_rates_do_not_belong_to_the_printed_borders() -> None:
+    """Between the borders that the text draws, only the rate of the first stage comes out."""
+    places = [f"Section 3.2.1, stage {stage}, its own borders" for stage in ("I", "II", "III", "IV")]
+    assert [finding(place, "rate").agrees for place in places] == [True, False, False, False]
+
+
+def test_the_texts_claims_are_checked() -> None:
+    """Three claims of the text about rates, skewness and kurtosis disagree with the table, one agrees."""
+    assert not finding("Section 3.2.1, stage III", "highest").agrees
+    assert "-0.13 at 0.11 %" in finding("Section 3.2.1, stage I", "skewness").computed
+    assert "5.68 at 2.55 %" in finding("Section 3.2.1, stage II", "kurtosis").computed
+    assert finding("Section 3.2.1, stage IV", "skewness").agrees
+
+
+def test_the_variance_is_a_standard_deviation() -> None:
+    """What the text calls variance is the range of the table's standard deviations."""
+    found = finding("Section 3.2.1, stage I", "variance")
+    assert not found.agrees
+    assert "9.76 to 35.49 m/s" in found.computed
+
+
+@pytest.mark.parametrize("law", ["physical meaning", "Monte-Carlo"])
+def test_the_laws_do_not_fit_their_printed_ranges(law: str) -> None:
+    """Both laws lack a sign, give 4040 m/s at their smallest C_d,n, and span more than a packing can."""
+    assert not finding(f"Table 4, {law}, exponent", "in the conclusions").agrees
+    assert "404" in finding(f"Table 4, {law}, law", "C_d,n").computed
+    assert not finding(f"Table 4, {law}, law", "C_d,n").agrees
+    assert not finding(f"Table 4, {law}, range", "C_d,n").agrees
+
+
+def test_the_weights_belong_to_one_coordination_number() -> None:
+    """0.475 and 0.328 both follow from a coordination number of 3.05."""
+    found = finding("Table 4 and Eq. 8", "0.475")
+    assert found.agrees
+    assert "3.05" in found.computed

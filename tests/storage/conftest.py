@@ -1,0 +1,206 @@
+"""Databases to test on, and small factories of records."""
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psycopg
+import pytest
+
+from calcidem.storage.canonical import canonical_json, content_hash
+from calcidem.storage.records import (
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    CementPattern,
+    PackingRecord,
+    PathFeatures,
+    RunRecord,
+    Signal,
+)
+from calcidem.storage.sql_store import SqlStore, open_store
+
+MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
+SEEDS = range(4)
+CONTENTS = (0.0, 0.3, 5.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Records:
+    """Factories of valid records; keyword arguments change fields."""
+
+    def campaign(self, config: dict[str, Any] | None = None, **changes: Any) -> CampaignRecord:  # noqa: ANN401
+        """Build a campaign of 4 seeds and 3 contents."""
+        config = {"packing": {"friction": 0.2}, "wave": {"v0": 1e-5}} if config is None else config
+        record = CampaignRecord(
+            hash=content_hash(config),
+            name="quick",
+            config=canonical_json(config),
+            contents=CONTENTS,
+            seeds=tuple(SEEDS),
+            created=MOMENT,
+        )
+        return dataclasses.replace(record, **changes)
+
+    def run(self, **changes: Any) -> RunRecord:  # noqa: ANN401
+        """Build the provenance of a run."""
+        record = RunRecord(
+            versions={"python": "3.11.7", "numpy": "2.4.6"},
+            host="node7",
+            cpu="Some CPU",
+            ranks=4,
+            launch_line="mpirun -n 4 calcidem run quick.toml",
+            started=MOMENT,
+            mpi_library="Open MPI 5.0.11",
+            git_commit="0123abc",
+            git_dirty=False,
+            slurm_job_id="4711",
+        )
+        return dataclasses.replace(record, **changes)
+
+    def done(self, seed: int = 0, content: float = 5.0, **changes: Any) -> CellResult:  # noqa: ANN401
+        """Build a done cell without arrays, its velocity depending on the cell."""
+        values: dict[str, Any] = {
+            "vs": 150.0 + 200.0 * content + seed,
+            "vs_peak": 151.0,
+            "quality_peak": 0.9,
+            "frequency": 15e3,
+            "time_step": 8e-8,
+            "stability_limit": 1.1e-7,
+            "steps": 12_000,
+            "energy_error": -1.5e-12,
+            "error_estimate": 2e-3,
+            "content_reached": content,
+            "p_contacts": 400,
+            "c_contacts": 900,
+            "clusters": 250,
+            "bonded_contacts": 1250,
+            "seconds": 1.25,
+            "rank": 3,
+            "host": "node7",
+        }
+        return CellResult(CellKey(seed, content), CellStatus.DONE, **(values | changes))
+
+    def failed(
+        self, seed: int = 0, content: float = 5.0, *, status: CellStatus = CellStatus.FAILED, attempt: int = 1
+    ) -> CellResult:
+        """Build a cell without velocity."""
+        return CellResult(CellKey(seed, content), status, "the pick was not clear", attempt=attempt, rank=1)
+
+    def with_arrays(self, seed: int = 0, content: float = 5.0) -> CellResult:
+        """Build a done cell with path, signals and cement."""
+        random = np.random.default_rng((seed, round(100 * content)))
+        samples, contacts, clusters = (int(n) for n in random.integers(3, 40, 3))
+        features = PathFeatures(
+            contacts=3,
+            hertz_contacts=1,
+            bonded_contacts=2,
+            bonded_fraction=2 / 3,
+            longest_bonded_run_fraction=1 / 3,
+            longest_bonded_run=1,
+            connectivity=2.66,
+            normalized_connectivity=None if seed == 0 else 1.1,
+            path=(4, 8, 15, 16),
+        )
+        signal = Signal(1e-6, *random.normal(size=(3, samples)))
+        cement = CementPattern(
+            random.integers(0, 5000, (contacts, 2)),
+            random.integers(1, 3, contacts),
+            random.uniform(0.0, 0.1, (clusters, 2)),
+        )
+        return self.done(seed, content, features=features, signal=signal, cement=cement)
+
+    def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401
+        """Build a packing of 50 grains."""
+        x, y = np.random.default_rng(index).uniform(0.0, 0.1, (2, 50))
+        record = PackingRecord(
+            index=index,
+            hash=f"packing-{index}",
+            x=x,
+            y=y,
+            radius=np.full(50, 1.2e-3),
+            width=0.1,
+            height=0.2987654321,
+            porosity=0.192,
+            coordination_number=3.05,
+            coordination_number_without_rattlers=3.6,
+            wall_stress={"lid": 5.0e3, "floor": 5.1e3, "left": 3.3e3, "right": 3.4e3},
+            mean_overlap=4.6e-4,
+            largest_overlap=2.0e-3,
+            unbalanced_ratio=9.0e-5,
+            seconds=31.4,
+            state=bytes(range(256)),
+        )
+        return dataclasses.replace(record, **changes)
+
+
+@pytest.fixture
+def records() -> Records:
+    """Factories of records."""
+    return Records()
+
+
+@pytest.fixture(scope="session")
+def postgresql_socket() -> Iterator[Path]:
+    """Run a PostgreSQL server of its own and give the folder of its socket."""
+    initdb = shutil.which("initdb") or next(
+        (str(p) for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))), None
+    )
+    if initdb is None:
+        pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
+    # The server refuses to run as root; Debian's package brings this user.
+    user: dict[str, Any] = {"user": "postgres"} if os.geteuid() == 0 else {}
+    folder = Path(tempfile.mkdtemp(prefix="calcidem-pg-"))
+    if user:
+        shutil.chown(folder, **user)
+    control = [str(Path(initdb).with_name("pg_ctl")), "-D", str(folder / "data"), "-w"]
+    options = f"-k {folder} -c listen_addresses='' -c fsync=off -c max_connections=20"
+    quiet: dict[str, Any] = {"cwd": folder, "check": True, "stdout": subprocess.DEVNULL, **user}
+    subprocess.run([initdb, "-D", str(folder / "data"), "-U", "postgres", "--no-sync"], **quiet)
+    subprocess.run([*control, "-l", str(folder / "log"), "-o", options, "start"], **quiet)
+    yield folder
+    subprocess.run([*control, "-m", "immediate", "stop"], **quiet)
+    shutil.rmtree(folder)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Address of an empty database, once for each backend."""
+    if request.param == "sqlite":
+        return str(tmp_path / "campaign.db")
+    folder = request.getfixturevalue("postgresql_socket")
+    name = f"test_{uuid.uuid4().hex}"
+    with psycopg.connect(f"host={folder} user=postgres", autocommit=True) as connection:
+        connection.execute(f'CREATE DATABASE "{name}"'.encode())
+    return f"postgresql://postgres@/{name}?host={folder}"
+
+
+@pytest.fixture
+def open_here(address: str) -> Iterator[Callable[..., SqlStore]]:
+    """Open the empty database, as often as wanted; all are closed at the end."""
+    opened: list[SqlStore] = []
+
+    def open_another(*, read_only: bool = False) -> SqlStore:
+        opened.append(open_store(address, read_only=read_only))
+        return opened[-1]
+
+    yield open_another
+    for store in opened:
+        store.close()
+
+
+@pytest.fixture
+def store(open_here: Callable[..., SqlStore], records: Records) -> SqlStore:
+    """Open a store with the campaign begun."""
+    store = open_here()
+    store.begin_campaign(records.campaign())
+    return store

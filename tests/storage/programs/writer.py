@@ -1,0 +1,43 @@
+"""Write one cell after the other into a store and say each one on standard output once it is stored.
+
+Usage: writer.py DATABASE SEEDS
+"""
+
+import sys
+from datetime import UTC, datetime
+
+import numpy as np
+
+from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, Signal
+from calcidem.storage.sql_store import open_store
+
+SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
+
+
+def main(database: str, seeds: int) -> None:
+    """Continue the campaign as its master until no cell is pending."""
+    campaign = CampaignRecord("hash", "endurance", "{}", (0.0, 5.0), tuple(range(seeds)), datetime.now(UTC))
+    with open_store(database) as store:
+        store.begin_campaign(campaign)
+        grant = store.acquire_lease()
+        sys.stdout.write(f"lease {grant.taken_over_from or 'free'}\n")
+        sys.stdout.flush()
+        for key in store.pending():
+            noise = np.random.default_rng((key.seed, int(key.content))).normal(size=(3, SAMPLES))
+            result = CellResult(
+                key,
+                CellStatus.DONE,
+                vs=100.0 + key.seed,
+                frequency=1e4,
+                time_step=1e-7,
+                stability_limit=2e-7,
+                steps=100,
+                signal=Signal(1e-6, *noise),
+            )
+            store.record_results([result])
+            sys.stdout.write(f"{key.seed} {key.content}\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))

@@ -1,0 +1,301 @@
+"""The contract of `Store`, run on every implementation."""
+
+import dataclasses
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+
+from calcidem.storage.errors import (
+    CampaignMismatchError,
+    InvalidRecordError,
+    LeaseLostError,
+    QueryError,
+    ReadOnlyStoreError,
+    UnknownCampaignError,
+    UnknownCellError,
+)
+from calcidem.storage.records import AttemptCount, CellKey, CellStatus
+from calcidem.storage.sql_store import SqlStore
+from calcidem.storage.store import Selection
+
+NUMBER_OF_CELLS = 12  # 4 seeds x 3 contents, see conftest
+
+
+def test_new_campaign_is_pending(store: SqlStore) -> None:
+    """All planned cells of a new campaign are pending, by seed, then content."""
+    assert store.pending() == tuple(CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0))
+
+
+def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlStore], records: Any) -> None:
+    """Beginning the same campaign again continues it: what was done is not pending."""
+    store.record_results([records.done(1, 5.0)])
+    again = open_here()
+    assert again.begin_campaign(records.campaign(created=datetime.now(UTC))) == records.campaign()
+    assert len(again.pending()) == NUMBER_OF_CELLS - 1
+
+
+def test_changed_config_is_refused_with_difference(store: SqlStore, records: Any) -> None:
+    """A changed configuration under the same name is refused, naming the nested key and both values."""
+    changed = records.campaign({"packing": {"friction": 0.5}, "wave": {"v0": 1e-5}})
+    with pytest.raises(CampaignMismatchError, match=r"packing\.friction: 0\.2 -> 0\.5") as refusal:
+        store.begin_campaign(changed)
+    assert "v0" not in str(refusal.value)
+    assert store.campaigns() == (records.campaign(),)
+
+
+def test_several_campaigns_share_a_store(store: SqlStore, records: Any) -> None:
+    """Campaigns of different names live side by side, and each sees its own cells only."""
+    store.record_results([records.done(1, 5.0)])
+    store.begin_campaign(records.campaign({"other": 1}, name="other"))
+    assert len(store.pending()) == NUMBER_OF_CELLS
+    with pytest.raises(UnknownCampaignError, match="2 campaigns"):
+        store.use_campaign()
+    assert store.use_campaign("quick").name == "quick"
+    assert len(store.pending()) == NUMBER_OF_CELLS - 1
+
+
+def test_extension_adds_cells_only(store: SqlStore, records: Any) -> None:
+    """More seeds and contents extend the plan and leave outcomes alone; the union of plans is reported."""
+    store.record_results([records.done(1, 5.0)])
+    extended = store.begin_campaign(records.campaign(seeds=(3, 4, 5), contents=(5.0, 9.0)))
+    assert extended.seeds == (0, 1, 2, 3, 4, 5)
+    assert extended.contents == (0.0, 0.3, 5.0, 9.0)
+    assert len(store.pending()) == NUMBER_OF_CELLS - 1 + 5
+    assert store.extend((0,), (9.0,)) == 1
+    assert store.extend((0,), (9.0,)) == 0
+
+
+def test_pending_is_limited_to_what_is_asked(store: SqlStore) -> None:
+    """Seeds and contents limit what is pending, and contents are found whatever their last bits are."""
+    assert store.pending(seeds=(2,), contents=(0.1 + 0.2,)) == (CellKey(2, 0.3),)
+    assert store.pending(seeds=(0, 3), contents=(5.0,)) == (CellKey(0, 5.0), CellKey(3, 5.0))
+
+
+def test_storing_twice_gives_one_row(store: SqlStore, records: Any) -> None:
+    """The same result stored twice, also within one call, changes nothing the second time."""
+    result = records.with_arrays(1, 5.0)
+    assert store.record_results([result, result]) == 1
+    before = list(store.history())
+    assert store.record_results([result]) == 0
+    assert list(store.results(with_arrays=True)) == [result]
+    assert list(store.history()) == before
+
+
+def test_repeated_failure_gives_one_attempt(store: SqlStore, records: Any) -> None:
+    """A failed outcome stored twice with the same attempt number counts as one attempt."""
+    for _ in range(2):
+        store.record_results([records.failed(1, 5.0)])
+    assert store.attempt_counts([CellKey(1, 5.0)]) == {CellKey(1, 5.0): AttemptCount(1, 0)}
+
+
+def test_done_is_never_replaced_unless_told(store: SqlStore, records: Any) -> None:
+    """A done cell survives later outcomes, and gives way with replace_done."""
+    store.record_results([records.done(1, 5.0, vs=1000.0)])
+    assert store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)]) == 0
+    assert next(store.results()).vs == 1000.0
+    assert store.record_results([records.done(1, 5.0, vs=1001.0, attempt=3)], replace_done=True) == 1
+    assert next(store.results()).vs == 1001.0
+
+
+def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: Any) -> None:
+    """An outcome other than done gives way to a later attempt, not to an earlier one, and always to a done one."""
+    store.record_results([records.failed(1, 5.0, attempt=2)])
+    assert store.record_results([records.failed(1, 5.0, status=CellStatus.UNSTABLE, attempt=1)]) == 0
+    assert store.record_results([records.failed(1, 5.0, status=CellStatus.UNSTABLE, attempt=3)]) == 1
+    assert store.statuses()[CellKey(1, 5.0)] is CellStatus.UNSTABLE
+    assert store.record_results([records.done(1, 5.0, attempt=1)]) == 1
+    assert store.statuses()[CellKey(1, 5.0)] is CellStatus.DONE
+
+
+def test_cell_round_trip(store: SqlStore, records: Any) -> None:
+    """Everything of a cell comes back as it was given; without arrays only signal and cement are left out."""
+    given = [records.with_arrays(seed, content) for seed in range(4) for content in (0.0, 5.0)]
+    given.append(records.failed(2, 0.3, status=CellStatus.NO_ARRIVAL))
+    store.record_results(reversed(given))
+    in_order = sorted(given, key=lambda result: result.key)
+    assert list(store.results(with_arrays=True)) == in_order
+    assert list(store.results()) == [dataclasses.replace(r, signal=None, cement=None) for r in in_order]
+    assert store.signal(CellKey(0, 5.0)) == given[1].signal
+    assert store.signal(CellKey(2, 0.3)) is None
+
+
+def test_unplanned_cell_is_refused_as_a_whole(store: SqlStore, records: Any) -> None:
+    """A batch with an unplanned cell is refused, and nothing of it is stored."""
+    with pytest.raises(UnknownCellError, match="Seed 9"):
+        store.record_results([records.done(1, 5.0), records.done(9, 5.0)])
+    assert list(store.results()) == []
+
+
+def test_every_outcome_settles_until_retry(store: SqlStore, records: Any) -> None:
+    """All outcomes settle their cells; retry brings failed and timed_out back by default, others on request."""
+    outcomes = [s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}]
+    keys = [(seed, content) for seed in range(2) for content in (0.0, 0.3, 5.0)]
+    store.record_results([records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)])
+    assert len(store.pending()) == NUMBER_OF_CELLS - len(outcomes)
+    retried = store.retry()
+    assert len(retried) == 2
+    assert set(retried) <= set(store.pending())
+    assert len(store.retry([CellStatus.QUARANTINED])) == 1
+    assert store.retry(keys=[CellKey(3, 5.0)]) == ()
+    with pytest.raises(ValueError, match="done can't be retried"):
+        store.retry([CellStatus.DONE])
+
+
+def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
+    store: SqlStore, open_here: Callable[..., SqlStore], records: Any
+) -> None:
+    """Lost attempts count up over several openings of the store, take numbers, and a retry forgets them."""
+    key = CellKey(1, 5.0)
+    for losses in (1, 2, 3):
+        again = open_here()
+        again.use_campaign()
+        assert again.record_lost([key], "killed by signal 9") == {key: AttemptCount(losses, losses)}
+    assert key in store.pending()
+    store.record_results([records.failed(1, 5.0, status=CellStatus.QUARANTINED, attempt=4)])
+    store.retry([CellStatus.QUARANTINED])
+    assert store.attempt_counts() == {key: AttemptCount(4, 0)}
+    assert [(a.number, a.outcome, a.forgiven) for a in store.history()] == [
+        (1, "lost", True),
+        (2, "lost", True),
+        (3, "lost", True),
+        (4, "quarantined", True),
+    ]
+
+
+def test_attempts_belong_to_runs(store: SqlStore, records: Any) -> None:
+    """Attempts recorded during a run carry its number, and the run keeps its provenance and end."""
+    number = store.begin_run(records.run())
+    store.record_results([records.done(1, 5.0)])
+    ended = records.run().started + timedelta(hours=2)
+    store.end_run("complete", ended)
+    assert [attempt.run_id for attempt in store.history()] == [number]
+    assert store.runs() == ((number, records.run(ended=ended, exit_state="complete")),)
+
+
+def test_packing_round_trip(store: SqlStore, records: Any) -> None:
+    """Packings come back bit for bit; saving one again is harmless, another one under its index is refused."""
+    for index in (1, 0, 0):
+        store.save_packing(records.packing(index))
+    assert store.packing_indices() == (0, 1)
+    assert store.load_packing(1) == records.packing(1)
+    assert store.load_packing(2) is None
+    with pytest.raises(CampaignMismatchError, match="hash"):
+        store.save_packing(records.packing(0, hash="another"))
+
+
+def test_status_counts(store: SqlStore, records: Any) -> None:
+    """Counts by content and status add up to the plan."""
+    store.record_results([records.done(0, 5.0), records.done(1, 5.0), records.failed(2, 5.0)])
+    counts = store.status_counts()
+    assert counts[5.0, CellStatus.DONE] == 2
+    assert counts[5.0, CellStatus.FAILED] == 1
+    assert counts[5.0, CellStatus.PENDING] == 1
+    assert sum(counts.values()) == NUMBER_OF_CELLS
+
+
+@pytest.mark.parametrize(
+    ("selection", "count"),
+    [
+        (Selection(contents=(5.0,)), 4),
+        (Selection(seeds=(0, 2)), 4),
+        (Selection(statuses=(CellStatus.FAILED,)), 1),
+        (Selection(where="vs > 1150 and content == 5"), 3),
+        (Selection(where="not (status = 'done') or seed in (0, 1)"), 5),
+        (Selection(where="200 < vs <= 1152"), 3),
+        (Selection(where="vs is None"), 1),
+        (Selection(where="path_contacts is not None"), 0),
+    ],
+)
+def test_selection(store: SqlStore, records: Any, selection: Selection, count: int) -> None:
+    """Selections by seed, content, status and expression find the cells they describe."""
+    store.record_results(records.done(seed, content) for seed in range(4) for content in (0.0, 5.0))
+    store.retry(keys=())
+    store.record_results([records.failed(3, 0.3)])
+    assert len(list(store.results(selection))) == count
+
+
+@pytest.mark.parametrize(
+    ("where", "hint"),
+    [
+        ("vss > 3", "Did you mean 'vs'"),
+        ("vs > 3; DROP TABLE cell", "can't be read"),
+        ("__import__('os').system('true')", "not a comparison"),
+        ("vs > (1).bit_length()", "neither quantity"),
+        ("vs", "not a comparison"),
+        ("vs in 3", "needs a list"),
+        ("vs is 3", "None only"),
+        ("vs > True", "neither quantity"),
+        ("", "can't be read"),
+    ],
+)
+def test_wrong_expressions_are_refused(store: SqlStore, where: str, hint: str) -> None:
+    """An expression that isn't made of comparisons of quantities is refused with advice."""
+    with pytest.raises(QueryError, match=hint.replace("(", r"\(")):
+        list(store.results(Selection(where=where)))
+
+
+def test_quoted_text_stays_data(store: SqlStore, records: Any) -> None:
+    """SQL inside a quoted word is only a word that nothing equals."""
+    store.record_results([records.done(1, 5.0)])
+    assert list(store.results(Selection(where="host == \"x' OR '1'='1\""))) == []
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE result SET vs = NULL",
+        "UPDATE result SET vs = -1",
+        "UPDATE result SET vs = 1e308 * 10",
+        "UPDATE result SET status = 'failed'",
+        "UPDATE result SET status = 'wonderful'",
+        "UPDATE result SET time_step = 0",
+        "UPDATE result SET steps = NULL",
+        "UPDATE result SET attempt = 7",
+        "UPDATE cell SET content = 101",
+        "UPDATE cell SET seed = -1",
+        "DELETE FROM attempt",
+        "INSERT INTO cell (campaign_id, seed, content) SELECT campaign_id, seed, content FROM cell",
+        "UPDATE path_features SET contacts = 99",
+        "UPDATE signal SET time_step = 0",
+    ],
+)
+def test_schema_refuses_nonsense(store: SqlStore, records: Any, statement: str) -> None:
+    """The database itself refuses numbers and statuses that contradict each other, whoever writes them."""
+    store.record_results([records.with_arrays(1, 5.0)])
+    with pytest.raises(InvalidRecordError), store._writing() as session:
+        session.execute(text(statement))
+    assert list(store.results(with_arrays=True)) == [records.with_arrays(1, 5.0)]
+
+
+def test_read_only_store_refuses_writes(
+    store: SqlStore, open_here: Callable[..., SqlStore], records: Any
+) -> None:
+    """A store opened for reading reads, and refuses to write."""
+    store.record_results([records.done(1, 5.0)])
+    reader = open_here(read_only=True)
+    reader.use_campaign()
+    assert list(reader.results()) == [records.done(1, 5.0)]
+    with pytest.raises(ReadOnlyStoreError):
+        reader.record_results([records.done(2, 5.0)])
+
+
+def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: Any) -> None:
+    """Once another process has the lease, recording and heartbeats of the former master are refused."""
+    store.acquire_lease()
+    store.heartbeat()
+    with store._writing() as session:
+        session.execute(text("UPDATE lease SET token = 'of another process'"))
+    with pytest.raises(LeaseLostError, match="taken this campaign over"):
+        store.record_results([records.done(1, 5.0)])
+    with pytest.raises(LeaseLostError):
+        store.heartbeat()
+    assert list(store.results()) == []
+
+
+def test_methods_need_a_campaign(open_here: Callable[..., SqlStore]) -> None:
+    """Without a chosen campaign there is nothing to ask, and the error says what to call."""
+    with pytest.raises(UnknownCampaignError, match="begin_campaign"):
+        open_here().pending()

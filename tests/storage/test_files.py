@@ -1,0 +1,195 @@
+"""Files that can't be used as they are: foreign, newer, older, damaged, locked, full, read-only."""
+
+import os
+import shutil
+import sqlite3
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+
+from calcidem.storage import engine
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.errors import (
+    DamagedStoreError,
+    DiskFullError,
+    ForeignDatabaseError,
+    NewerSchemaError,
+    OlderSchemaError,
+    StoreError,
+    StoreLockedError,
+    StoreUnavailableError,
+)
+from calcidem.storage.sql_store import open_store
+
+
+NOBODY = 65534  # the user without rights on Linux
+
+
+@pytest.fixture
+def database(tmp_path: Path, records: Any) -> Path:
+    """Create a closed database with two done cells."""
+    path = tmp_path / "one.db"
+    with open_store(path) as store:
+        store.begin_campaign(records.campaign())
+        store.record_results([records.done(0), records.done(1)])
+    return path
+
+
+def execute(path: Path, statement: str) -> None:
+    """Run a statement behind the store's back."""
+    connection = sqlite3.connect(path, isolation_level=None)
+    connection.execute(statement)
+    connection.close()
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+@pytest.mark.parametrize(
+    ("make", "error"),
+    [
+        (lambda path: execute(path, "CREATE TABLE recipe (name TEXT)"), ForeignDatabaseError),
+        (lambda path: path.write_text("not a database, but long enough to look at\n" * 50), ForeignDatabaseError),
+        (lambda path: path.mkdir(), StoreUnavailableError),
+    ],
+)
+def test_foreign_files_are_refused_untouched(tmp_path: Path, make: Any, error: type, read_only: bool) -> None:
+    """Something else under that name is refused, for reading and for writing, and left as it was."""
+    path = tmp_path / "recipes.db"
+    make(path)
+    before = path.read_bytes() if path.is_file() else b""
+    with pytest.raises(error, match=r"recipes\.db"):
+        open_store(path, read_only=read_only)
+    assert (path.read_bytes() if path.is_file() else b"") == before
+
+
+def test_missing_files(tmp_path: Path) -> None:
+    """Reading what doesn't exist creates nothing; writing into a folder that doesn't exist names the folder."""
+    with pytest.raises(StoreUnavailableError, match="does not exist"):
+        open_campaign(tmp_path / "none.db")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(StoreUnavailableError, match="folder"):
+        open_store(tmp_path / "nowhere" / "one.db")
+
+
+@pytest.mark.parametrize(
+    "url", ["nosuch://host/database", "sqlite://", "postgresql://nobody@127.0.0.1:1/none", "http://["]
+)
+def test_unusable_urls(url: str) -> None:
+    """An URL that leads nowhere is refused with a message of the store."""
+    with pytest.raises(StoreUnavailableError):
+        open_store(url)
+
+
+def test_newer_schema_is_refused(database: Path) -> None:
+    """A revision from the future is refused with the advice to upgrade, for reading and writing."""
+    execute(database, "UPDATE calcidem_schema SET version_num = '9999'")
+    for read_only in (True, False):
+        with pytest.raises(NewerSchemaError, match="upgrade"):
+            open_store(database, read_only=read_only)
+
+
+def test_reader_asks_for_an_upgrade(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader refuses an older schema and says how to upgrade it."""
+    monkeypatch.setattr("calcidem.storage.schema._head", lambda: "0002")
+    with pytest.raises(OlderSchemaError, match="upgrades it"):
+        open_campaign(database)
+
+
+def test_damage_is_recognised(database: Path) -> None:
+    """Overwritten pages are reported as damage, not as some driver's error."""
+    content = bytearray(database.read_bytes())
+    content[4096:] = b"\x5a" * (len(content) - 4096)
+    database.write_bytes(content)
+    with pytest.raises(DamagedStoreError, match="recover"):
+        open_campaign(database)
+
+
+def test_full_disk_keeps_what_was_there(database: Path, records: Any) -> None:
+    """A transaction that doesn't fit is refused as a whole; all before it stays and the store goes on when there is room."""
+    with open_store(database) as store:
+        store.use_campaign()
+        with store._engine.connect() as connection:
+            pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
+            connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
+        big = [records.with_arrays(seed, content) for seed in (2, 3) for content in (0.0, 0.3, 5.0)]
+        with pytest.raises(DiskFullError, match="Free some space"):
+            for attempt in range(50):
+                store.record_lost([r.key for r in big] * 1, f"filling {attempt} " + "x" * 1000)
+        with store._engine.connect() as connection:
+            connection.exec_driver_sql("PRAGMA max_page_count=1000000")
+        store.record_results(big)
+        assert len(list(store.results())) == 2 + len(big)
+
+
+def test_lock_of_another_process(database: Path, records: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A database kept locked by somebody else gives a lock error after the waiting time, and nothing is stored."""
+    monkeypatch.setattr(engine, "BUSY_TIMEOUT_SECONDS", 0.1)
+    with open_store(database) as store:
+        store.use_campaign()
+        other = sqlite3.connect(database, isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(StoreLockedError, match="Try again"):
+            store.record_results([records.done(2)])
+        assert len(list(store.results())) == 2
+        other.rollback()
+        other.close()
+        assert store.record_results([records.done(2)]) == 1
+
+
+@pytest.mark.parametrize(("on_network", "journal"), [(False, "wal"), (True, "delete")])
+def test_pragmas(
+    database: Path, on_network: bool, journal: str, monkeypatch: pytest.MonkeyPatch, records: Any
+) -> None:
+    """Writers use a write-ahead log locally and a rollback journal on a network, always with full synchronisation."""
+    monkeypatch.setattr(engine, "is_network_filesystem", lambda _path: on_network)
+    with open_store(database) as store, store._reading() as session:
+        pragmas = {
+            name: session.execute(text(f"PRAGMA {name}")).scalar_one()
+            for name in ("journal_mode", "synchronous", "foreign_keys", "journal_size_limit")
+        }
+    assert pragmas == {
+        "journal_mode": journal,
+        "synchronous": 2,
+        "foreign_keys": 1,
+        "journal_size_limit": engine.WAL_SIZE_LIMIT_BYTES,
+    }
+
+
+@pytest.mark.parametrize("name", ["with space.db", "100%.db", "what?.db", "a#b.db", "größe.db"])
+def test_awkward_names(tmp_path: Path, name: str, records: Any) -> None:
+    """Characters that mean something in URLs are only characters in file names."""
+    with open_store(tmp_path / name) as store:
+        store.begin_campaign(records.campaign())
+    assert (tmp_path / name).exists()
+    with open_campaign(tmp_path / name) as campaign:
+        assert campaign.record.name == "quick"
+
+
+def test_read_only_folder(database: Path, records: Any) -> None:
+    """A finished database on a read-only medium can be read although its journal mode wants a writable folder."""
+    with tempfile.TemporaryDirectory() as name:
+        copy = Path(shutil.copy(database, name))
+        with open_campaign(copy) as campaign:  # imports all modules while they may be read
+            assert list(campaign.select(seed=0)) == [records.done(0)]
+        copy.chmod(0o444)
+        copy.parent.chmod(0o555)
+        if os.geteuid() == 0:
+            os.seteuid(NOBODY)  # permissions don't stop root
+        try:
+            with open_campaign(copy) as campaign:
+                found = list(campaign.select(seed=0))
+        finally:
+            os.seteuid(os.getuid())
+            copy.parent.chmod(0o755)
+    assert found == [records.done(0)]
+
+
+def test_errors_can_travel(database: Path) -> None:
+    """Errors of the store survive pickling, with problem and cure."""
+    import pickle  # noqa: PLC0415, S403 - only this test needs it, on its own data
+
+    error = pickle.loads(pickle.dumps(StoreError("No.", "Do this.")))  # noqa: S301 - own data
+    assert (error.problem, error.cure, str(error)) == ("No.", "Do this.", "No. Do this.")
+    assert database.exists()

@@ -1,0 +1,192 @@
+"""A sweep of hashes with faults on order: what the tests start under the real mpirun.
+
+The sink is an SQLite file with one commit for each group of outcomes. Every program started twice with the same
+file continues where the first one ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import hashlib
+import os
+import signal
+import sqlite3
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from calcidem.sweep import LineProgress, Session, SweepOptions, plan_batches, run_sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from calcidem.sweep import Batch, BatchOutcome, Cell
+
+CONTENTS = (0.0, 2.55, 9.0)
+
+SCHEMA = """
+create table if not exists cell (
+    seed integer, content real, status text, value text, message text, rank integer, primary key (seed, content));
+create table if not exists loss (seed integer, content real, losses integer, reason text);
+"""
+
+
+class Sink:
+    """Keeps outcomes in an SQLite file; can be told to kill the master around the n-th commit."""
+
+    def __init__(self, path: Path, die: str, die_at: int) -> None:
+        self._connection = sqlite3.connect(path, isolation_level=None)
+        self._connection.execute("pragma journal_mode = wal")
+        self._connection.execute("pragma synchronous = full")
+        self._connection.executescript(SCHEMA)
+        self._die, self._die_at, self._count = die, die_at, 0
+
+    def settled(self) -> set[Cell]:
+        """Return the cells that have a row."""
+        return {(seed, content) for seed, content in self._connection.execute("select seed, content from cell")}
+
+    def losses(self) -> dict[Cell, int]:
+        """Return the number of workers that each cell has taken down."""
+        query = "select seed, content, max(losses) from loss group by seed, content"
+        return {(seed, content): count for seed, content, count in self._connection.execute(query)}
+
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, str]]) -> None:
+        """Keep outcomes in one transaction."""
+        self._count += 1
+        self._perhaps_die("before")
+        self._connection.execute("begin immediate")
+        for outcome in outcomes:
+            failure = outcome.failure
+            for position, (seed, content) in enumerate(outcome.batch.cells):
+                value = outcome.results[position] if outcome.results is not None else None
+                status = "done" if failure is None else str(failure.kind)
+                message = "" if failure is None else failure.message
+                self._connection.execute(
+                    "insert or replace into cell values (?, ?, ?, ?, ?, ?)",
+                    (seed, content, status, value, message, outcome.place.rank),
+                )
+        self._perhaps_die("while")
+        self._connection.execute("commit")
+        # What an acknowledged outcome is to an observer: it has been told of, so it must survive.
+        sys.stdout.write("".join(f"stored {c}\n" for o in outcomes for c in o.batch.cells))
+        sys.stdout.flush()
+        self._perhaps_die("after")
+
+    def lost(self, batch: Batch[Cell], reason: str) -> None:
+        """Keep a loss."""
+        for seed, content in batch.cells:
+            self._connection.execute(
+                "insert into loss values (?, ?, ?, ?)", (seed, content, batch.losses, reason)
+            )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def _perhaps_die(self, moment: str) -> None:
+        if self._count != self._die_at or not self._die.endswith(moment):
+            return
+        if self._die.startswith("raise"):
+            raise OSError(28, "no space left on device (on order)")
+        os.kill(os.getpid(), signal.SIGSEGV if self._die.startswith("segfault") else signal.SIGKILL)
+
+
+def endless_loop() -> None:
+    """Compute for ever in compiled code, holding the interpreter, as a stuck kernel does."""
+    libc = ctypes.PyDLL(None)  # PyDLL keeps the interpreter lock, so no Python handler can run
+    libc.usleep.restype = ctypes.c_int
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:  # each call is one hundred seconds of uninterruptible C for Python
+        libc.sleep(100)
+
+
+FAULTS: dict[str, Callable[[], Any]] = {
+    "raise": lambda: 1 // 0,
+    "exit": lambda: sys.exit(1),
+    "hard-exit": lambda: os._exit(1),
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "segfault": lambda: ctypes.string_at(0),
+    "stop": lambda: os.kill(os.getpid(), signal.SIGSTOP),
+    "loop": endless_loop,
+    "unpicklable": lambda: None,
+    "slow": lambda: None,
+}
+
+
+def arguments() -> argparse.Namespace:
+    """Return what is asked for."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("database", type=Path)
+    parser.add_argument("--seeds", type=int, default=12)
+    parser.add_argument("--lanes", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=0.0, help="work for each batch")
+    parser.add_argument("--fault", choices=FAULTS, help="what the cell (5, 2.55) does")
+    parser.add_argument("--moment", choices=("start", "end"), default="start", help="when it does it")
+    parser.add_argument("--once", type=Path, help="do it only if this file can be created")
+    parser.add_argument("--time-limit", type=float)
+    parser.add_argument("--die", default="", help="what the master does around a commit: kill-before, ...")
+    parser.add_argument("--die-at", type=int, default=3, help="around which commit")
+    parser.add_argument("--blob", type=int, default=0, help="bytes that each result carries in addition")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Run or continue the sweep."""
+    options = arguments()
+
+    def faulty(batch: Batch[Cell]) -> bool:
+        if options.fault is None or (5, 2.55) not in batch.cells:
+            return False
+        if options.once is None:
+            return True
+        try:
+            options.once.touch(exist_ok=False)
+        except FileExistsError:
+            return False
+        return True
+
+    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> list[Any]:
+        fault = faulty(batch)
+        if fault and options.moment == "start":
+            FAULTS[options.fault]()
+        end = time.monotonic() + (1000.0 if fault and options.fault == "slow" else options.seconds)
+        while time.monotonic() < end:
+            deadline_check()
+            time.sleep(0.01)
+        results: list[Any] = [hashlib.sha256(repr(cell).encode()).hexdigest() for cell in batch.cells]
+        if options.blob:
+            results = [result + "x" * options.blob for result in results]
+        if fault and options.moment == "end":
+            FAULTS[options.fault]()
+        if fault and options.fault == "unpicklable":
+            return [lambda: None for _ in batch.cells]
+        return results
+
+    with Session() as session:
+        sink, batches = None, ()
+        if session.rank == 0:
+            sink = Sink(options.database, options.die, options.die_at)
+            settled = sink.settled()
+            cells = [(seed, content) for seed in range(options.seeds) for content in CONTENTS]
+            pending = [cell for cell in cells if cell not in settled]
+            batches = plan_batches(pending, options.lanes, lambda content: 1.0 + content, sink.losses())
+        end = run_sweep(
+            session.comm,
+            batches,
+            compute,
+            sink,
+            options=SweepOptions(time_limit=options.time_limit, watchdog_margin=0.5, hurry_grace=1.0),
+            progress=LineProgress(Console(stderr=True), shortest=0.5),
+            stop_request=session.stop_request,
+        )
+        if sink is not None:
+            sink.close()
+        session.end(end.exit_code, end)
+
+
+if __name__ == "__main__":
+    main()

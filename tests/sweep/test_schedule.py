@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.schedule import Schedule
+
+PLACE = Place(rank=1, host="here")
+
+
+def failed(batch: Batch[str], kind: FailureKind = FailureKind.FAILED) -> BatchOutcome[str, int]:
+    """Return the outcome of a batch that failed."""
+    return BatchOutcome(batch, PLACE, 1.0, failure=Failure(kind, "on order"))
+
+
+def drain(schedule: Schedule[str]) -> list[tuple[str, ...]]:
+    """Return the cells of all batches in the order in which they would be handed out."""
+    cells = []
+    while (batch := schedule.take()) is not None:
+        cells.append(batch.cells)
+    return cells
+
+
+def lose(schedule: Schedule[str], batch: Batch[str]) -> BatchOutcome[str, Any] | None:
+    """Take back a batch whose worker was killed."""
+    return schedule.lose(batch, "its process ended", PLACE, 1.0)
+
+
+def test_batches_come_in_the_order_given() -> None:
+    """The schedule does not reorder."""
+    schedule = Schedule((Batch(1, ("b",)), Batch(0, ("a",)), Batch(2, ("c",))))
+    assert drain(schedule) == [("b",), ("a",), ("c",)]
+
+
+def test_equal_identifiers_are_refused() -> None:
+    """Two batches with the same number cannot be told apart."""
+    with pytest.raises(ValueError, match="same identifier"):
+        Schedule((Batch(1, ("b",)), Batch(1, ("a",))))
+
+
+def test_a_batch_that_raised_is_computed_again_cell_by_cell_next() -> None:
+    """After an exception the single cells go ahead of everything that still waits."""
+    schedule = Schedule((Batch(0, ("a", "b")), Batch(1, ("c", "d"))))
+    first = schedule.take()
+    assert first is not None
+    assert schedule.settle(failed(first)) is None
+    assert drain(schedule) == [("a",), ("b",), ("c", "d")]
+
+
+def test_a_single_cell_that_raised_is_settled() -> None:
+    """One cell alone is not tried again."""
+    schedule = Schedule((Batch(0, ("a",)),))
+    batch = schedule.take()
+    assert batch is not None
+    outcome = failed(batch)
+    assert schedule.settle(outcome) is outcome
+    assert (schedule.tally.settled, schedule.tally.failed, len(schedule)) == (1, 1, 0)
+
+
+def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
+    """Cells that advance side by side would time out alone as well."""
+    schedule = Schedule((Batch(0, ("a", "b")),))
+    batch = schedule.take()
+    assert batch is not None
+    assert schedule.settle(failed(batch, FailureKind.TIMED_OUT)) is not None
+    assert (schedule.tally.settled, schedule.tally.timed_out, len(schedule)) == (2, 2, 0)
+
+
+def test_a_batch_that_lost_its_worker_comes_after_all_others() -> None:
+    """What may be deadly waits until nothing else can be harmed."""
+    schedule = Schedule((Batch(0, ("a", "b")), Batch(1, ("c", "d"))))
+    first = schedule.take()
+    assert first is not None
+    assert lose(schedule, first) is None
+    assert drain(schedule) == [("c", "d"), ("a", "b")]
+
+
+def test_the_deadly_cell_alone_is_quarantined() -> None:
+    """A cell that kills each worker costs three of them, and its company of innocents is computed."""
+    schedule = Schedule((Batch(0, ("good", "deadly", "fine")),))
+    done, quarantined, losses = [], [], 0
+    while (batch := schedule.take()) is not None:
+        if "deadly" in batch.cells:
+            losses += 1
+            outcome = lose(schedule, batch)
+            if outcome is not None:
+                quarantined.append(outcome)
+        else:
+            results = BatchOutcome(batch, PLACE, 1.0, results=(1,) * len(batch.cells))
+            assert schedule.settle(results) is results
+            done.extend(batch.cells)
+    assert losses == schedule.tally.lost_workers == 3
+    assert sorted(done) == ["fine", "good"]
+    assert [outcome.batch.cells for outcome in quarantined] == [("deadly",)]
+    failure = quarantined[0].failure
+    assert failure is not None
+    assert failure.kind is FailureKind.QUARANTINED
+    assert "took down 3 workers" in failure.message
+    assert schedule.tally.quarantined == 1
+
+
+def test_losses_of_earlier_runs_count() -> None:
+    """A cell with two losses in earlier runs is quarantined at the next one."""
+    schedule = Schedule((Batch(0, ("a",), losses=2),))
+    batch = schedule.take()
+    assert batch is not None
+    assert lose(schedule, batch) is not None

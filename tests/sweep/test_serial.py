@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from calcidem.sweep import Batch, FailureKind, SweepOptions, SweepState, plan_batches, run_sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from conftest import MemorySink
+
+
+def square(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+    """Compute something cheap."""
+    deadline_check()
+    return [cell * cell for cell in batch.cells]
+
+
+def refuse_seven(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+    """Fail for one cell."""
+    if 7 in batch.cells:
+        raise ArithmeticError("seven is not supported")
+    return square(batch, deadline_check)
+
+
+def send_later(number: signal.Signals, seconds: float) -> threading.Timer:
+    """Send this process a signal a bit later."""
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), number))
+    timer.start()
+    return timer
+
+
+def wait(batch: Batch[int], deadline_check: Callable[[], None]) -> Sequence[int]:
+    """Take half a second for each batch, in chunks."""
+    end = time.monotonic() + 0.5
+    while time.monotonic() < end:
+        deadline_check()
+        time.sleep(0.01)
+    return batch.cells
+
+
+BATCHES = (Batch(0, (1, 2, 3)), Batch(1, (6, 7, 8)), Batch(2, (10,)))
+
+
+def test_all_cells_are_computed_and_stored(sink: MemorySink) -> None:
+    """Without a communicator the sweep computes in this process, in the order given."""
+    end = run_sweep(None, BATCHES, square, sink)
+    assert end.state is SweepState.COMPLETE
+    assert end.exit_code == 0
+    assert sink.results() == {1: 1, 2: 4, 3: 9, 6: 36, 7: 49, 8: 64, 10: 100}
+    assert [outcome.batch.identifier for outcome in sink.outcomes] == [0, 1, 2]
+
+
+def test_an_exception_costs_only_its_cell(sink: MemorySink) -> None:
+    """The company of a bad cell is computed again without it; the bad cell keeps its traceback."""
+    end = run_sweep(None, BATCHES, refuse_seven, sink)
+    assert end.exit_code == 0
+    assert sink.results() == {1: 1, 2: 4, 3: 9, 6: 36, 8: 64, 10: 100}
+    (failure,) = [outcome for outcome in sink.outcomes if outcome.failure is not None]
+    assert failure.batch.cells == (7,)
+    assert failure.failure is not None
+    assert failure.failure.kind is FailureKind.FAILED
+    assert failure.failure.message == "ArithmeticError: seven is not supported"
+    assert "refuse_seven" in failure.failure.traceback
+    assert end.tally.failed == 1
+
+
+def test_exit_is_a_failure_of_the_cell(sink: MemorySink) -> None:
+    """A computation that calls sys.exit does not end the program."""
+
+    def leave(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+        sys.exit(1)
+
+    end = run_sweep(None, [Batch(0, (1,))], leave, sink)
+    assert end.tally.failed == 1
+
+
+def test_a_wrong_number_of_results_is_a_failure(sink: MemorySink) -> None:
+    """One result for two cells is refused and named."""
+
+    def one_result(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+        return [1, 1]
+
+    run_sweep(None, [Batch(0, (1,))], one_result, sink)
+    failure = sink.outcomes[0].failure
+    assert failure is not None
+    assert "2 results for 1 cells" in failure.message
+
+
+def test_the_time_limit_is_a_failure_of_the_batch(sink: MemorySink) -> None:
+    """A batch that asks after its time is up becomes timed out."""
+    options = SweepOptions(time_limit=0.05)
+    end = run_sweep(None, [Batch(0, (1, 2))], wait, sink, options=options)
+    assert end.tally.timed_out == 2
+    failure = sink.outcomes[0].failure
+    assert failure is not None
+    assert failure.kind is FailureKind.TIMED_OUT
+    assert "0.05 s" in failure.message
+
+
+def test_sigusr1_finishes_the_running_batch(sink: MemorySink) -> None:
+    """SIGUSR1 stores the running batch and ends with 75."""
+    send_later(signal.SIGUSR1, 0.1)
+    end = run_sweep(None, BATCHES, wait, sink)
+    assert (end.state, end.exit_code) == (SweepState.STOPPED, 75)
+    assert [outcome.batch.identifier for outcome in sink.outcomes] == [0]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
+def test_urgent_signals_drop_the_running_batch(sink: MemorySink, number: signal.Signals) -> None:
+    """SIGTERM, SIGINT and SIGUSR2 end within one chunk of work and keep what was stored before."""
+    send_later(number, 0.7)
+    start = time.monotonic()
+    end = run_sweep(None, BATCHES, wait, sink)
+    assert (end.state, end.exit_code) == (SweepState.STOPPED, 75)
+    assert time.monotonic() - start < 0.95  # the second batch alone would have ended at 1.0 s
+    assert [outcome.batch.identifier for outcome in sink.outcomes] == [0]
+
+
+def test_a_signal_in_the_last_batch_leaves_a_complete_sweep(sink: MemorySink) -> None:
+    """Nothing is left to resume, so the exit code is 0."""
+    send_later(signal.SIGUSR1, 0.1)
+    assert run_sweep(None, [Batch(0, (1,))], wait, sink).exit_code == 0
+
+
+def test_handlers_are_put_back(sink: MemorySink) -> None:
+    """After a sweep the signals do what they did before."""
+    before = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)]
+    run_sweep(None, BATCHES, square, sink)
+    after = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)]
+    assert before == after
+
+
+def test_an_error_of_the_sink_is_passed_on() -> None:
+    """A full disk ends the sweep with the sink's own exception."""
+
+    class FullDisk:
+        def store(self, outcomes: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        def lost(self, batch: object, reason: str) -> None: ...
+
+    with pytest.raises(OSError, match="No space left"):
+        run_sweep(None, BATCHES, square, FullDisk())
+
+
+def test_rank_0_needs_a_sink() -> None:
+    """Without a sink the sweep refuses to compute for nothing."""
+    with pytest.raises(ValueError, match="sink is None"):
+        run_sweep(None, BATCHES, square, None)
+
+
+def test_a_serial_sweep_loads_no_mpi_library() -> None:
+    """The package and a sweep in one process work where no MPI library is installed."""
+    program = """
+import sys
+from calcidem.sweep import Batch, Session, run_sweep
+
+class Sink:
+    def store(self, outcomes): pass
+    def lost(self, batch, reason): pass
+
+with Session() as session:
+    end = run_sweep(session.comm, [Batch(0, (1,))], lambda batch, check: batch.cells, Sink())
+    assert session.broadcast(5) == 5
+    assert "mpi4py" not in sys.modules
+    session.end(end.exit_code, end)
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
+    """SIGTERM during a chunk that never asks, then SIGTERM again: the process ends with 75."""
+    program = """
+import os, signal, threading, time
+from calcidem.sweep import Batch, run_sweep
+
+class Sink:
+    def store(self, outcomes): pass
+    def lost(self, batch, reason): pass
+
+for seconds in (0.1, 1.4):
+    threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM)).start()
+run_sweep(None, [Batch(0, (1,))], lambda batch, check: time.sleep(30), Sink())
+"""
+    start = time.monotonic()
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 75
+    assert time.monotonic() - start < 10.0
+
+
+def test_a_plan_can_be_swept(sink: MemorySink) -> None:
+    """Cells of a campaign go through a plan and a sweep and come out complete."""
+    cells = [(seed, content) for seed in range(5) for content in (0.0, 9.0)]
+    plan = plan_batches(cells, 4, lambda content: 1.0 + content)
+    run_sweep(None, plan, lambda batch, _: [seed + content for seed, content in batch.cells], sink)
+    assert sink.results() == {(seed, content): seed + content for seed, content in cells}
