@@ -20,7 +20,7 @@ from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
 SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""
 
-RATE_ROUNDING = 0.015
+RATE_ROUNDING = 0.01
 """Means and rates printed with two decimals agree to about this, in m/s per percent."""
 
 WEIGHT_ROUNDING = 0.0015

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from calcidem.dem.kernels.layout import Floats, Grains, Integers, Pairs, WallPairs, Walls
+from calcidem.dem.material import require
 from calcidem.dem.scene import Scene
 
 ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
@@ -73,7 +74,9 @@ def cement_bits(scene: Scene, rank: Integers) -> tuple[Integers, npt.NDArray[np.
     return pairs[sorting], scene.bonds.bits[sorting]
 
 
-def assemble(scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike) -> Assembly:
+def assemble(
+    scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike, wall_moved: Floats | None = None
+) -> Assembly:
     """Arrays of the kernel for a scene.
 
     Parameters
@@ -86,10 +89,17 @@ def assemble(scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.
         Pairs whose rims are closer than this are listed, m.
     lanes, dtype
         Width and precision.
+    wall_moved
+        (W,) present displacement of the walls along their normals, m; zero by default.
 
     Returns
     -------
     Arrays with zero histories.
+
+    Raises
+    ------
+    ValueError
+        If two disks have the same centre.
     """
     order = memory_order(scene)
     rank = np.empty_like(order)
@@ -98,11 +108,13 @@ def assemble(scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.
     reference = np.column_stack([scene.x, scene.y])[order]
     cemented, bits = cement_bits(scene, rank)
     found = np.unique(np.concatenate([near_pairs(centres[order], radius, skin), cemented]), axis=0)
+    moved = np.zeros(len(scene.walls)) if wall_moved is None else wall_moved
+    facing = near_walls(scene, reference, centres[order], radius + skin, moved)
     return Assembly(
         order=order,
         grains=assemble_grains(scene, order, dtype),
         pairs=assemble_pairs(scene, reference, radius, found, (cemented, bits), lanes, dtype),
-        wall_pairs=assemble_wall_pairs(scene, reference, centres[order], radius, skin, lanes, dtype),
+        wall_pairs=assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
         walls=assemble_walls(scene, lanes, dtype),
     )
 
@@ -138,14 +150,17 @@ def assemble_pairs(
     count, first, second = len(found), found[:, 0], found[:, 1]
     apart = reference[second] - reference[first]
     distance = np.hypot(apart[:, 0], apart[:, 1])
+    require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
     overlap = radius[first] + radius[second] - distance
     hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
+    shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
     cemented = np.zeros(count, dtype=np.uint32)
     bond, linear, strength = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 4))
     if scene.bonds is not None:
         keys = pair_keys(found, scene.count)
-        cemented[np.searchsorted(keys, pair_keys(cement[0], scene.count))] = cement[1]
+        # A pair that is named twice is cemented in the lanes of both.
+        np.bitwise_or.at(cemented, np.searchsorted(keys, pair_keys(cement[0], scene.count)), cement[1])
         bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
         linear[:, :2] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
         strength = scene.bonds.cement.strength(radius[first], radius[second])
@@ -155,7 +170,7 @@ def assemble_pairs(
         second=aligned_copy(second.astype(np.int32)),
         geometry=aligned_copy(np.column_stack([apart / distance[:, None], distance, overlap]).astype(dtype)),
         hertz=aligned_copy(hertz.astype(dtype)),
-        tangent=aligned_copy(np.column_stack([tangent, scene.sand.shear_ratio * tangent]).astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         friction=aligned_copy(np.full(count, scene.sand.friction, dtype=dtype)),
         bond=aligned_copy(bond.astype(dtype)),
         linear=aligned_copy(linear.astype(dtype)),
@@ -168,37 +183,42 @@ def assemble_pairs(
     )
 
 
-def assemble_wall_pairs(
-    scene: Scene,
-    reference: Floats,
-    centres: Floats,
-    radius: Floats,
-    skin: float,
-    lanes: int,
-    dtype: npt.DTypeLike,
-) -> WallPairs:
-    """Disks near walls; which of several walls of one side a disk faces is fixed by its reference position."""
-    disks, walls, overlaps = [], [], []
+def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
+    """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall, sorted by disk.
+
+    Which of several walls of one side a disk faces is fixed by its reference position.
+    """
+    found = [np.zeros((0, 2), dtype=np.int64)]
     for index, wall in enumerate(scene.walls):
         along = wall.along(reference[:, 0], reference[:, 1])
         facing = (along >= wall.span[0]) & (along < wall.span[1])
-        near = wall.distance(centres[:, 0], centres[:, 1]) < radius + skin
-        chosen = np.flatnonzero(facing & near)
-        disks.append(chosen)
-        walls.append(np.full(len(chosen), index))
-        overlaps.append(radius[chosen] - wall.distance(reference[chosen, 0], reference[chosen, 1]))
-    disk, wall_index, overlap = (np.concatenate([*part, np.zeros(0)]) for part in (disks, walls, overlaps))
-    sorting = np.lexsort((wall_index, disk))
-    disk, wall_index, overlap = disk[sorting].astype(int), wall_index[sorting], overlap[sorting]
+        near = wall.distance(centres[:, 0], centres[:, 1]) - moved[index] < reach
+        disks = np.flatnonzero(facing & near)
+        found.append(np.column_stack([disks, np.full(len(disks), index)]))
+    pairs = np.concatenate(found)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def assemble_wall_pairs(
+    scene: Scene, reference: Floats, radius: Floats, facing: Integers, lanes: int, dtype: npt.DTypeLike
+) -> WallPairs:
+    """Contacts of disks with walls; ``facing`` lists disk and wall."""
+    disk, wall_index = facing[:, 0], facing[:, 1]
+    distance = np.zeros(len(disk))
+    for index, wall in enumerate(scene.walls):
+        chosen = wall_index == index
+        distance[chosen] = wall.distance(*reference[disk[chosen]].T)
+    overlap = radius[disk] - distance
     hertz = scene.sand.hertz_coefficient(radius[disk])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
-    rough = np.array([wall.friction > 0.0 for wall in scene.walls] or [False])[wall_index.astype(int)]
+    friction = np.array([wall.friction for wall in scene.walls])[wall_index] if len(disk) else np.zeros(0)
+    shear = np.where(np.minimum(friction, scene.sand.friction) > 0.0, scene.sand.shear_ratio * tangent, 0.0)
     return WallPairs(
         start=np.searchsorted(disk, np.arange(scene.count + 1)).astype(np.int64),
         wall=aligned_copy(wall_index.astype(np.int32)),
         overlap=aligned_copy(overlap.astype(dtype)),
         hertz=aligned_copy(hertz.astype(dtype)),
-        tangent=aligned_copy(np.column_stack([tangent, scene.sand.shear_ratio * tangent * rough]).astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         shear=aligned_zeros((len(disk), lanes), dtype),
         root=aligned_zeros((len(disk), lanes), dtype),
     )

@@ -43,14 +43,16 @@ class ContactForces:
 class Energies:
     """Energies of one lane, J per metre of thickness; the balance is ``supplied = stored + lost``.
 
-    ``kinetic`` uses the mean of the two half-step velocities. The last four are sums since the start and are
-    kept only if the state was started with the ``account`` feature.
+    ``kinetic`` uses the mean of the two half-step velocities. The last four are sums since half a step after the start
+    and are kept only if the state was started with the ``account`` feature. ``wall_work`` is that of moving walls and of
+    held disks that move; ``contact_loss`` is friction, shear energy that vanishes with changing stiffness, and what
+    broken bonds take with them.
     """
 
     kinetic: float
     elastic: float
     wall_work: float
-    friction_loss: float
+    contact_loss: float
     damping_loss: float
     load_work: float
 
@@ -58,15 +60,19 @@ class Energies:
     def imbalance(self) -> float:
         """Kinetic and elastic energy and losses, less the work supplied; constant in an exact solution."""
         return (
-            self.kinetic + self.elastic + self.friction_loss + self.damping_loss - self.wall_work - self.load_work
+            self.kinetic + self.elastic + self.contact_loss + self.damping_loss - self.wall_work - self.load_work
         )
 
 
 def looked_ahead(state: State) -> State:
-    """The state one step later, with histories that belong to the present position."""
+    """Return the state one step later, with histories that belong to the present position.
+
+    At time zero the histories do so already, hence nothing slides in that step.
+    """
     ahead = duplicate(state)
-    if ahead.features.search or ahead.features.recording or ahead.features.account:
-        ahead = replace(ahead, features=replace(state.features, search=False, recording=False, account=False))
+    if state.steps == 0:
+        ahead.motion.velocity[...] = 0.0
+        ahead.assembly.walls.motion[:, 2:] = 0.0
     run_sweep(ahead, 1, no_recording(state))
     return ahead
 
@@ -98,8 +104,7 @@ def wall_overlaps(state: State) -> Floats:
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
     """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
-    if state.features.linear:
-        raise ValueError("regime = linear: it knows only forces added to the reference state; use small or finite")
+    refuse_linear(state)
     ahead = looked_ahead(state)
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
@@ -140,9 +145,10 @@ def net_forces(state: State, lane: int = 0) -> Floats:
 
     Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
     """
-    features = replace(state.features, damping=False)
-    ahead = looked_ahead(replace(state, features=features))
-    change = (ahead.motion.velocity[:, :, lane] - state.motion.velocity[:, :, lane]) / state.time_step[lane]
+    undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
+    ahead = looked_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
+    before = state.motion.velocity[:, :, lane] if state.steps else 0.0
+    change = (ahead.motion.velocity[:, :, lane] - before) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
     return state.unsorted(change) * inertia
 
@@ -158,19 +164,32 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
 
 
 def energies(state: State, lane: int = 0) -> Energies:
-    """Energies of one lane at the present position."""
+    """Energies of one lane at the present position, except in the ``linear`` regime (see `contact_forces`)."""
+    refuse_linear(state)
     ahead = looked_ahead(state)
-    velocity = 0.5 * (state.motion.velocity[:, :, lane] + ahead.motion.velocity[:, :, lane]).astype(float)
+    velocity = state.motion.velocity[:, :, lane].astype(float)
+    account = state.account[:, lane].astype(float)
+    if state.steps:
+        velocity = 0.5 * (velocity + ahead.motion.velocity[:, :, lane])
+        # Forces do work from half step to half step; the losses of contacts belong to the present position.
+        account = 0.5 * (account + ahead.account[:, lane])
+        account[1] = ahead.account[1, lane]
     order = state.assembly.order
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[order]
     return Energies(
         kinetic=0.5 * float((inertia * velocity**2).sum()),
         elastic=elastic_energy(state, ahead, lane),
-        wall_work=float(state.account[0, lane]),
-        friction_loss=float(state.account[1, lane]),
-        damping_loss=float(state.account[2, lane]),
-        load_work=float(state.account[3, lane]),
+        wall_work=float(account[0]),
+        contact_loss=float(account[1]),
+        damping_loss=float(account[2]),
+        load_work=float(account[3]),
     )
+
+
+def refuse_linear(state: State) -> None:
+    """Raise a `ValueError` for a state of the ``linear`` regime."""
+    if state.features.linear:
+        raise ValueError("regime = linear: it knows only forces added to the reference state; use small or finite")
 
 
 def elastic_energy(state: State, ahead: State, lane: int) -> float:

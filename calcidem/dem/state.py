@@ -57,8 +57,11 @@ class State:
         Displacements and velocities, in memory order.
     origin
         (N, 2, L) displacements when the neighbours were listed.
+    wall_origin
+        (W, L) displacements of the walls along their normals, at that time.
     account
-        (4, L) J/m: work of the walls, friction and shear-stiffness loss, local damping, work of the loads.
+        (4, L) J/m: work of the walls and of held disks that move, losses of contacts (friction, changing shear
+        stiffness, broken bonds), local damping, work of the loads.
     """
 
     scene: Scene
@@ -69,6 +72,7 @@ class State:
     assembly: Assembly
     motion: Motion
     origin: Floats
+    wall_origin: Floats
     account: Floats
 
     @property
@@ -113,7 +117,7 @@ def choose_features(
         linear=linear,
         rotation=scene.rotation,
         bonds=bonds,
-        linear_group=group and not linear,
+        linear_group=group,
         breakage=bonds and breakage and not linear,
         slip=slip and not linear,
         rescaling=scene.rescaling and not linear,
@@ -173,14 +177,17 @@ def start(
     require(
         bool(np.all(step <= limit)), "time_step", step.tolist(), f"above the stability limit of {limit.tolist()} s: choose a smaller one"
     )
-    motion = Motion(*(aligned_zeros((scene.count, 3, chosen.lanes), dtype) for _ in range(3)))
+    motion = Motion(
+        displacement=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
+        velocity=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
+        force=force_slots(assembly, chosen.lanes),
+    )
     if velocity is not None:
         require(np.shape(velocity) == (scene.count, 2), "velocity", np.shape(velocity), f"give ({scene.count}, 2)")
         motion.velocity[:, :2] = np.asarray(velocity)[assembly.order, :, None]
     if spin is not None:
         require(np.shape(spin) == (scene.count,), "spin", np.shape(spin), f"give ({scene.count},)")
         motion.velocity[:, 2] = np.asarray(spin)[assembly.order, None]
-    motion.force[...] = assembly.grains.load[:, :, None]
     return State(
         scene=scene,
         features=chosen,
@@ -190,8 +197,16 @@ def start(
         assembly=assembly,
         motion=motion,
         origin=aligned_zeros((scene.count, 2, chosen.lanes), dtype),
+        wall_origin=aligned_zeros((len(scene.walls), chosen.lanes), dtype),
         account=aligned_zeros((4, chosen.lanes), dtype),
     )
+
+
+def force_slots(assembly: Assembly, lanes: int) -> Floats:
+    """Empty sums of forces, see `layout.Motion`."""
+    span = int((listed_pairs(assembly) @ [-1, 1]).max(initial=0)) + 1
+    slots = 1 << span.bit_length()
+    return aligned_zeros((slots, 3, lanes), assembly.grains.radius.dtype)
 
 
 def install(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> Assembly:
@@ -246,30 +261,22 @@ def listed_pairs(assembly: Assembly) -> Integers:
     return np.column_stack([first, pairs.second])
 
 
-def advance(state: State, steps: int, recording: Recording | None = None) -> State:
-    """State after ``steps`` more steps; the given one is left as it is.
+def advance(state: State, steps: int) -> State:
+    """State after ``steps`` more steps; the given one is left as it is."""
+    first = launched(state) if state.steps == 0 and steps > 0 else duplicate(state)
+    return carried_on(first, state.steps + steps - first.steps, no_recording(state))
 
-    Parameters
-    ----------
-    state
-        Where to begin.
-    steps
-        Number of time steps.
-    recording
-        What is driven and recorded, if the features ask for it.
-    """
-    current = launched(state, steps) if state.steps == 0 and recording is None else duplicate(state)
-    remaining = state.steps + steps - current.steps
-    done_before = 0
-    record = recording or no_recording(state)
-    while remaining > 0:
-        done = run_sweep(current, remaining, later(record, done_before))
-        done_before += done
-        remaining -= done
-        current = replace(current, steps=current.steps + done)
-        if remaining > 0:
-            current = with_new_neighbours(current)
-    return current
+
+def carried_on(state: State, steps: int, recording: Recording) -> State:
+    """Let the kernel change a state in place for ``steps`` steps, with new lists of pairs where they are needed."""
+    done = 0
+    while done < steps:
+        count = run_sweep(state, steps - done, recording._replace(offset=recording.offset + done))
+        done += count
+        state = replace(state, steps=state.steps + count)
+        if done < steps:
+            state = with_new_neighbours(state)
+    return state
 
 
 def run_sweep(state: State, steps: int, recording: Recording) -> int:
@@ -287,7 +294,7 @@ def run_sweep(state: State, steps: int, recording: Recording) -> int:
         state.assembly.wall_pairs,
         state.assembly.walls,
         recording,
-        Watch(origin=state.origin, reach=reach, account=state.account),
+        Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
     )
 
 
@@ -297,19 +304,11 @@ def no_recording(state: State) -> Recording:
     return Recording(
         drive=np.zeros((0, lanes), dtype),
         driven=-1,
-        stride=1,
+        offset=0,
+        stride=np.iinfo(np.int64).max,  # never write: there is no room for samples
         receiver=0,
         listeners=np.zeros(0, dtype=np.int64),
         samples=np.zeros((0, 2, lanes), dtype),
-    )
-
-
-def later(recording: Recording, steps: int) -> Recording:
-    """The same recording, ``steps`` steps further on."""
-    if steps == 0:
-        return recording
-    return recording._replace(
-        drive=recording.drive[steps:], samples=recording.samples[steps // recording.stride :]
     )
 
 
@@ -332,20 +331,17 @@ def duplicate(state: State) -> State:
     return replace(state, assembly=assembly, motion=motion, account=aligned_copy(state.account))
 
 
-def launched(state: State, steps: int) -> State:
+def launched(state: State) -> State:
     """First step from a state whose velocities are those of time zero: half a kick, then a drift.
 
     The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
     itself, which does one step on a copy at rest; damping, which needs the velocity, is added here.
     """
     current = duplicate(state)
-    if steps == 0:
-        return current
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
     probe.motion.velocity[...] = 0.0
     probe.assembly.walls.motion[:, 2:] = 0.0
-    probe = replace(probe, features=replace(state.features, account=False, servo=False))
     run_sweep(probe, 1, no_recording(state))
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
@@ -367,11 +363,13 @@ def with_new_neighbours(state: State) -> State:
     displacement = state.motion.displacement[:, :2].astype(float)
     mean = displacement.mean(axis=2)
     spread = float(np.hypot(*np.moveaxis(displacement - mean[:, :, None], 1, 0)).max())
+    wall_moved = state.assembly.walls.motion[:, 0].astype(float)
+    wall_mean = wall_moved.mean(axis=1)
+    spread = max(spread, float(np.abs(wall_moved - wall_mean[:, None]).max(initial=0.0)))
     centres = np.column_stack([state.scene.x, state.scene.y]) + state.unsorted(mean)
     skin = SKIN * float(np.mean(state.scene.radius)) + 2.0 * spread
     old = state.assembly
-    wall_moved = float(np.abs(old.walls.motion[:, 0]).max(initial=0.0))
-    fresh = assemble(state.scene, centres, skin + wall_moved, state.features.lanes, state.motion.velocity.dtype)
+    fresh = assemble(state.scene, centres, skin, state.features.lanes, state.motion.velocity.dtype, wall_mean)
     new_keys = pair_keys(listed_pairs(fresh), state.scene.count)
     old_keys = pair_keys(listed_pairs(old), state.scene.count)
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
@@ -379,7 +377,14 @@ def with_new_neighbours(state: State) -> State:
         getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
     carry_wall_histories(fresh, old)
     assembly = replace(fresh, walls=old.walls)
-    return replace(state, assembly=assembly, origin=aligned_copy(state.motion.displacement[:, :2]))
+    motion = state.motion._replace(force=force_slots(assembly, state.features.lanes))
+    return replace(
+        state,
+        assembly=assembly,
+        motion=motion,
+        origin=aligned_copy(state.motion.displacement[:, :2]),
+        wall_origin=aligned_copy(old.walls.motion[:, 0]),
+    )
 
 
 def carry_wall_histories(fresh: Assembly, old: Assembly) -> None:

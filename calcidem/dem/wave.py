@@ -15,15 +15,20 @@ import numpy.typing as npt
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
-from calcidem.dem.pulse import pulse_velocity
+from calcidem.dem.pulse import Pulse
 from calcidem.dem.scene import Bonds, Installation, Regime, Scene, Wall
-from calcidem.dem.state import Precision, State, choose_features, run_sweep, start
+from calcidem.dem.readout import overlaps, wall_overlaps
+from calcidem.dem.settling import settled
+from calcidem.dem.stability import critical_time_step
+from calcidem.dem.state import SKIN, Precision, State, carried_on, choose_features, start
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
 LEFT_BELOW, TRANSMITTER, LEFT_ABOVE, RIGHT_BELOW, RECEIVER, RIGHT_ABOVE, FLOOR, LID = range(8)
 SAMPLES_PER_PERIOD = 100  # at least; a parabola through the peak is then good to 1e-5 of the period
 SAMPLES_PER_CHUNK = 50  # between two looks at the signal
+NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
+LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
 BLOW_UP = 1e3  # velocity over that of the pulse at which a run has gone wrong; waves stay below about 5
 
 
@@ -53,9 +58,11 @@ class WaveRule:
         Slowest velocity that is waited for, m/s: the longest record is distance / slowest + two periods.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
+    balance, most_settling_steps
+        Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
     """
 
-    amplitude: float = 1.0e-5
+    amplitude: float = 1.0e-3
     transmitter_half_width: float = 0.01
     receiver_half_width: float = 0.03
     band_friction: float = 0.7
@@ -67,6 +74,8 @@ class WaveRule:
     step_fraction: float = 0.8
     slowest: float = 60.0
     listening_depth: float = 0.01
+    balance: float = 1.0e-6
+    most_settling_steps: int = 2_000_000
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
@@ -81,7 +90,7 @@ class WaveRule:
 
 @dataclass(frozen=True, slots=True)
 class WaveRecord:
-    """What one sample recorded; all signals are (S,) and begin at ``interval``.
+    """What one sample recorded; all signals are (S,), the first half a step before ``interval``.
 
     Attributes
     ----------
@@ -90,7 +99,7 @@ class WaveRecord:
     sent
         Velocity of the transmitter, m/s.
     force
-        Shear force on the receiver, N/m.
+        Shear force on the receiver, positive upwards, half a time step before the velocities, N/m.
     velocity
         Mean velocity along y of the disks before the receiver, m/s.
     time_step, stability_limit
@@ -131,7 +140,8 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         Wall((width, middle), (-1.0, 0.0), friction=rule.band_friction, span=(-heard, heard)),
         Wall((width, middle), (-1.0, 0.0), span=(-infinite, -heard)),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        Wall((0.0, height), (0.0, -1.0)),
+        # The servo of the lid works only while a cemented sample settles.
+        Wall((0.0, height), (0.0, -1.0), servo_force=packing.report.wall_stress[-1] * width),
     )
     inside = np.abs(packing.y - middle) < middle - rule.boundary_thickness
     return Scene(
@@ -177,16 +187,6 @@ def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | 
     return max(1, int(1.0 / (frequency * SAMPLES_PER_PERIOD * rule.step_fraction * limit)))
 
 
-def peak_is_past(signal: Floats, pulse: int) -> bool:
-    """Whether the record goes on long enough after its largest deflection, of either sign.
-
-    The compression wave runs ahead of the shear wave, less than twice as fast, and deflects the other way. A record
-    2.5 times as long as its largest deflection is late, and a pulse and a half longer, holds the shear wave's peak
-    even if the largest so far was the forerunner's.
-    """
-    return len(signal) > 2.5 * int(np.argmax(np.abs(signal))) + 1.5 * pulse
-
-
 def send_waves(
     packing: Packing,
     sand: Sand,
@@ -195,6 +195,7 @@ def send_waves(
     frequency: float,
     rule: WaveRule,
     *,
+    heard_enough: Callable[[WaveRecord], bool],
     lanes: int = 8,
     installation: Installation = "preserve",
     check: Callable[[], None] = lambda: None,
@@ -211,6 +212,8 @@ def send_waves(
         Hz.
     rule
         How.
+    heard_enough
+        Asked of each sample at fixed times of its own; the record ends where the answer is yes.
     lanes
         Width of the kernel. A sample's bits do not depend on how many of the lanes are in use.
     installation
@@ -220,30 +223,46 @@ def send_waves(
 
     Returns
     -------
-    One record for each sample. A record ends, at times of its own, when its peak is safely past.
+    One record for each sample.
     """
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
     scene = wave_scene(packing, sand, rule, bonds)
-    features = replace(choose_features(scene, rule.regime, lanes), recording=True, search=False)
+    # A pulse that moves the grains far less than the skin of the pair list needs no contact search.
+    far = rule.regime == "finite" and bool(
+        LARGEST_MOTION * Pulse(rule.amplitude, frequency).stroke > SKIN * packing.radius.min()
+    )
+    features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=far)
     state = start(
         scene, features=features, precision=rule.precision, preload=packing.preload, step_fraction=rule.step_fraction
     )
+    if bonds is not None and installation != "preserve":
+        state = settled(state, rule.balance, rule.most_settling_steps)
     stride = samples_stride(packing, sand, rule, bonds, frequency)
     listeners = listening_disks(packing, rule)
-    return Recorder(state, frequency, rule, stride, listeners, len(bonded)).run(packing.width, check)
+    recorder = Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)
+    return recorder.run(packing.width, check)
 
 
 class Recorder:
     """Advances a batch chunk by chunk and gathers the signals of each lane until it has heard enough."""
 
     def __init__(
-        self, state: State, frequency: float, rule: WaveRule, stride: int, listeners: Integers, samples: int
+        self,
+        state: State,
+        frequency: float,
+        rule: WaveRule,
+        stride: int,
+        listeners: Integers,
+        samples: int,
+        heard_enough: Callable[[WaveRecord], bool],
     ) -> None:
         self.state = state
-        self.frequency = frequency
+        self.pulse = Pulse(rule.amplitude, frequency)
         self.rule = rule
+        self.heard_enough = heard_enough
         self.stride = stride
+        self.overlap = float(np.mean(np.maximum(overlaps(state), 0.0)))
         rank = np.argsort(state.assembly.order)
         self.listeners = np.sort(rank[listeners])
         self.open = set(range(samples))
@@ -252,11 +271,10 @@ class Recorder:
 
     def run(self, distance: float, check: Callable[[], None]) -> list[WaveRecord]:
         """Records of all samples, in their order."""
-        longest = distance / self.rule.slowest + 2.0 / self.frequency
+        longest = distance / self.rule.slowest + 2.0 * self.pulse.duration
         while self.open:
             check()
             self.signals.append(self.chunk())
-            self.state = replace(self.state, steps=self.state.steps + SAMPLES_PER_CHUNK * self.stride)
             for lane in sorted(self.open):
                 self.look_at(lane, longest)
         return [self.records[lane] for lane in sorted(self.records)]
@@ -267,23 +285,22 @@ class Recorder:
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
-            drive=pulse_velocity(middle, self.rule.amplitude, self.frequency).astype(dtype),
+            drive=self.pulse.velocity(middle).astype(dtype),
             driven=TRANSMITTER,
+            offset=0,
             stride=self.stride,
             receiver=RECEIVER,
             listeners=self.listeners,
             samples=np.zeros((SAMPLES_PER_CHUNK, 2, lanes), dtype),
         )
-        run_sweep(self.state, steps, recording)
+        self.state = carried_on(self.state, steps, recording)
         return recording.samples
 
     def look_at(self, lane: int, longest: float) -> None:
         """Close the record of a lane that is done or in trouble."""
         record = self.record_of(lane)
         time = len(record.sent) * record.interval
-        pulse = round(1.0 / (self.frequency * record.interval))
-        past = peak_is_past(record.force, pulse) and peak_is_past(record.velocity, pulse)
-        if record.problem or past or time >= longest:
+        if record.problem or time >= longest or self.heard_enough(record):
             self.records[lane] = record
             self.open.discard(lane)
 
@@ -291,20 +308,39 @@ class Recorder:
         """What a lane has recorded so far."""
         signals = np.concatenate([chunk[:, :, lane] for chunk in self.signals]).astype(float)
         step = float(self.state.time_step[lane])
-        # A sample is taken at the end of every stride-th step; its force belongs to the beginning of that step.
-        time = ((np.arange(len(signals)) + 1) * self.stride - 1) * step
-        fastest = float(np.abs(self.state.motion.velocity[:, :2, lane]).max())
-        problem = ""
-        if not np.isfinite(fastest) or fastest > BLOW_UP * self.rule.amplitude:
-            problem = f"unstable: a disk moves at {fastest:.3g} m/s after {self.state.steps} steps"
+        # A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
+        time = ((np.arange(len(signals)) + 1) * self.stride - 0.5) * step
         return WaveRecord(
             interval=self.stride * step,
-            sent=pulse_velocity(time, self.rule.amplitude, self.frequency),
+            sent=self.pulse.velocity(time),
             # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
             force=-signals[:, 0],
             velocity=signals[:, 1],
             time_step=step,
             stability_limit=float(self.state.limit[lane]),
             steps=self.state.steps,
-            problem=problem,
+            problem=self.problem_of(lane),
         )
+
+    def problem_of(self, lane: int) -> str:
+        """Why a lane cannot be trusted any more, empty if it can."""
+        state = self.state
+        fastest = float(np.abs(state.motion.velocity[:, :2, lane]).max())
+        if not np.isfinite(fastest) or fastest > BLOW_UP * self.rule.amplitude:
+            return f"a disk moves at {fastest:.3g} m/s after {state.steps} steps"
+        furthest = float(np.abs(state.motion.displacement[:, :2, lane]).max())
+        if state.features.linear:
+            return ""
+        if not state.features.search and state.features.finite and furthest > SKIN * float(state.scene.radius.min()):
+            return f"a disk moved {furthest:.3g} m, out of reach of its list of neighbours"
+        if furthest > NOTICEABLE * self.overlap and state.time_step[lane] > self.present_limit()[lane]:
+            return (
+                f"the step of {state.time_step[lane]:.3g} s is above the stability limit that the pressed contacts have after "
+                f"{state.steps} steps, {self.present_limit()[lane]:.3g} s: lower wave.step_fraction or wave.amplitude"
+            )
+        return ""
+
+    def present_limit(self) -> Floats:
+        """Stability limit at the present overlaps, (L,) s: Hertz contacts stiffen under load."""
+        state = self.state
+        return critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))

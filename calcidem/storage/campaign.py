@@ -1,13 +1,4 @@
-"""Reading a campaign for analysis: read-only, and safe while a run writes.
-
-Examples
---------
->>> import calcidem.storage.campaign as reading
->>> reading.open_campaign("no-such-file.db")
-Traceback (most recent call last):
-    ...
-calcidem.storage.errors.StoreUnavailableError: ...
-"""
+"""Reading a campaign for analysis: read-only, and safe while a run writes."""
 
 import json
 import os
@@ -53,6 +44,12 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     ------
     StoreError
         If the database can't be read or has no such campaign (see `calcidem.storage.sql_store.open_store`).
+
+    Examples
+    --------
+    >>> with open_campaign("example.db") as campaign:
+    ...     campaign.record.name
+    'quick'
     """
     store = open_store(path_or_url, read_only=True)
     try:
@@ -86,11 +83,25 @@ class Campaign:
         return config
 
     def vs(self) -> xr.DataArray:
-        """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done."""
+        """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("example.db")
+        >>> campaign.vs().sel(content=5.0).values
+        array([1150., 1151.,   nan,   nan])
+        """
         return vs_array(self.store)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return every scalar quantity of every cell (`calcidem.storage.dataset.campaign_dataset`)."""
+        """Return every scalar quantity of every cell (`calcidem.storage.dataset.campaign_dataset`).
+
+        Examples
+        --------
+        >>> campaign = open_campaign("example.db")
+        >>> float(campaign.to_xarray()["steps"].sel(seed=0, content=5.0))
+        12000.0
+        """
         return campaign_dataset(self.store, self.record)
 
     def to_dataframe(
@@ -108,6 +119,14 @@ class Campaign:
         ----------
         columns : sequence of str, optional
             Quantities, by default all.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("example.db")
+        >>> campaign.to_dataframe(["seed", "vs"], content=5.0, status="done")
+           seed      vs
+        0     0  1150.0
+        1     1  1151.0
         """
         import pandas as pd  # noqa: PLC0415 - takes half a second to import, and few callers need it
 
@@ -143,6 +162,12 @@ class Campaign:
         -------
         iterator of CellResult
             Fetched as it is consumed.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("example.db")
+        >>> [cell.key.seed for cell in campaign.select(content=5.0, where="vs > 1150")]
+        [1]
         """
         return self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
 
@@ -170,6 +195,13 @@ class Campaign:
         ------
         UnknownCellError
             If none were kept.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("example.db")
+        >>> signal = campaign.signal(seed=1, content=5.0)
+        >>> signal.time.shape == signal.received_force.shape
+        True
         """
         found = self.store.signal(CellKey(seed, content))
         if found is None:

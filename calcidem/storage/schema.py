@@ -11,7 +11,7 @@ from sqlalchemy import Connection, func, inspect, select
 from calcidem.storage.engine import Address
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
 
-__all__ = ["VERSION_TABLE", "prepare_schema", "require_current_schema"]
+__all__ = ["VERSION_TABLE", "prepare_schema", "require_current_schema", "stored_revision"]
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
@@ -31,14 +31,12 @@ def prepare_schema(connection: Connection, address: Address) -> None:
 
     Raises
     ------
-    ForeignDatabaseError
-        If the database has tables but not calcidem's mark.
-    NewerSchemaError
-        If its revision is unknown here.
+    ForeignDatabaseError, NewerSchemaError
+        As `stored_revision`.
     """
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
         connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
-    if _revision(connection, address) != _head():
+    if stored_revision(connection, address) != _head():
         command.upgrade(_configuration(connection), "head")
 
 
@@ -48,11 +46,11 @@ def require_current_schema(connection: Connection, address: Address) -> None:
     Raises
     ------
     ForeignDatabaseError, NewerSchemaError
-        As `prepare_schema`; a database without tables is foreign too.
+        As `stored_revision`; a database without tables is foreign too.
     OlderSchemaError
         If it has to be upgraded first.
     """
-    revision = _revision(connection, address)
+    revision = stored_revision(connection, address)
     if revision is None:
         raise ForeignDatabaseError(
             f"{address} is empty.", "Give the database of a campaign that has been started."
@@ -72,8 +70,16 @@ def _head() -> str:
     return head
 
 
-def _revision(connection: Connection, address: Address) -> str | None:
-    """Revision of the database, None if it has no tables."""
+def stored_revision(connection: Connection, address: Address) -> str | None:
+    """Return the revision of a database, None if it has no tables.
+
+    Raises
+    ------
+    ForeignDatabaseError
+        If it has tables but not calcidem's mark.
+    NewerSchemaError
+        If its revision is unknown here.
+    """
     tables = inspect(connection).get_table_names()
     if not tables:
         return None

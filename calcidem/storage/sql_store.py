@@ -27,7 +27,7 @@ from calcidem.storage.records import (
     RunRecord,
     Signal,
 )
-from calcidem.storage.schema import prepare_schema, require_current_schema
+from calcidem.storage.schema import prepare_schema, require_current_schema, stored_revision
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
 from calcidem.storage.transaction import transaction
 
@@ -73,6 +73,8 @@ class SqlStore(Store):
         self._token: str | None = None
         self._lock = lease.FileLock(address.path) if address.path and not read_only else None
         _check_file(address, read_only=read_only)
+        if not read_only:
+            _look_before_writing(address)
         self._engine = make_engine(address, read_only=read_only)
         try:
             with transaction(self._engine, address, write=not read_only) as session:
@@ -166,6 +168,9 @@ class SqlStore(Store):
 
     @override
     def acquire_lease(self) -> LeaseGrant:
+        if self._token is not None:
+            self.heartbeat()
+            return LeaseGrant(self._token, None)
         if self._lock is not None and not self._lock.acquire():
             raise lease.held_error(self._holder())
         locked = self._lock is not None and self._lock.held
@@ -332,3 +337,15 @@ def _check_file(address: Address, *, read_only: bool) -> None:
         raise StoreUnavailableError(
             f"The folder {path.parent} does not exist.", "Create it, or give another name."
         )
+
+
+def _look_before_writing(address: Address) -> None:
+    """Refuse a foreign or newer file before a writing connection changes it by setting the journal mode."""
+    if address.path is None or not address.path.exists() or address.path.stat().st_size == 0:
+        return
+    engine = make_engine(address, read_only=True)
+    try:
+        with transaction(engine, address, write=False) as session:
+            stored_revision(session.connection(), address)
+    finally:
+        engine.dispose()

@@ -180,7 +180,7 @@ class Store(ABC):
 
     @abstractmethod
     def acquire_lease(self) -> LeaseGrant:
-        """Become the campaign's only master.
+        """Become the campaign's only master; asked again, it refreshes the lease.
 
         Raises
         ------

@@ -148,5 +148,16 @@ class Session:
             Path(path).write_text(f"{exit_code}\n", encoding="ascii")
 
     def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
-        if self.comm is not None and self.size > 1:
-            self.comm.Abort(exit_code)
+        """End the other ranks, if there are any left."""
+        if self.comm is None or self.size == 1:
+            return
+        if fault_tolerance_enabled() and self._others_have_ended():
+            return  # after an Abort by the last rank mpirun would return 0, whatever the exit code
+        self.comm.Abort(exit_code)
+
+    def _others_have_ended(self) -> bool:
+        """Tell whether all other ranks end within half a second."""
+        from calcidem.sweep.protocol import failed_ranks, wait_until  # noqa: PLC0415 - as above
+
+        comm = self.comm
+        return comm is not None and wait_until(lambda: len(failed_ranks(comm)) == self.size - 1, limit=0.5)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import pwd
 import shutil
 import subprocess
 import tempfile
@@ -12,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psycopg
 import pytest
+from sqlalchemy import create_engine, text
 
 from calcidem.storage.canonical import canonical_json, content_hash
 from calcidem.storage.records import (
@@ -98,8 +99,8 @@ class Records:
 
     def with_arrays(self, seed: int = 0, content: float = 5.0) -> CellResult:
         """Build a done cell with path, signals and cement."""
-        random = np.random.default_rng((seed, round(100 * content)))
-        samples, contacts, clusters = (int(n) for n in random.integers(3, 40, 3))
+        # Plain arithmetic instead of random numbers: a kept database must hold these values for ever.
+        samples, contacts, clusters = 30 + seed, 20 + seed, int(content)
         features = PathFeatures(
             contacts=3,
             hertz_contacts=1,
@@ -111,17 +112,17 @@ class Records:
             normalized_connectivity=None if seed == 0 else 1.1,
             path=(4, 8, 15, 16),
         )
-        signal = Signal(1e-6, *random.normal(size=(3, samples)))
+        signal = Signal(1e-6, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
+        pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(
-            random.integers(0, 5000, (contacts, 2)),
-            random.integers(1, 3, contacts),
-            random.uniform(0.0, 0.1, (clusters, 2)),
+            pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0
         )
         return self.done(seed, content, features=features, signal=signal, cement=cement)
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401
         """Build a packing of 50 grains."""
-        x, y = np.random.default_rng(index).uniform(0.0, 0.1, (2, 50))
+        x = np.arange(50) / 513.0
+        y = (np.arange(50) * 37 + index) % 50 / 171.0
         record = PackingRecord(
             index=index,
             hash=f"packing-{index}",
@@ -157,18 +158,28 @@ def postgresql_socket() -> Iterator[Path]:
     )
     if initdb is None:
         pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
-    # The server refuses to run as root; Debian's package brings this user.
-    user: dict[str, Any] = {"user": "postgres"} if os.geteuid() == 0 else {}
+    pytest.importorskip(
+        "psycopg", reason="the PostgreSQL driver is not installed (pip install 'psycopg[binary]')"
+    )
+    user: dict[str, Any] = {}
+    if os.geteuid() == 0:  # the server refuses to run as root
+        try:
+            user["user"] = pwd.getpwnam("postgres").pw_name
+        except KeyError:
+            pytest.skip("running as root without the user 'postgres' that Debian's package brings")
     folder = Path(tempfile.mkdtemp(prefix="calcidem-pg-"))
     if user:
         shutil.chown(folder, **user)
     control = [str(Path(initdb).with_name("pg_ctl")), "-D", str(folder / "data"), "-w"]
     options = f"-k {folder} -c listen_addresses='' -c fsync=off -c max_connections=20"
-    quiet: dict[str, Any] = {"cwd": folder, "check": True, "stdout": subprocess.DEVNULL, **user}
-    subprocess.run([initdb, "-D", str(folder / "data"), "-U", "postgres", "--no-sync"], **quiet)
-    subprocess.run([*control, "-l", str(folder / "log"), "-o", options, "start"], **quiet)
+
+    def run(*command: str) -> None:
+        subprocess.run(command, check=True, cwd=folder, stdout=subprocess.DEVNULL, **user)
+
+    run(initdb, "-D", str(folder / "data"), "-U", "postgres", "--no-sync")
+    run(*control, "-l", str(folder / "log"), "-o", options, "start")
     yield folder
-    subprocess.run([*control, "-m", "immediate", "stop"], **quiet)
+    run(*control, "-m", "immediate", "stop")
     shutil.rmtree(folder)
 
 
@@ -179,8 +190,9 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
         return str(tmp_path / "campaign.db")
     folder = request.getfixturevalue("postgresql_socket")
     name = f"test_{uuid.uuid4().hex}"
-    with psycopg.connect(f"host={folder} user=postgres", autocommit=True) as connection:
-        connection.execute(f'CREATE DATABASE "{name}"'.encode())
+    server = f"postgresql+psycopg://postgres@/postgres?host={folder}"
+    with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.execute(text(f'CREATE DATABASE "{name}"'))
     return f"postgresql://postgres@/{name}?host={folder}"
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 from sqlalchemy import text
@@ -21,15 +21,22 @@ from calcidem.storage.records import AttemptCount, CellKey, CellStatus
 from calcidem.storage.sql_store import SqlStore
 from calcidem.storage.store import Selection
 
+if TYPE_CHECKING:
+    from conftest import Records
+
 NUMBER_OF_CELLS = 12  # 4 seeds x 3 contents, see conftest
 
 
 def test_new_campaign_is_pending(store: SqlStore) -> None:
     """All planned cells of a new campaign are pending, by seed, then content."""
-    assert store.pending() == tuple(CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0))
+    assert store.pending() == tuple(
+        CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0)
+    )
 
 
-def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlStore], records: Any) -> None:
+def test_continue_keeps_outcomes(
+    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
+) -> None:
     """Beginning the same campaign again continues it: what was done is not pending."""
     store.record_results([records.done(1, 5.0)])
     again = open_here()
@@ -37,7 +44,7 @@ def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlSt
     assert len(again.pending()) == NUMBER_OF_CELLS - 1
 
 
-def test_changed_config_is_refused_with_difference(store: SqlStore, records: Any) -> None:
+def test_changed_config_is_refused_with_difference(store: SqlStore, records: "Records") -> None:
     """A changed configuration under the same name is refused, naming the nested key and both values."""
     changed = records.campaign({"packing": {"friction": 0.5}, "wave": {"v0": 1e-5}})
     with pytest.raises(CampaignMismatchError, match=r"packing\.friction: 0\.2 -> 0\.5") as refusal:
@@ -46,7 +53,7 @@ def test_changed_config_is_refused_with_difference(store: SqlStore, records: Any
     assert store.campaigns() == (records.campaign(),)
 
 
-def test_several_campaigns_share_a_store(store: SqlStore, records: Any) -> None:
+def test_several_campaigns_share_a_store(store: SqlStore, records: "Records") -> None:
     """Campaigns of different names live side by side, and each sees its own cells only."""
     store.record_results([records.done(1, 5.0)])
     store.begin_campaign(records.campaign({"other": 1}, name="other"))
@@ -57,7 +64,7 @@ def test_several_campaigns_share_a_store(store: SqlStore, records: Any) -> None:
     assert len(store.pending()) == NUMBER_OF_CELLS - 1
 
 
-def test_extension_adds_cells_only(store: SqlStore, records: Any) -> None:
+def test_extension_adds_cells_only(store: SqlStore, records: "Records") -> None:
     """More seeds and contents extend the plan and leave outcomes alone; the union of plans is reported."""
     store.record_results([records.done(1, 5.0)])
     extended = store.begin_campaign(records.campaign(seeds=(3, 4, 5), contents=(5.0, 9.0)))
@@ -74,7 +81,7 @@ def test_pending_is_limited_to_what_is_asked(store: SqlStore) -> None:
     assert store.pending(seeds=(0, 3), contents=(5.0,)) == (CellKey(0, 5.0), CellKey(3, 5.0))
 
 
-def test_storing_twice_gives_one_row(store: SqlStore, records: Any) -> None:
+def test_storing_twice_gives_one_row(store: SqlStore, records: "Records") -> None:
     """The same result stored twice, also within one call, changes nothing the second time."""
     result = records.with_arrays(1, 5.0)
     assert store.record_results([result, result]) == 1
@@ -84,24 +91,27 @@ def test_storing_twice_gives_one_row(store: SqlStore, records: Any) -> None:
     assert list(store.history()) == before
 
 
-def test_repeated_failure_gives_one_attempt(store: SqlStore, records: Any) -> None:
+def test_repeated_failure_gives_one_attempt(store: SqlStore, records: "Records") -> None:
     """A failed outcome stored twice with the same attempt number counts as one attempt."""
     for _ in range(2):
         store.record_results([records.failed(1, 5.0)])
     assert store.attempt_counts([CellKey(1, 5.0)]) == {CellKey(1, 5.0): AttemptCount(1, 0)}
 
 
-def test_done_is_never_replaced_unless_told(store: SqlStore, records: Any) -> None:
+def test_done_is_never_replaced_unless_told(store: SqlStore, records: "Records") -> None:
     """A done cell survives later outcomes, and gives way with replace_done."""
     store.record_results([records.done(1, 5.0, vs=1000.0)])
-    assert store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)]) == 0
+    assert (
+        store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)])
+        == 0
+    )
     assert next(store.results()).vs == 1000.0
     assert store.record_results([records.done(1, 5.0, vs=1001.0, attempt=3)], replace_done=True) == 1
     assert next(store.results()).vs == 1001.0
 
 
-def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: Any) -> None:
-    """An outcome other than done gives way to a later attempt, not to an earlier one, and always to a done one."""
+def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: "Records") -> None:
+    """An outcome other than done gives way to a later attempt and to a done one, not to an older failure."""
     store.record_results([records.failed(1, 5.0, attempt=2)])
     assert store.record_results([records.failed(1, 5.0, status=CellStatus.UNSTABLE, attempt=1)]) == 0
     assert store.record_results([records.failed(1, 5.0, status=CellStatus.UNSTABLE, attempt=3)]) == 1
@@ -110,8 +120,8 @@ def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: Any) ->
     assert store.statuses()[CellKey(1, 5.0)] is CellStatus.DONE
 
 
-def test_cell_round_trip(store: SqlStore, records: Any) -> None:
-    """Everything of a cell comes back as it was given; without arrays only signal and cement are left out."""
+def test_cell_round_trip(store: SqlStore, records: "Records") -> None:
+    """Everything of a cell comes back as given; without arrays only signal and cement are left out."""
     given = [records.with_arrays(seed, content) for seed in range(4) for content in (0.0, 5.0)]
     given.append(records.failed(2, 0.3, status=CellStatus.NO_ARRIVAL))
     store.record_results(reversed(given))
@@ -122,18 +132,20 @@ def test_cell_round_trip(store: SqlStore, records: Any) -> None:
     assert store.signal(CellKey(2, 0.3)) is None
 
 
-def test_unplanned_cell_is_refused_as_a_whole(store: SqlStore, records: Any) -> None:
+def test_unplanned_cell_is_refused_as_a_whole(store: SqlStore, records: "Records") -> None:
     """A batch with an unplanned cell is refused, and nothing of it is stored."""
     with pytest.raises(UnknownCellError, match="Seed 9"):
         store.record_results([records.done(1, 5.0), records.done(9, 5.0)])
     assert list(store.results()) == []
 
 
-def test_every_outcome_settles_until_retry(store: SqlStore, records: Any) -> None:
-    """All outcomes settle their cells; retry brings failed and timed_out back by default, others on request."""
+def test_every_outcome_settles_until_retry(store: SqlStore, records: "Records") -> None:
+    """All outcomes settle their cells; retry brings back failed and timed_out, and others on request."""
     outcomes = [s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}]
     keys = [(seed, content) for seed in range(2) for content in (0.0, 0.3, 5.0)]
-    store.record_results([records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)])
+    store.record_results(
+        [records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)]
+    )
     assert len(store.pending()) == NUMBER_OF_CELLS - len(outcomes)
     retried = store.retry()
     assert len(retried) == 2
@@ -145,7 +157,7 @@ def test_every_outcome_settles_until_retry(store: SqlStore, records: Any) -> Non
 
 
 def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
-    store: SqlStore, open_here: Callable[..., SqlStore], records: Any
+    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
 ) -> None:
     """Lost attempts count up over several openings of the store, take numbers, and a retry forgets them."""
     key = CellKey(1, 5.0)
@@ -165,7 +177,7 @@ def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
     ]
 
 
-def test_attempts_belong_to_runs(store: SqlStore, records: Any) -> None:
+def test_attempts_belong_to_runs(store: SqlStore, records: "Records") -> None:
     """Attempts recorded during a run carry its number, and the run keeps its provenance and end."""
     number = store.begin_run(records.run())
     store.record_results([records.done(1, 5.0)])
@@ -175,8 +187,8 @@ def test_attempts_belong_to_runs(store: SqlStore, records: Any) -> None:
     assert store.runs() == ((number, records.run(ended=ended, exit_state="complete")),)
 
 
-def test_packing_round_trip(store: SqlStore, records: Any) -> None:
-    """Packings come back bit for bit; saving one again is harmless, another one under its index is refused."""
+def test_packing_round_trip(store: SqlStore, records: "Records") -> None:
+    """Packings come back bit for bit; saving one again is harmless, another under its index is refused."""
     for index in (1, 0, 0):
         store.save_packing(records.packing(index))
     assert store.packing_indices() == (0, 1)
@@ -186,7 +198,7 @@ def test_packing_round_trip(store: SqlStore, records: Any) -> None:
         store.save_packing(records.packing(0, hash="another"))
 
 
-def test_status_counts(store: SqlStore, records: Any) -> None:
+def test_status_counts(store: SqlStore, records: "Records") -> None:
     """Counts by content and status add up to the plan."""
     store.record_results([records.done(0, 5.0), records.done(1, 5.0), records.failed(2, 5.0)])
     counts = store.status_counts()
@@ -209,7 +221,7 @@ def test_status_counts(store: SqlStore, records: Any) -> None:
         (Selection(where="path_contacts is not None"), 0),
     ],
 )
-def test_selection(store: SqlStore, records: Any, selection: Selection, count: int) -> None:
+def test_selection(store: SqlStore, records: "Records", selection: Selection, count: int) -> None:
     """Selections by seed, content, status and expression find the cells they describe."""
     store.record_results(records.done(seed, content) for seed in range(4) for content in (0.0, 5.0))
     store.retry(keys=())
@@ -237,7 +249,7 @@ def test_wrong_expressions_are_refused(store: SqlStore, where: str, hint: str) -
         list(store.results(Selection(where=where)))
 
 
-def test_quoted_text_stays_data(store: SqlStore, records: Any) -> None:
+def test_quoted_text_stays_data(store: SqlStore, records: "Records") -> None:
     """SQL inside a quoted word is only a word that nothing equals."""
     store.record_results([records.done(1, 5.0)])
     assert list(store.results(Selection(where="host == \"x' OR '1'='1\""))) == []
@@ -262,7 +274,7 @@ def test_quoted_text_stays_data(store: SqlStore, records: Any) -> None:
         "UPDATE signal SET time_step = 0",
     ],
 )
-def test_schema_refuses_nonsense(store: SqlStore, records: Any, statement: str) -> None:
+def test_schema_refuses_nonsense(store: SqlStore, records: "Records", statement: str) -> None:
     """The database itself refuses numbers and statuses that contradict each other, whoever writes them."""
     store.record_results([records.with_arrays(1, 5.0)])
     with pytest.raises(InvalidRecordError), store._writing() as session:
@@ -271,7 +283,7 @@ def test_schema_refuses_nonsense(store: SqlStore, records: Any, statement: str) 
 
 
 def test_read_only_store_refuses_writes(
-    store: SqlStore, open_here: Callable[..., SqlStore], records: Any
+    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
 ) -> None:
     """A store opened for reading reads, and refuses to write."""
     store.record_results([records.done(1, 5.0)])
@@ -282,7 +294,17 @@ def test_read_only_store_refuses_writes(
         reader.record_results([records.done(2, 5.0)])
 
 
-def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: Any) -> None:
+def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> None:
+    """Asking again for a lease that is held already gives the same one; released, it is free for a new one."""
+    grant = store.acquire_lease()
+    assert store.acquire_lease() == grant
+    store.release_lease()
+    again = store.acquire_lease()
+    assert again.token != grant.token
+    assert again.taken_over_from is None
+
+
+def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: "Records") -> None:
     """Once another process has the lease, recording and heartbeats of the former master are refused."""
     store.acquire_lease()
     store.heartbeat()

@@ -4,8 +4,9 @@ import os
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
 from sqlalchemy import text
@@ -24,12 +25,14 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.sql_store import open_store
 
+if TYPE_CHECKING:
+    from conftest import Records
 
 NOBODY = 65534  # the user without rights on Linux
 
 
 @pytest.fixture
-def database(tmp_path: Path, records: Any) -> Path:
+def database(tmp_path: Path, records: "Records") -> Path:
     """Create a closed database with two done cells."""
     path = tmp_path / "one.db"
     with open_store(path) as store:
@@ -50,11 +53,16 @@ def execute(path: Path, statement: str) -> None:
     ("make", "error"),
     [
         (lambda path: execute(path, "CREATE TABLE recipe (name TEXT)"), ForeignDatabaseError),
-        (lambda path: path.write_text("not a database, but long enough to look at\n" * 50), ForeignDatabaseError),
+        (
+            lambda path: path.write_text("not a database, but long enough to look at\n" * 50),
+            ForeignDatabaseError,
+        ),
         (lambda path: path.mkdir(), StoreUnavailableError),
     ],
 )
-def test_foreign_files_are_refused_untouched(tmp_path: Path, make: Any, error: type, read_only: bool) -> None:
+def test_foreign_files_are_refused_untouched(
+    tmp_path: Path, make: Callable[[Path], object], error: type, read_only: bool
+) -> None:
     """Something else under that name is refused, for reading and for writing, and left as it was."""
     path = tmp_path / "recipes.db"
     make(path)
@@ -65,7 +73,7 @@ def test_foreign_files_are_refused_untouched(tmp_path: Path, make: Any, error: t
 
 
 def test_missing_files(tmp_path: Path) -> None:
-    """Reading what doesn't exist creates nothing; writing into a folder that doesn't exist names the folder."""
+    """Reading what is missing creates nothing; writing into a missing folder names the folder."""
     with pytest.raises(StoreUnavailableError, match="does not exist"):
         open_campaign(tmp_path / "none.db")
     assert list(tmp_path.iterdir()) == []
@@ -106,8 +114,8 @@ def test_damage_is_recognised(database: Path) -> None:
         open_campaign(database)
 
 
-def test_full_disk_keeps_what_was_there(database: Path, records: Any) -> None:
-    """A transaction that doesn't fit is refused as a whole; all before it stays and the store goes on when there is room."""
+def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> None:
+    """A transaction that does not fit is refused as a whole, and the store goes on once there is room."""
     with open_store(database) as store:
         store.use_campaign()
         with store._engine.connect() as connection:
@@ -115,16 +123,16 @@ def test_full_disk_keeps_what_was_there(database: Path, records: Any) -> None:
             connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
         big = [records.with_arrays(seed, content) for seed in (2, 3) for content in (0.0, 0.3, 5.0)]
         with pytest.raises(DiskFullError, match="Free some space"):
-            for attempt in range(50):
-                store.record_lost([r.key for r in big] * 1, f"filling {attempt} " + "x" * 1000)
+            store.record_lost([result.key for result in big], "x" * 10_000)
+        assert store.attempt_counts([big[0].key])[big[0].key].attempts == 0
         with store._engine.connect() as connection:
             connection.exec_driver_sql("PRAGMA max_page_count=1000000")
         store.record_results(big)
         assert len(list(store.results())) == 2 + len(big)
 
 
-def test_lock_of_another_process(database: Path, records: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A database kept locked by somebody else gives a lock error after the waiting time, and nothing is stored."""
+def test_lock_of_another_process(database: Path, records: "Records", monkeypatch: pytest.MonkeyPatch) -> None:
+    """A database locked by somebody else gives an error after the waiting time, and nothing is stored."""
     monkeypatch.setattr(engine, "BUSY_TIMEOUT_SECONDS", 0.1)
     with open_store(database) as store:
         store.use_campaign()
@@ -139,10 +147,8 @@ def test_lock_of_another_process(database: Path, records: Any, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(("on_network", "journal"), [(False, "wal"), (True, "delete")])
-def test_pragmas(
-    database: Path, on_network: bool, journal: str, monkeypatch: pytest.MonkeyPatch, records: Any
-) -> None:
-    """Writers use a write-ahead log locally and a rollback journal on a network, always with full synchronisation."""
+def test_pragmas(database: Path, on_network: bool, journal: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Writers use a write-ahead log locally and a rollback journal on a network, always fully synchronous."""
     monkeypatch.setattr(engine, "is_network_filesystem", lambda _path: on_network)
     with open_store(database) as store, store._reading() as session:
         pragmas = {
@@ -158,7 +164,7 @@ def test_pragmas(
 
 
 @pytest.mark.parametrize("name", ["with space.db", "100%.db", "what?.db", "a#b.db", "größe.db"])
-def test_awkward_names(tmp_path: Path, name: str, records: Any) -> None:
+def test_awkward_names(tmp_path: Path, name: str, records: "Records") -> None:
     """Characters that mean something in URLs are only characters in file names."""
     with open_store(tmp_path / name) as store:
         store.begin_campaign(records.campaign())
@@ -167,8 +173,8 @@ def test_awkward_names(tmp_path: Path, name: str, records: Any) -> None:
         assert campaign.record.name == "quick"
 
 
-def test_read_only_folder(database: Path, records: Any) -> None:
-    """A finished database on a read-only medium can be read although its journal mode wants a writable folder."""
+def test_read_only_folder(database: Path, records: "Records") -> None:
+    """A finished database on a read-only medium can be read, though its journal wants a writable folder."""
     with tempfile.TemporaryDirectory() as name:
         copy = Path(shutil.copy(database, name))
         with open_campaign(copy) as campaign:  # imports all modules while they may be read
@@ -188,7 +194,7 @@ def test_read_only_folder(database: Path, records: Any) -> None:
 
 def test_errors_can_travel(database: Path) -> None:
     """Errors of the store survive pickling, with problem and cure."""
-    import pickle  # noqa: PLC0415, S403 - only this test needs it, on its own data
+    import pickle  # noqa: PLC0415 - only this test needs it, on its own data
 
     error = pickle.loads(pickle.dumps(StoreError("No.", "Do this.")))  # noqa: S301 - own data
     assert (error.problem, error.cure, str(error)) == ("No.", "Do this.", "No. Do this.")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calcidem.sweep import Batch, BatchOutcome
 
 PROGRAMS = Path(__file__).parent / "programs"
+CHECKOUT = Path(__file__).parents[2]
 CONTENTS = (0.0, 2.55, 9.0)
 Values = dict[tuple[int, float], str]
 
@@ -118,6 +119,7 @@ class Campaign:
         launcher = [
             str(self._mpirun),
             "--allow-run-as-root",
+            *("--mca", "btl", "^ofi"),  # without the search for fabrics it starts in 0.2 s instead of 1.2 s
             *("--map-by", ":OVERSUBSCRIBE", "--bind-to", "none", "-n", str(ranks)),
             *(["--with-ft", "ulfm"] if ulfm else []),
         ]
@@ -130,8 +132,12 @@ class Campaign:
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            # The folder's name marks all processes of this campaign, see `processes`.
-            env=os.environ | {EXIT_CODE_FILE_VARIABLE: str(exit_code_file), "CAMPAIGN_MARK": str(self.folder)},
+            env=os.environ
+            | {
+                EXIT_CODE_FILE_VARIABLE: str(exit_code_file),
+                "CAMPAIGN_MARK": str(self.folder),  # marks all processes of this campaign, see `processes`
+                "PYTHONPATH": str(CHECKOUT),
+            },
         )
         return Launch(process, exit_code_file)
 

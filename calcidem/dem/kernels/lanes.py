@@ -14,8 +14,7 @@ what the other lanes hold.
 """
 
 import operator
-from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from llvmlite import ir
@@ -29,8 +28,11 @@ from numba.np.arrayobj import make_array
 
 CONTRACT = ("contract",)
 
+Vector: TypeAlias = Any
+"""A lane vector, its mask, or a number that stands for all lanes: Python has no one type for the three."""
 
-class LaneType(types.Type):  # type: ignore[misc]
+
+class LaneType(types.Type):
     """Numba type of ``width`` floating-point numbers in one vector."""
 
     def __init__(self, dtype: Any, width: int) -> None:
@@ -49,7 +51,7 @@ class LaneType(types.Type):  # type: ignore[misc]
         return Conversion.safe if isinstance(other, types.Number) else None
 
 
-class MaskType(types.Type):  # type: ignore[misc]
+class MaskType(types.Type):
     """Numba type of one truth value for each lane."""
 
     def __init__(self, width: int) -> None:
@@ -63,7 +65,7 @@ class MaskType(types.Type):  # type: ignore[misc]
 
 
 @register_model(LaneType)
-class LaneModel(models.PrimitiveModel):  # type: ignore[misc]
+class LaneModel(models.PrimitiveModel):
     """A lane vector is an LLVM vector of floats."""
 
     def __init__(self, manager: Any, lane: LaneType) -> None:
@@ -72,7 +74,7 @@ class LaneModel(models.PrimitiveModel):  # type: ignore[misc]
 
 
 @register_model(MaskType)
-class MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+class MaskModel(models.PrimitiveModel):
     """A mask is an LLVM vector of bits, which AVX-512 keeps in a mask register."""
 
     def __init__(self, manager: Any, mask: MaskType) -> None:
@@ -106,7 +108,7 @@ def register_arithmetic(function: Any, instruction: str) -> None:
     """Teach numba one arithmetic operator on lane vectors."""
 
     @infer_global(function)
-    class Arithmetic(AbstractTemplate):  # type: ignore[misc]
+    class Arithmetic(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
             lane = widest_lane(args)
@@ -122,7 +124,7 @@ def register_comparison(function: Any, symbol: str) -> None:
     """Teach numba one comparison of lane vectors; comparisons with NaN are false."""
 
     @infer_global(function)
-    class Comparison(AbstractTemplate):  # type: ignore[misc]
+    class Comparison(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
             lane = widest_lane(args)
@@ -138,7 +140,7 @@ def register_logic(function: Any, instruction: str) -> None:
     """Teach numba one logical operator on masks."""
 
     @infer_global(function)
-    class Logic(AbstractTemplate):  # type: ignore[misc]
+    class Logic(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
             if all(isinstance(arg, MaskType) for arg in args):
@@ -175,7 +177,7 @@ def element_pointer(context: Any, builder: Any, array_type: Any, array: Any, ind
     return cgutils.get_item_pointer(context, builder, array_type, view, [*indices, ir.Constant(ir.IntType(64), 0)])
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+@intrinsic(prefer_literal=True)
 def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
     """Compiled side of `load`."""
     del typingctx
@@ -190,7 +192,7 @@ def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
     return lane(array, index, width), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     """Compiled side of `store`."""
     del typingctx
@@ -204,7 +206,7 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, index, value), codegen
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+@intrinsic(prefer_literal=True)
 def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
     """Compiled side of `spread`."""
     del typingctx
@@ -217,7 +219,7 @@ def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
     return lane(number, width), codegen
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
+@intrinsic(prefer_literal=True)
 def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
     """Compiled side of `mask_of_bits`."""
     del typingctx
@@ -233,7 +235,7 @@ def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
     return mask(bits, width), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def mask_to_bits(typingctx: Any, mask: Any) -> Any:
     """Compiled side of `bits_of_mask`."""
     del typingctx
@@ -246,7 +248,7 @@ def mask_to_bits(typingctx: Any, mask: Any) -> Any:
     return types.uint64(mask), codegen
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def select_lanes(typingctx: Any, mask: Any, if_true: Any, if_false: Any) -> Any:
     """Compiled side of `select`."""
     del typingctx
@@ -262,7 +264,7 @@ def select_lanes(typingctx: Any, mask: Any, if_true: Any, if_false: Any) -> Any:
 def unary_intrinsic(name: str) -> Any:
     """Make an intrinsic of one LLVM vector function such as ``llvm.sqrt``."""
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def call(typingctx: Any, value: Any) -> Any:
         del typingctx
 

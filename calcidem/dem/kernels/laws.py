@@ -4,17 +4,15 @@ Signs: a normal force is positive in compression; the shear force is the one on 
 ``t = (-n_y, n_x)``, where ``n`` points from the first disk (or the wall) to the second.
 """
 
-from typing import Any
-
 from numba import njit
 
-from calcidem.dem.kernels.lanes import larger, magnitude, select, smaller, square_root
+from calcidem.dem.kernels.lanes import Vector, larger, magnitude, select, smaller, square_root
 
 inlined = njit(forceinline=True)
 
 
-@inlined  # type: ignore[untyped-decorator]
-def hertz_normal(overlap: Any, coefficient: Any) -> tuple[Any, Any]:
+@inlined
+def hertz_normal(overlap: Vector, coefficient: Vector) -> tuple[Vector, Vector]:
     """Hertz force and the square root of the overlap.
 
     ``F_n = h_n overlap^1.5`` where the disks overlap, else zero (PFC 'hertz' model; the sphere formula).
@@ -25,14 +23,14 @@ def hertz_normal(overlap: Any, coefficient: Any) -> tuple[Any, Any]:
     return coefficient * (pressed * root), root
 
 
-@inlined  # type: ignore[untyped-decorator]
-def mindlin_shear(shear: Any, slide: Any, stiffness: Any) -> Any:
+@inlined
+def mindlin_shear(shear: Vector, slide: Vector, stiffness: Vector) -> Vector:
     """Incremental shear force ``F_s - k_s du_s`` (Mindlin without partial slip)."""
     return shear - stiffness * slide
 
 
-@inlined  # type: ignore[untyped-decorator]
-def rescaled_shear(shear: Any, root: Any, previous_root: Any) -> Any:
+@inlined
+def rescaled_shear(shear: Vector, root: Vector, previous_root: Vector) -> Vector:
     """Shear force carried over a step in which the normal force fell (PFC shear rescaling mode 1).
 
     The old force is multiplied by k_s,new / k_s,old, which for Hertz is the ratio of the roots of the
@@ -43,22 +41,22 @@ def rescaled_shear(shear: Any, root: Any, previous_root: Any) -> Any:
     return shear * select(fell, root / safe, 1.0)
 
 
-@inlined  # type: ignore[untyped-decorator]
-def coulomb_limit(shear: Any, limit: Any) -> Any:
+@inlined
+def coulomb_limit(shear: Vector, limit: Vector) -> Vector:
     """Shear force cut off at the friction limit, ``|F_s| <= mu F_n``."""
     return smaller(larger(shear, -limit), limit)
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def bond_fails(
-    normal: Any,
-    shear: Any,
-    moment: Any,
-    bond_radius: Any,
-    tensile_strength: Any,
-    cohesion: Any,
-    friction_slope: Any,
-) -> Any:
+    normal: Vector,
+    shear: Vector,
+    moment: Vector,
+    bond_radius: Vector,
+    tensile_strength: Vector,
+    cohesion: Vector,
+    friction_slope: Vector,
+) -> Vector:
     """Lanes in which a parallel bond breaks, in tension with bending or in shear.
 
     Tension: ``-F_n / A + |M| R_b / I_b >= tensile strength``; shear: ``|F_s| / A >= cohesion +
@@ -70,8 +68,8 @@ def bond_fails(
     return (tension >= tensile_strength) | (magnitude(shear) / area >= cohesion + normal / area * friction_slope)
 
 
-@inlined  # type: ignore[untyped-decorator]
-def damped(force: Any, velocity: Any, damping: Any) -> Any:
+@inlined
+def damped(force: Vector, velocity: Vector, damping: Vector) -> Vector:
     """Force after local damping, ``F - alpha |F| sign(v)`` (Cundall); unchanged where ``v = 0``."""
     drag = damping * magnitude(force)
     return force - select(velocity > 0.0, drag, select(velocity < 0.0, -drag, 0.0))

@@ -39,7 +39,9 @@ class Motion(NamedTuple):
     velocity: Floats
     """(N, 3, L) m/s, m/s, rad/s at the half step before the displacement"""
     force: Floats
-    """(N, 3, L) N/m, N/m, N: sum over the pairs already visited in the running step; zero between steps"""
+    """(K, 3, L) N/m, N/m, N: sum over the pairs already visited in the running step; zero between steps. Disk i has
+    slot i modulo K, a power of two above the largest distance in memory between two disks of a pair, so that the
+    sums stay in the fastest cache."""
 
 
 class Pairs(NamedTuple):
@@ -116,6 +118,8 @@ class Recording(NamedTuple):
     """(S, L) velocity of the driven wall along its tangent during each step, m/s"""
     driven: int
     """index of the driven wall"""
+    offset: int
+    """steps of the drive and the samples that earlier calls have done"""
     stride: int
     """steps between two samples"""
     receiver: int
@@ -131,7 +135,9 @@ class Watch(NamedTuple):
 
     origin: Floats
     """(N, 2, L) displacement when the pair list was made"""
+    wall_origin: Floats
+    """(W, L) displacement of the walls along their normal when the pair list was made"""
     reach: float
-    """m: a disk that moved further than this since asks for a new list"""
+    """m: a disk or wall that moved further than this since asks for a new list"""
     account: Floats
-    """(4, L) J/m: work of the driven and moving walls, slip, local damping, external loads"""
+    """(4, L) J/m: work of moving walls and held disks, loss of the shear springs, local damping, external loads"""

@@ -10,24 +10,22 @@ Leapfrog (explicit central differences): ``v(n + 1/2) = v(n - 1/2) + dt a(x(n), 
 last positions, ``dt v(n - 1/2)``, so they belong to ``x(n)`` as the overlap does.
 """
 
-from typing import Any
-
 from numba import njit
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import bits_of_mask, load, store
+from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, magnitude, store
 from calcidem.dem.kernels.laws import damped, inlined
-from calcidem.dem.kernels.layout import Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
+from calcidem.dem.kernels.layout import Floats, Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
 from calcidem.dem.kernels.pair import pair_forces
 from calcidem.dem.kernels.wall import move_wall, wall_forces
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def sweep(
     features: Features,
     steps: int,
-    time_step: Any,
+    time_step: Floats,
     shear_ratio: float,
     grains: Grains,
     motion: Motion,
@@ -64,11 +62,7 @@ def sweep(
                 store(walls.reaction, (wall, component), dt * 0.0)
         far = dt < 0.0
         for grain in range(grains.radius.shape[0]):
-            force = (
-                load(motion.force, (grain, 0), lanes),
-                load(motion.force, (grain, 1), lanes),
-                load(motion.force, (grain, 2), lanes),
-            )
+            force = taken_force(features, grain, grains, motion)
             for pair in range(pairs.start[grain], pairs.start[grain + 1]):
                 force = pair_forces(features, grain, pair, dt, shear_ratio, grains, motion, pairs, watch, force)
             for pair in range(wall_pairs.start[grain], wall_pairs.start[grain + 1]):
@@ -77,25 +71,39 @@ def sweep(
                 )
             far = far | integrate(features, grain, dt, grains, motion, watch, force)
         for wall in range(walls.normal.shape[0]):
-            move_wall(features, wall, step, dt, walls, recording, watch)
+            move_wall(features, wall, recording.offset + step, dt, walls, recording, watch)
+            if features.search:
+                far = far | wall_is_far(features, wall, walls, watch)
         if features.recording:
-            if (step + 1) % recording.stride == 0:
-                write_sample(features, step // recording.stride, motion, walls, recording)
+            done = recording.offset + step + 1
+            if done % recording.stride == 0:
+                write_sample(features, done // recording.stride - 1, motion, walls, recording)
         if features.search:
             if bits_of_mask(far) != 0:
                 return step + 1
     return steps
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
+def taken_force(features: Features, grain: int, grains: Grains, motion: Motion) -> tuple[Vector, Vector, Vector]:
+    """Return the force of earlier rows of pairs and of the load on a disk; clear its slot for a later disk."""
+    lanes = features.lanes
+    slot = grain & (motion.force.shape[0] - 1)
+    x = load(motion.force, (slot, 0), lanes)
+    y = load(motion.force, (slot, 1), lanes)
+    turning = load(motion.force, (slot, 2), lanes)
+    for component in range(3):
+        store(motion.force, (slot, component), x * 0.0)
+    return x + grains.load[grain, 0], y + grains.load[grain, 1], turning + grains.load[grain, 2]
+
+
+@inlined
 def integrate(
-    features: Features, grain: int, dt: Any, grains: Grains, motion: Motion, watch: Watch, force: tuple[Any, Any, Any]
-) -> Any:
+    features: Features, grain: int, dt: Vector, grains: Grains, motion: Motion, watch: Watch, force: tuple[Vector, Vector, Vector]
+) -> Vector:
     """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
     lanes = features.lanes
     square = dt * 0.0
-    for component in range(3):
-        store(motion.force, (grain, component), dt * 0.0 + grains.load[grain, component])
     inverse = grains.inverse_mass[grain]
     x = kick(features, grain, 0, inverse, dt, grains, motion, watch, force[0])
     y = kick(features, grain, 1, inverse, dt, grains, motion, watch, force[1])
@@ -108,18 +116,26 @@ def integrate(
     return square > watch.reach * watch.reach
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
+def wall_is_far(features: Features, wall: int, walls: Walls, watch: Watch) -> Vector:
+    """Return the lanes in which a wall left the reach of the pair list."""
+    lanes = features.lanes
+    moved = load(walls.motion, (wall, 0), lanes) - load(watch.wall_origin, (wall,), lanes)
+    return magnitude(moved) > watch.reach
+
+
+@inlined
 def kick(
     features: Features,
     grain: int,
     component: int,
     inverse: float,
-    dt: Any,
+    dt: Vector,
     grains: Grains,
     motion: Motion,
     watch: Watch,
-    force: Any,
-) -> Any:
+    force: Vector,
+) -> Vector:
     """Leapfrog update of one degree of freedom; return the new displacement."""
     lanes = features.lanes
     velocity = load(motion.velocity, (grain, component), lanes)
@@ -132,14 +148,17 @@ def kick(
     store(motion.displacement, (grain, component), moved)
     if features.account:
         path = 0.5 * dt * (velocity + faster)
-        lost = load(watch.account, (2,), lanes) + (force - driving) * path
-        store(watch.account, (2,), lost)
+        if inverse > 0.0:
+            store(watch.account, (2,), load(watch.account, (2,), lanes) + (force - driving) * path)
+        else:
+            # Whoever holds a disk that moves opposes every force on it.
+            store(watch.account, (0,), load(watch.account, (0,), lanes) - force * path)
         gained = load(watch.account, (3,), lanes) + grains.load[grain, component] * path
         store(watch.account, (3,), gained)
     return moved
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def write_sample(
     features: Features, sample: int, motion: Motion, walls: Walls, recording: Recording
 ) -> None:

@@ -4,6 +4,8 @@ The values are part of the argument's *type*, so ``if features.slip:`` costs not
 combination is compiled and cached once, and with the JIT off the same code reads the plain dataclass.
 """
 
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 from numba.core import types
@@ -20,21 +22,26 @@ from numba.extending import (
 
 from calcidem.dem.kernels.features import Features
 
+SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+"""Identity of the kernel's source code. The disk cache of numba looks at the file of the outermost function only, so
+without it an edited contact law would run with yesterday's machine code."""
 
-class FeaturesType(types.Type):  # type: ignore[misc]
+
+class FeaturesType(types.Type):
     """Numba type of one combination of features."""
 
     def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
+        self.source = SOURCES
         self.values = values
         super().__init__(name=f"Features({', '.join(f'{name}={value}' for name, value in values)})")
 
     @property
-    def key(self) -> tuple[tuple[str, int | bool], ...]:
+    def key(self) -> tuple[str, tuple[tuple[str, int | bool], ...]]:
         """What makes two combinations the same."""
-        return self.values
+        return self.source, self.values
 
 
-@typeof_impl.register(Features)  # type: ignore[untyped-decorator]
+@typeof_impl.register(Features)
 def type_of_features(features: Features, context: Any) -> FeaturesType:
     """Numba type of a `Features` object."""
     del context
@@ -42,11 +49,11 @@ def type_of_features(features: Features, context: Any) -> FeaturesType:
 
 
 @register_model(FeaturesType)
-class FeaturesModel(models.OpaqueModel):  # type: ignore[misc]
+class FeaturesModel(models.OpaqueModel):
     """Nothing is passed at run time."""
 
 
-@unbox(FeaturesType)  # type: ignore[untyped-decorator]
+@unbox(FeaturesType)
 def unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
     """Pass no data: the type says it all."""
     del kind, features
@@ -54,7 +61,7 @@ def unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
 
 
 @infer_getattr
-class FeaturesAttributes(AttributeTemplate):  # type: ignore[misc]
+class FeaturesAttributes(AttributeTemplate):
     """Type of ``features.name``: the literal value itself."""
 
     key = FeaturesType
@@ -65,7 +72,7 @@ class FeaturesAttributes(AttributeTemplate):  # type: ignore[misc]
         return types.literal(values[name]) if name in values else None
 
 
-@lower_getattr_generic(FeaturesType)  # type: ignore[untyped-decorator]
+@lower_getattr_generic(FeaturesType)
 def lower_feature(context: Any, builder: Any, kind: FeaturesType, value: Any, name: str) -> Any:
     """Machine code of ``features.name``: a constant."""
     del value

@@ -4,29 +4,27 @@ The wall is the first body of a contact, the disk the second. A flat wall needs 
 overlap changes by exactly the normal components of the two displacements.
 """
 
-from typing import Any
-
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import larger, load, select, smaller, store
+from calcidem.dem.kernels.lanes import Vector, larger, load, select, smaller, store
 from calcidem.dem.kernels.laws import coulomb_limit, hertz_normal, inlined, mindlin_shear, rescaled_shear
 from calcidem.dem.kernels.layout import Grains, Motion, Recording, WallPairs, Walls, Watch
-from calcidem.dem.kernels.pair import add_slip
+from calcidem.dem.kernels.pair import add_shear_loss
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def wall_forces(
     features: Features,
     grain: int,
     pair: int,
-    dt: Any,
+    dt: Vector,
     shear_ratio: float,
     grains: Grains,
     motion: Motion,
     wall_pairs: WallPairs,
     walls: Walls,
     watch: Watch,
-    force: tuple[Any, Any, Any],
-) -> tuple[Any, Any, Any]:
+    force: tuple[Vector, Vector, Vector],
+) -> tuple[Vector, Vector, Vector]:
     """Add the force of a wall to that on a disk, and its opposite to the wall's reaction."""
     lanes = features.lanes
     wall = wall_pairs.wall[pair]
@@ -59,10 +57,10 @@ def wall_forces(
     )
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def wall_slide(
-    features: Features, grain: int, wall: int, arm: Any, field: Any, walls: Walls, component: int
-) -> Any:
+    features: Features, grain: int, wall: int, arm: Vector, field: Vector, walls: Walls, component: int
+) -> Vector:
     """Tangential displacement (or velocity) of a disk's rim relative to a wall."""
     lanes = features.lanes
     normal_x, normal_y = walls.normal[wall, 0], walls.normal[wall, 1]
@@ -73,37 +71,41 @@ def wall_slide(
     return slide
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def wall_law(
     features: Features,
     pair: int,
     shear_ratio: float,
     friction: float,
-    depth: Any,
-    slide: Any,
+    depth: Vector,
+    slide: Vector,
     wall_pairs: WallPairs,
     watch: Watch,
-) -> tuple[Any, Any, Any]:
+) -> tuple[Vector, Vector, Vector]:
     """Hertz-Mindlin contact of a disk and a wall: normal force, normal stiffness, shear force on the disk."""
     lanes = features.lanes
     normal, root = hertz_normal(depth, wall_pairs.hertz[pair])
     stiffness = root * (1.5 * wall_pairs.hertz[pair])
-    shear = load(wall_pairs.shear, (pair,), lanes)
+    old = load(wall_pairs.shear, (pair,), lanes)
+    shear = old
     if features.rescaling:
-        shear = rescaled_shear(shear, root, load(wall_pairs.root, (pair,), lanes))
-        store(wall_pairs.root, (pair,), root)
+        shear = rescaled_shear(old, root, load(wall_pairs.root, (pair,), lanes))
     shear = select(depth > 0.0, mindlin_shear(shear, slide, stiffness * shear_ratio), 0.0)
     if features.slip:
-        trial = shear
-        shear = coulomb_limit(trial, normal * friction)
-        if features.account:
-            add_slip(features, shear, trial, stiffness * shear_ratio, watch)
+        shear = coulomb_limit(shear, normal * friction)
+    elif friction <= 0.0:
+        shear = shear * 0.0
+    if features.account:
+        before = load(wall_pairs.root, (pair,), lanes) * (1.5 * wall_pairs.hertz[pair])
+        add_shear_loss(features, old, shear, before * shear_ratio, stiffness * shear_ratio, slide, watch)
+    if features.rescaling or features.account:
+        store(wall_pairs.root, (pair,), root)
     store(wall_pairs.shear, (pair,), shear)
     return normal, stiffness, shear
 
 
-@inlined  # type: ignore[untyped-decorator]
-def add_reaction(features: Features, wall: int, normal: Any, shear: Any, stiffness: Any, walls: Walls) -> None:
+@inlined
+def add_reaction(features: Features, wall: int, normal: Vector, shear: Vector, stiffness: Vector, walls: Walls) -> None:
     """Add one contact to the sums of a wall."""
     lanes = features.lanes
     store(walls.reaction, (wall, 0), load(walls.reaction, (wall, 0), lanes) + normal)
@@ -111,9 +113,9 @@ def add_reaction(features: Features, wall: int, normal: Any, shear: Any, stiffne
     store(walls.reaction, (wall, 2), load(walls.reaction, (wall, 2), lanes) + stiffness)
 
 
-@inlined  # type: ignore[untyped-decorator]
+@inlined
 def move_wall(
-    features: Features, wall: int, step: int, dt: Any, walls: Walls, recording: Recording, watch: Watch
+    features: Features, wall: int, step: int, dt: Vector, walls: Walls, recording: Recording, watch: Watch
 ) -> None:
     """Give a wall its velocity of this step and move it; the drive and the servo act here."""
     lanes = features.lanes
@@ -136,8 +138,8 @@ def move_wall(
         store(watch.account, (0,), load(watch.account, (0,), lanes) + work)
 
 
-@inlined  # type: ignore[untyped-decorator]
-def servo_speed(features: Features, wall: int, dt: Any, walls: Walls) -> Any:
+@inlined
+def servo_speed(features: Features, wall: int, dt: Vector, walls: Walls) -> Vector:
     """Speed that would bring the wall's force to its target in 1 / gain steps, up to a largest speed.
 
     ``v = gain (F_target - F) / (K dt)`` with K the summed contact stiffness of the wall (PFC's servo); a

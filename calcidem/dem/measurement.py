@@ -1,0 +1,242 @@
+"""From a seed and a content to a shear-wave velocity: cement the packing, send the wave, read its arrival."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from calcidem.dem.arrival import Picks, PickRule, Signals, arrived, read_arrival
+from calcidem.dem.cement import CementOrdering, CementRule, PlacedCement, draw_cement
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.material import Cement, Sand, require
+from calcidem.dem.packing import Packing
+from calcidem.dem.pulse import excitation_frequency
+from calcidem.dem.scene import Installation
+from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
+
+Method = Literal["peak", "first_arrival", "cross_correlation"]
+ReceivedSignal = Literal["velocity", "force"]
+
+
+class Outcome(StrEnum):
+    """What became of a sample."""
+
+    DONE = "done"
+    NO_ARRIVAL = "no_arrival"
+    UNSTABLE = "unstable"
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """Everything that all samples of a campaign share.
+
+    Attributes
+    ----------
+    packing, sand, cement, cement_rule, wave, pick
+        See their classes.
+    root_seed
+        Root of all random numbers of the campaign.
+    stiffness_factor
+        Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave
+        stage. 1 is the packing as it was made; anything else is a calibration.
+    installation
+        See `scene.Bonds`.
+    method
+        Reading that becomes Vs.
+    signal
+        Received signal that is read.
+    frequencies
+        (contents in percent, frequencies in Hz), interpolated between; None takes Table 2 of the paper.
+    """
+
+    packing: Packing
+    sand: Sand = field(default_factory=Sand)
+    cement: Cement = field(default_factory=Cement)
+    cement_rule: CementRule = field(default_factory=CementRule)
+    wave: WaveRule = field(default_factory=WaveRule)
+    pick: PickRule = field(default_factory=PickRule)
+    root_seed: int = 0
+    stiffness_factor: float = 1.0
+    installation: Installation = "preserve"
+    method: Method = "peak"
+    signal: ReceivedSignal = "velocity"
+    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what the linear regime cannot do and factors without meaning."""
+        require(self.stiffness_factor > 0.0, "stiffness_factor", self.stiffness_factor, "give a positive factor")
+        require(
+            self.installation == "preserve" or self.wave.regime != "linear",
+            "installation",
+            self.installation,
+            'changes the contact forces, which regime = "linear" takes as they are; choose regime = "small" or "finite"',
+        )
+
+    def frequency(self, content: float) -> float:
+        """Excitation frequency at a content (percent), Hz."""
+        if self.frequencies is None:
+            return excitation_frequency(content)
+        return float(np.interp(content, *self.frequencies))
+
+    def ordering(self, seed: int) -> CementOrdering:
+        """Order in which the contacts and clusters of a seed are cemented."""
+        packing = self.packing
+        return draw_cement(
+            packing.x,
+            packing.y,
+            packing.radius,
+            packing.pairs,
+            box=(packing.width, packing.height),
+            rule=self.cement_rule,
+            seed=seed,
+            root_seed=self.root_seed,
+        )
+
+    def stiffened(self) -> tuple[Packing, Sand]:
+        """Packing and sand of the wave stage."""
+        factor = self.stiffness_factor
+        preload = replace(self.packing.preload, shear=self.packing.preload.shear * factor)
+        stress = tuple(factor * value for value in self.packing.report.wall_stress)
+        report = replace(self.packing.report, wall_stress=stress)
+        sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
+        return replace(self.packing, preload=preload, report=report), sand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """What one sample gave.
+
+    Attributes
+    ----------
+    seed, content
+        Its identity; content in percent of the sand's mass, as wanted.
+    outcome, reason
+        What became of it, and why if there is no velocity.
+    vs
+        Shear-wave velocity by the experiment's method, m/s; None without a trusted pick.
+    picks
+        All readings, of the experiment's signal; None if the run was unstable.
+    frequency
+        Excitation, Hz.
+    error_estimate
+        Estimated relative error of ``vs`` by the time step and the sampling; None without ``vs``.
+    cement
+        Where the cement is.
+    record
+        Signals and time step.
+    seconds
+        Wall time of this sample's share of its batch.
+    """
+
+    seed: int
+    content: float
+    outcome: Outcome
+    reason: str
+    vs: float | None
+    picks: Picks | None
+    frequency: float
+    error_estimate: float | None
+    cement: PlacedCement
+    record: WaveRecord
+    seconds: float
+
+
+def measure(
+    experiment: Experiment,
+    content: float,
+    seeds: Sequence[int],
+    *,
+    lanes: int = 8,
+    check: Callable[[], None] = lambda: None,
+) -> tuple[Measurement, ...]:
+    """Measure the samples of several seeds at one content, side by side.
+
+    Parameters
+    ----------
+    experiment
+        What they share.
+    content
+        Percent of the sand's mass.
+    seeds
+        At most ``lanes`` of them. What a seed gives does not depend on the others.
+    lanes
+        Width of the kernel.
+    check
+        Called every fraction of a second; may raise to end the run.
+
+    Raises
+    ------
+    CementCapacityError
+        If the content is more than the sample can hold.
+    """
+    began = perf_counter()
+    placed = [experiment.ordering(seed).at(content) for seed in seeds]
+    frequency = experiment.frequency(content)
+    packing, sand = experiment.stiffened()
+
+    def heard_enough(record: WaveRecord) -> bool:
+        return len(record.sent) * record.interval > 1.0 / frequency and arrived(
+            signals_of(record, experiment), experiment.pick
+        )
+
+    records = send_waves(
+        packing,
+        sand,
+        experiment.cement,
+        [cement.bonded for cement in placed],
+        frequency,
+        experiment.wave,
+        heard_enough=heard_enough,
+        lanes=lanes,
+        installation=experiment.installation,
+        check=check,
+    )
+    seconds = (perf_counter() - began) / len(seeds)
+    return tuple(
+        judged(experiment, seed, content, frequency, cement, record, seconds)
+        for seed, cement, record in zip(seeds, placed, records, strict=True)
+    )
+
+
+def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
+    """Signals of a record as the picking wants them."""
+    received: Floats = record.velocity if experiment.signal == "velocity" else record.force
+    return Signals(record.interval, record.sent, received, experiment.packing.width)
+
+
+def judged(
+    experiment: Experiment,
+    seed: int,
+    content: float,
+    frequency: float,
+    cement: PlacedCement,
+    record: WaveRecord,
+    seconds: float,
+) -> Measurement:
+    """Read a record; whatever cannot be trusted becomes an outcome with its reason, never a number."""
+    outcome, reason, vs, picks, error = Outcome.UNSTABLE, record.problem, None, None, None
+    if not record.problem:
+        picks = read_arrival(signals_of(record, experiment), experiment.pick)
+        reading = getattr(picks, experiment.method)
+        if reading.velocity is None:
+            outcome, reason = Outcome.NO_ARRIVAL, str(reading.failure)
+        else:
+            outcome, vs = Outcome.DONE, reading.velocity
+            error = discretisation_error(record, frequency, reading.travel_time)
+    return Measurement(seed, content, outcome, reason, vs, picks, frequency, error, cement, record, seconds)
+
+
+def discretisation_error(record: WaveRecord, frequency: float, travel_time: float) -> float:
+    """Estimated relative error of a velocity by the time step and the sampling.
+
+    Leapfrog shifts frequencies by ``(omega dt)^2 / 24``; the shortest waves of a pulse have about three times its
+    frequency. A parabola through three samples of a cosine misses its top by less than ``(omega dt)^2 / 24`` of the
+    interval. The half step between force and velocity is added.
+    """
+    omega = 2.0 * np.pi * frequency
+    step = (3.0 * omega * record.time_step) ** 2 / 24.0
+    sampling = (omega * record.interval) ** 2 / 24.0 * record.interval / travel_time
+    return float(step + sampling + 0.5 * record.time_step / travel_time)

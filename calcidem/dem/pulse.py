@@ -1,0 +1,116 @@
+"""The pulse that is sent into a sample: its shape, and the frequency that suits a calcite content."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+EXCITATION = (
+    (0.0, 4.0e3),
+    (0.11, 4.0e3),
+    (0.23, 5.0e3),
+    (0.34, 7.0e3),
+    (0.45, 8.0e3),
+    (0.55, 8.0e3),
+    (0.66, 8.0e3),
+    (1.24, 8.0e3),
+    (1.88, 8.0e3),
+    (2.55, 8.0e3),
+    (3.17, 8.0e3),
+    (4.0, 10.0e3),
+    (5.0, 15.0e3),
+    (6.0, 20.0e3),
+    (7.0, 25.0e3),
+    (8.0, 25.0e3),
+    (9.0, 25.0e3),
+)
+"""Table 2 of the paper: calcite content, percent of the sand's mass, and excitation frequency, Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One period of ``v(t) = v0 (1 - cos 2 pi f t)``, then rest (paper, section 2.2.2).
+
+    Attributes
+    ----------
+    amplitude
+        v0, m/s; the peak velocity is twice that. The paper's 5 m/s is a shock at 5 kPa, not a small strain.
+    frequency
+        f, Hz.
+    """
+
+    amplitude: float
+    frequency: float
+
+    def __post_init__(self) -> None:
+        """Refuse a pulse without motion or without end."""
+        if not 0.0 < abs(self.amplitude) < np.inf:
+            raise ValueError(f"amplitude = {self.amplitude} m/s: give a finite velocity other than 0")
+        if not 0.0 < self.frequency < np.inf:
+            raise ValueError(f"frequency = {self.frequency} Hz: give a positive, finite frequency")
+
+    @property
+    def duration(self) -> float:
+        """One period, s."""
+        return 1.0 / self.frequency
+
+    @property
+    def peak_time(self) -> float:
+        """Time of the largest velocity, 1 / (2 f), s."""
+        return 0.5 / self.frequency
+
+    @property
+    def stroke(self) -> float:
+        """Displacement that remains after the pulse, v0 / f, m."""
+        return self.amplitude / self.frequency
+
+    def velocity(self, time: npt.ArrayLike) -> Floats:
+        """Return the velocity at times (s, any shape), m/s; zero before 0 and after one period."""
+        phase = 2.0 * np.pi * np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
+        return np.asarray(self.amplitude * (1.0 - np.cos(phase)))
+
+    def displacement(self, time: npt.ArrayLike) -> Floats:
+        """Return the displacement since time 0 at times (s, any shape), m: the integral of the velocity."""
+        cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
+        return np.asarray(self.stroke * (cycle - np.sin(2.0 * np.pi * cycle) / (2.0 * np.pi)))
+
+
+def excitation_frequency(content: float) -> float:
+    """Return the excitation frequency for a calcite content (percent), Hz.
+
+    The paper's value at its contents (`EXCITATION`), linear interpolation between them.
+
+    Raises
+    ------
+    ValueError
+        Outside the range of contents of Table 2: a guess there could exceed what the sample lets through.
+    """
+    contents, frequencies = zip(*EXCITATION, strict=True)
+    if not contents[0] <= content <= contents[-1]:
+        raise ValueError(
+            f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
+            "give the frequency for this content yourself"
+        )
+    return float(np.interp(content, contents, frequencies))
+
+
+def cutoff_frequency(velocity: float, diameter: float) -> float:
+    """Estimate the frequency above which grains pass no wave on, Hz.
+
+    Parameters
+    ----------
+    velocity
+        Of long waves, m/s.
+    diameter
+        Of the grains, m.
+
+    Notes
+    -----
+    ``f = V / (pi d)``: a chain of masses with spacing d ends at ``omega = 2 sqrt(k / m)``, and its long waves
+    have ``V = d sqrt(k / m)``.
+    """
+    if not (velocity > 0.0 and diameter > 0.0):
+        raise ValueError(f"velocity = {velocity} m/s, diameter = {diameter} m: give positive numbers")
+    return velocity / (np.pi * diameter)

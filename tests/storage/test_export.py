@@ -1,0 +1,188 @@
+"""NetCDF export and the way back."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.storage import export
+from calcidem.storage.dataset import campaign_dataset
+from calcidem.storage.errors import (
+    CampaignMismatchError,
+    ForeignDatabaseError,
+    NewerSchemaError,
+    StoreUnavailableError,
+    UnknownCampaignError,
+)
+from calcidem.storage.export import export_netcdf
+from calcidem.storage.netcdf_import import import_netcdf
+from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
+from calcidem.storage.sql_store import SqlStore, open_store
+
+if TYPE_CHECKING:
+    from conftest import Records
+
+Filled = tuple[SqlStore, CampaignRecord]
+
+
+@pytest.fixture
+def filled(store: SqlStore, records: "Records") -> Filled:
+    """Fill a store with something of everything."""
+    store.extend((7,), (9.0,))
+    store.begin_run(records.run())
+    for index in (0, 1):
+        store.save_packing(records.packing(index))
+    store.record_results(records.with_arrays(seed, content) for seed in (0, 1) for content in (0.0, 0.3, 5.0))
+    store.record_results([records.done(2, 0.0), records.failed(2, 5.0, status=CellStatus.UNSTABLE)])
+    store.record_lost([CellKey(3, 5.0)], "killed by signal 9")
+    store.record_results([records.failed(3, 0.3)])
+    store.retry()
+    store.end_run("stopped", records.run().started + timedelta(hours=1))
+    store.begin_run(records.run(mpi_library=None, git_commit=None, git_dirty=None, slurm_job_id=None))
+    store.record_results([records.done(7, 9.0, seconds=None, rank=None, host=None)])
+    return store, store.use_campaign()
+
+
+@pytest.fixture
+def exported(filled: Filled, tmp_path: Path) -> Path:
+    """Export it."""
+    return export_netcdf(*filled, tmp_path / "campaign.nc")
+
+
+def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_path: Path) -> None:
+    """Database to NetCDF to database keeps plan, runs, packings, attempts and outcomes, bit for bit."""
+    original, campaign = filled
+    with open_store(tmp_path / "copy.db") as copy:
+        assert import_netcdf(exported, copy) == campaign
+        assert copy.runs() == original.runs()
+        assert [copy.load_packing(i) for i in copy.packing_indices()] == [
+            original.load_packing(i) for i in (0, 1)
+        ]
+        assert list(copy.history()) == list(original.history())
+        assert copy.statuses() == original.statuses()
+        assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
+
+
+def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> None:
+    """Importing twice leaves cells and attempts as they are."""
+    with open_store(tmp_path / "copy.db") as copy:
+        import_netcdf(exported, copy)
+        before = list(copy.results(with_arrays=True)), list(copy.history())
+        import_netcdf(exported, copy)
+        assert (list(copy.results(with_arrays=True)), list(copy.history())) == before
+
+
+def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path, records: "Records") -> None:
+    """A store whose campaign of that name has another configuration refuses the file."""
+    with open_store(tmp_path / "copy.db") as copy:
+        copy.begin_campaign(records.campaign({"packing": {"friction": 0.5}}))
+        with pytest.raises(CampaignMismatchError, match="friction"):
+            import_netcdf(exported, copy)
+
+
+def test_plain_xarray_opens_it(filled: Filled, exported: Path) -> None:
+    """Plain xarray finds the same Dataset in the file as the API gives, with provenance."""
+    with xr.open_dataset(exported) as found:
+        expected = campaign_dataset(*filled)
+        for name in expected.variables:
+            np.testing.assert_array_equal(found[name].astype(expected[name].dtype), expected[name])
+        assert found.attrs["Conventions"] == "CF-1.11"
+        assert found.attrs["calcidem_campaign_hash"] == filled[1].hash
+        assert json.loads(found.attrs["calcidem_config"])["packing"]["friction"] == 0.2
+        assert json.loads(found.attrs["calcidem_runs"])[0]["versions"]["numpy"] == "2.4.6"
+
+
+def test_flags_and_units_are_in_the_file(exported: Path) -> None:
+    """Every number has a unit, the status is a CF flag variable, and data are compressed."""
+    with netCDF4.Dataset(exported) as file:
+        assert file["status"].dtype == np.int8
+        assert len(file["status"].flag_meanings.split()) == len(file["status"].flag_values)
+        for variable in file.variables.values():
+            assert variable.long_name
+            assert variable.dtype is str or hasattr(variable, "units") or variable.name == "status"
+        assert file["vs"].filters()["zlib"]
+        assert file["signals/received_force"].filters()["zlib"]
+
+
+@pytest.mark.filterwarnings("ignore:The ioos_sos checker")
+def test_cf_checker(exported: Path) -> None:
+    """The IOOS compliance checker finds no error against CF 1.11."""
+    pytest.importorskip("compliance_checker", reason="compliance-checker is not installed")
+    from compliance_checker.runner import CheckSuite, ComplianceChecker  # noqa: PLC0415 - optional
+
+    CheckSuite.load_all_available_checkers()
+    report = exported.with_suffix(".json")
+    ComplianceChecker.run_checker(
+        str(exported),
+        ["cf:1.11"],
+        verbose=0,
+        criteria="normal",
+        output_filename=str(report),
+        output_format="json",
+    )
+    found = json.loads(report.read_text())["cf:1.11"]
+    assert found["high_count"] == 0, found["high_priorities"]
+    assert found["medium_count"] == 0, found["medium_priorities"]
+
+
+def test_ncdump_opens_it(exported: Path) -> None:
+    """Ncdump reads the header."""
+    ncdump = shutil.which("ncdump")
+    if ncdump is None:
+        pytest.skip("ncdump is not installed (Debian: apt-get install netcdf-bin)")
+    done = subprocess.run([ncdump, "-h", str(exported)], check=True, capture_output=True, text=True)
+    assert "group: signals" in done.stdout
+
+
+def test_failed_export_leaves_the_old_file(
+    filled: Filled, exported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An export that fails half-way leaves the old file as it was and no other beside it."""
+    before = exported.read_bytes()
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("power cut")
+
+    monkeypatch.setattr(export, "append_attempts", fail)
+    with pytest.raises(RuntimeError, match="power cut"):
+        export_netcdf(*filled, exported)
+    assert exported.read_bytes() == before
+    assert [path.name for path in exported.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_unusable_targets(
+    filled: Filled, open_here: Callable[..., SqlStore], records: "Records", tmp_path: Path
+) -> None:
+    """A missing folder and a campaign without cells are refused before anything is written."""
+    with pytest.raises(FileNotFoundError, match="folder"):
+        export_netcdf(*filled, tmp_path / "nowhere" / "campaign.nc")
+    empty = open_here()
+    record = empty.begin_campaign(records.campaign({"y": 1}, name="empty", seeds=(), contents=()))
+    with pytest.raises(UnknownCampaignError, match="no cells"):
+        export_netcdf(empty, record, tmp_path / "empty.nc")
+    assert not (tmp_path / "empty.nc").exists()
+
+
+def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
+    """Text, other NetCDF files and later layouts are refused with the store left empty."""
+    (tmp_path / "text.nc").write_text("hello")
+    netCDF4.Dataset(tmp_path / "other.nc", "w").close()
+    with netCDF4.Dataset(exported, "a") as file:
+        file.calcidem_format = 99
+    with open_store(tmp_path / "copy.db") as copy:
+        for name, error in (
+            ("text.nc", StoreUnavailableError),
+            ("other.nc", ForeignDatabaseError),
+            (exported.name, NewerSchemaError),
+        ):
+            with pytest.raises(error):
+                import_netcdf(tmp_path / name, copy)
+        assert copy.campaigns() == ()

@@ -1,0 +1,164 @@
+"""Records refuse what is no result, and compare by value."""
+
+import dataclasses
+import pickle
+from collections.abc import Callable
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calcidem.storage.canonical import canonical_json, config_difference, content_hash
+from calcidem.storage.records import (
+    CellKey,
+    CellResult,
+    CellStatus,
+    CementPattern,
+    PathFeatures,
+    Signal,
+    canonical_content,
+)
+
+if TYPE_CHECKING:
+    from conftest import Records
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"vs": None}, "lacks vs"),
+        ({"vs": float("nan")}, "vs is nan"),
+        ({"vs": np.float64("inf")}, "vs is inf"),
+        ({"vs": -1.0}, "vs is -1"),
+        ({"vs": 0.0}, "vs is 0"),
+        ({"vs_peak": float("nan")}, "vs_peak is nan"),
+        ({"time_step": None}, "lacks time_step"),
+        ({"steps": -1}, "steps is -1"),
+        ({"attempt": 0}, "attempts count from 1"),
+        ({"status": "failed"}, "only a done cell"),
+        ({"status": "failed", "vs": None}, "say why"),
+        ({"status": "pending", "vs": None}, "an outcome is one of"),
+        ({"status": "splendid"}, "splendid"),
+    ],
+)
+def test_contradictory_results_are_refused(records: "Records", changes: dict[str, Any], message: str) -> None:
+    """A result whose numbers contradict its status can't be built, and the message names the field."""
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(records.done(), **changes)
+
+
+@given(st.floats(0.0, 100.0), st.floats(-4e-10, 4e-10))
+def test_near_contents_are_one_key(content: float, noise: float) -> None:
+    """Contents rounded to nine decimals keep their key under any noise below half of the last decimal."""
+    rounded = round(content, 9)
+    noisy = min(max(rounded + noise, 0.0), 100.0)
+    assert canonical_content(noisy) == canonical_content(rounded)
+    assert canonical_content(canonical_content(content)) == canonical_content(content)
+
+
+@pytest.mark.parametrize("content", [-0.1, 100.1, float("nan"), float("inf")])
+def test_impossible_contents_are_refused(content: float) -> None:
+    """Contents outside of 0 to 100 % are refused."""
+    with pytest.raises(ValueError, match="between 0 and 100"):
+        CellKey(0, content)
+
+
+def test_negative_zero_is_zero() -> None:
+    """Minus zero percent is written as zero, so that it doesn't show in texts."""
+    assert str(CellKey(0, -0.0).content) == "0.0"
+
+
+def test_negative_seed_is_refused() -> None:
+    """Seeds are 0 or more."""
+    with pytest.raises(ValueError, match="seed is -1"):
+        CellKey(-1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Signal(1e-6, [1.0, 2.0], [1.0], [1.0, 2.0]), "received_force has shape"),
+        (lambda: Signal(0.0, [1.0], [1.0], [1.0]), "time_step"),
+        (lambda: Signal(1e-6, [np.nan], [1.0], [1.0]), "sent_velocity holds NaN"),
+        (lambda: CementPattern([[1, 2]], [3], np.zeros((0, 2))), "kind"),
+        (lambda: CementPattern([1, 2], [1], np.zeros((0, 2))), "contacts has shape"),
+        (lambda: CementPattern([[1, 2.5]], [1], np.zeros((0, 2))), "can't represent"),
+        (lambda: PathFeatures(3, 1, 1, 0.5, 0.5, 1, 2.0, 1.0), "must add up"),
+    ],
+)
+def test_wrong_arrays_are_refused(build: Callable[[], object], message: str) -> None:
+    """Arrays of wrong shape, type or content are refused with the field's name."""
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_records_with_arrays_compare_by_value(records: "Records") -> None:
+    """Equal content is equal, one other element is not, and other types never are."""
+    cement = records.with_arrays().cement
+    other = dataclasses.replace(cement, cluster_centres=cement.cluster_centres + 1e-12)
+    assert cement == dataclasses.replace(cement)
+    assert cement != other
+    assert cement != "cement"
+
+
+def test_arrays_of_records_are_frozen_copies() -> None:
+    """Changing the caller's array doesn't change a record, and a record's array can't be written."""
+    samples = np.array([1.0, 2.0])
+    signal = Signal(1e-6, samples, samples, samples)
+    samples[0] = 9.0
+    assert signal.sent_velocity[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        signal.sent_velocity[0] = 9.0
+    np.testing.assert_array_equal(signal.time, [0.0, 1e-6])
+
+
+def test_results_travel_between_processes(records: "Records") -> None:
+    """A result with arrays survives pickling, as between MPI ranks."""
+    result = records.with_arrays()
+    assert pickle.loads(pickle.dumps(result)) == result  # noqa: S301 - own data
+
+
+def test_numpy_scalars_become_plain_numbers(records: "Records") -> None:
+    """NumPy scalars are taken and turned into Python's numbers, which database drivers know."""
+    result = records.done(np.int64(3), np.float64(5.0), vs=np.float64(7.0), steps=np.int32(5))
+    assert [type(v) for v in (result.key.seed, result.key.content, result.vs, result.steps)] == [
+        int,
+        float,
+        float,
+        int,
+    ]
+
+
+def test_moments_need_a_time_zone(records: "Records") -> None:
+    """A moment without time zone is refused."""
+    with pytest.raises(ValueError, match="time zone"):
+        records.campaign(created=datetime(2024, 1, 1))  # noqa: DTZ001 - the point of the test
+
+
+def test_hash_depends_on_content_only() -> None:
+    """The hash is the same for any order of keys and differs for any other value."""
+    assert content_hash({"a": 1, "b": {"c": 0.1, "d": 2}}) == content_hash({"b": {"d": 2, "c": 0.1}, "a": 1})
+    assert content_hash({"a": 0.1}) != content_hash({"a": 0.1 + 2e-17 + 1e-16})
+    with pytest.raises(ValueError, match="JSON"):
+        canonical_json({"a": float("nan")})
+
+
+def test_difference_names_nested_keys() -> None:
+    """The difference lists changed, added and removed keys with their path, and nothing else."""
+    before = canonical_json({"packing": {"friction": 0.2, "steps": [1, 2]}, "same": {"x": None}, "gone": 1})
+    after = canonical_json({"packing": {"friction": 0.5, "steps": [1, 3]}, "same": {"x": None}, "new": {}})
+    assert config_difference(before, after) == [
+        "gone: 1 -> (not there)",
+        "new: (not there) -> {}",
+        "packing.friction: 0.2 -> 0.5",
+        "packing.steps: [1, 2] -> [1, 3]",
+    ]
+
+
+def test_status_values_are_words() -> None:
+    """Statuses are their own words, as they are stored and typed by users."""
+    assert [str(status) for status in CellStatus][2:4] == ["done", "no_arrival"]
+    assert CellResult.__dataclass_params__.frozen

@@ -1,0 +1,71 @@
+"""Migrations lead to the schema of the models, and old databases keep their values."""
+
+import re
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import create_engine
+
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.models import Base
+from calcidem.storage.records import CellStatus
+from calcidem.storage.schema import VERSION_TABLE, _head
+from calcidem.storage.sql_store import SqlStore, open_store
+
+if TYPE_CHECKING:
+    from conftest import Records
+
+# Made by `open_store` of that version with the factories of conftest.py; never to be made again. A new schema adds a file.
+ASSETS = Path(__file__).parent / "assets"
+
+
+def statements(path: Path) -> dict[str, list[str]]:
+    """Return the SQL of all tables and indices, the parts of each sorted, since their order is free."""
+    with sqlite3.connect(path) as connection:
+        found = connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
+    connection.close()
+    return {
+        name: sorted(line.strip(" ,\t") for line in re.sub(r"[ \t]+", " ", sql).split("\n"))
+        for name, sql in found
+        if name != VERSION_TABLE
+    }
+
+
+def test_migrations_give_the_schema_of_the_models(tmp_path: Path) -> None:
+    """Migrating an empty SQLite file gives the same tables, constraints and indices as the models create."""
+    open_store(tmp_path / "migrated.db").close()
+    engine = create_engine(f"sqlite:///{tmp_path / 'created.db'}")
+    Base.metadata.create_all(engine)
+    engine.dispose()
+    assert statements(tmp_path / "migrated.db") == statements(tmp_path / "created.db")
+
+
+def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
+    """Alembic's own comparison finds nothing to migrate on either backend."""
+    with open_here()._engine.connect() as connection:
+        context = MigrationContext.configure(
+            connection, opts={"version_table": VERSION_TABLE, "compare_type": True}
+        )
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Records") -> None:
+    """The kept database of the first schema is upgraded and has the values it was made with."""
+    path = tmp_path / "old.db"
+    shutil.copy(ASSETS / "schema_0001.db", path)
+    open_store(path).close()
+    with open_campaign(path) as campaign:
+        assert campaign.record == records.campaign()
+        assert campaign.cell(seed=1, content=5.0) == records.with_arrays(1, 5.0)
+        assert campaign.packing() == records.packing()
+        assert [run for _, run in campaign.runs()] == [records.run()]
+        assert [a.outcome for a in campaign.history(seed=2, content=5.0)] == ["lost", "no_arrival"]
+        assert campaign.status_counts()[5.0, CellStatus.NO_ARRIVAL] == 1
+    with sqlite3.connect(path) as connection:
+        assert connection.execute(f"SELECT version_num FROM {VERSION_TABLE}").fetchone() == (_head(),)  # noqa: S608 - a constant
+    connection.close()

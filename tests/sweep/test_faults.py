@@ -1,0 +1,136 @@
+"""The fault matrix, with the real mpirun: {what happens} x {to whom} x {when}, then the same command again, twice.
+
+The cell (5, 2.55) is the one that misbehaves; `--once` lets it do so a single time.
+"""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from conftest import Campaign, Values
+
+pytestmark = pytest.mark.mpi
+
+BAD_CELL = (5, 2.55)
+LIMITED = ("--time-limit", "0.6", "--seconds", "0.02")
+
+
+def resume_twice(campaign: Campaign, expected: Values, *options: str, ulfm: bool = True) -> None:
+    """Run the same command again until it is complete, and once more; compare with an undisturbed run."""
+    assert campaign.leaves_no_process()
+    for _ in range(2):
+        launch = campaign.run(*options, ulfm=ulfm)
+        assert launch.exit_code == 0, launch.errors
+        assert campaign.values() == expected
+        assert campaign.leaves_no_process()
+
+
+@pytest.mark.parametrize("fault", ["raise", "exit", "unpicklable"])
+def test_an_exception_on_a_worker_costs_its_cell(campaign: Campaign, expected: Values, fault: str) -> None:
+    """The bad cell alone is stored as failed; the run is complete; no worker is lost."""
+    launch = campaign.run("--fault", fault)
+    assert launch.exit_code == 0, launch.errors
+    assert campaign.rows("select seed, content, status from cell where status != 'done'") == [
+        (*BAD_CELL, "failed")
+    ]
+    assert campaign.values() == {cell: value for cell, value in expected.items() if cell != BAD_CELL}
+    assert campaign.rows("select count(*) from loss") == [(0,)]
+
+
+def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: Campaign) -> None:
+    """The four cells that are computed side by side time out together, the rest is done."""
+    launch = campaign.run("--fault", "slow", *LIMITED)
+    assert launch.exit_code == 0, launch.errors
+    assert campaign.rows("select status, count(*) from cell group by status") == [
+        ("done", 32),
+        ("timed_out", 4),
+    ]
+
+
+@pytest.mark.parametrize("moment", ["start", "end"])
+@pytest.mark.parametrize("fault", ["hard-exit", "kill", "segfault", "stop", "loop"])
+def test_a_lost_worker_costs_nothing_but_time(
+    campaign: Campaign, expected: Values, tmp_path: Path, fault: str, moment: str
+) -> None:
+    """Under ULFM the batch of a lost worker is computed by another one and the run is complete."""
+    once = tmp_path / "once"
+    launch = campaign.run("--fault", fault, "--moment", moment, "--once", str(once), *LIMITED)
+    assert once.exists()
+    assert launch.noted_exit_code == 0, launch.errors
+    assert campaign.values() == expected
+    assert campaign.rows("select distinct losses from loss") == [(1,)]
+    assert campaign.leaves_no_process()
+
+
+@pytest.mark.parametrize("fault", ["hard-exit", "kill", "segfault", "stop", "loop"])
+def test_a_lost_worker_without_ulfm_ends_the_run(
+    campaign: Campaign, expected: Values, tmp_path: Path, fault: str
+) -> None:
+    """Without ULFM the run ends as resumable, the loss is counted, and the same command completes it."""
+    options = ("--fault", fault, "--once", str(tmp_path / "once"), *LIMITED)
+    launch = campaign.run(*options, ulfm=False)
+    assert launch.exit_code != 0
+    assert launch.noted_exit_code == 75, launch.errors
+    assert campaign.rows("select seed from loss order by seed") == [(4,), (5,), (6,), (7,)]
+    resume_twice(campaign, expected, *options, ulfm=False)
+
+
+@pytest.mark.parametrize("fault", ["kill", "loop"])
+def test_a_cell_that_kills_three_workers_is_quarantined(
+    campaign: Campaign, expected: Values, fault: str
+) -> None:
+    """The deadly cell costs three workers and is stored with the reason; all other cells are done."""
+    launch = campaign.run("--fault", fault, *LIMITED, ranks=5)
+    assert launch.exit_code == 0, launch.errors
+    ((seed, content, status, message),) = campaign.rows(
+        "select seed, content, status, message from cell where status != 'done'"
+    )
+    assert (seed, content, status) == (*BAD_CELL, "quarantined")
+    assert "took down 3 workers" in message
+    assert ("hard time limit" in message) == (fault == "loop")
+    assert campaign.values() == {cell: value for cell, value in expected.items() if cell != BAD_CELL}
+
+
+def test_losses_count_over_restarts(campaign: Campaign, expected: Values) -> None:
+    """With two workers the deadly cell takes down the whole crew, twice at most; then it is quarantined."""
+    launch = campaign.run("--fault", "kill", *LIMITED, ranks=3)
+    assert (launch.exit_code, launch.noted_exit_code) == (75, 75), launch.errors
+    assert "all workers are lost" in launch.errors
+    launch = campaign.run("--fault", "kill", *LIMITED, ranks=3)
+    assert launch.exit_code == 0, launch.errors
+    assert campaign.rows("select seed, content from cell where status = 'quarantined'") == [BAD_CELL]
+    assert campaign.values() == {cell: value for cell, value in expected.items() if cell != BAD_CELL}
+
+
+@pytest.mark.parametrize("moment", ["before", "while", "after"])
+@pytest.mark.parametrize("fault", ["kill", "segfault", "raise"])
+def test_a_lost_master_loses_nothing_acknowledged(
+    campaign: Campaign, expected: Values, fault: str, moment: str
+) -> None:
+    """Whatever ends the master around a commit: no process is left, and the same command completes the run."""
+    launch = campaign.run("--die", f"{fault}-{moment}", "--seconds", "0.05")
+    assert launch.exit_code != 0
+    assert launch.noted_exit_code == (1 if fault == "raise" else None)
+    assert launch.stored() <= campaign.values().keys() < expected.keys()
+    resume_twice(campaign, expected)
+
+
+@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_no_rank_outlives_mpirun(
+    campaign: Campaign, expected: Values, number: signal.Signals, ulfm: bool
+) -> None:
+    """When mpirun itself is killed all ranks are gone at once, and what they had told of is stored."""
+    launch = campaign.start("--seconds", "0.1", ulfm=ulfm)
+    launch.wait_for_line("stored")
+    launch.signal(number)
+    launch.wait()
+    assert campaign.leaves_no_process()
+    assert launch.stored() <= campaign.values().keys()
+    resume_twice(campaign, expected, ulfm=ulfm)

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from conftest import Campaign
+
+pytestmark = pytest.mark.mpi
+
+KILLS = 20
+
+
+def test_random_kills_lose_nothing_acknowledged(
+    campaign: Campaign, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After each of 20 kills of a random rank or of mpirun, all cells told of as stored are in the database."""
+    random_numbers = random.Random(2026)
+    acknowledged: set[tuple[int, float]] = set()
+    survived = ended = 0
+    for _ in range(KILLS):
+        launch = campaign.start("--seeds", "20000", "--seconds", "0.02", "--blob", "5000", ranks=4)
+        launch.wait_for_line("stored")
+        time.sleep(random_numbers.uniform(0.0, 0.3))
+        os.kill(random_numbers.choice(campaign.processes()), signal.SIGKILL)
+        time.sleep(0.2)
+        if launch.process.poll() is None:
+            survived += 1
+            launch.signal(signal.SIGUSR2)
+        else:
+            ended += 1
+        acknowledged |= launch.wait().stored()
+        assert campaign.leaves_no_process()
+        assert acknowledged <= campaign.values().keys()
+    assert survived + ended == KILLS
+    with capsys.disabled():
+        print(  # noqa: T201 - the counts are what one wants to see
+            f"\n{KILLS} random kills: {ended} ended the run, {survived} cost one worker; "
+            f"{len(acknowledged)} acknowledged cells, none lost, {len(campaign.values())} stored"
+        )
