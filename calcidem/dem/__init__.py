@@ -1,0 +1,38 @@
+"""Discrete elements: packings, contact laws, cement, waves; knows nothing of campaigns and databases.
+
+For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, and read positions,
+`contact_forces` and `energies`. docs/scenes.md explains it with an example.
+"""
+
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.readout import (
+    ContactForces,
+    Energies,
+    contact_forces,
+    energies,
+    net_forces,
+    unbalanced_ratio,
+    wall_reactions,
+)
+from calcidem.dem.scene import Bonds, Scene, Wall
+from calcidem.dem.state import Preload, State, advance, choose_features, start
+
+__all__ = [
+    "Bonds",
+    "Cement",
+    "ContactForces",
+    "Energies",
+    "Preload",
+    "Sand",
+    "Scene",
+    "State",
+    "Wall",
+    "advance",
+    "choose_features",
+    "contact_forces",
+    "energies",
+    "net_forces",
+    "start",
+    "unbalanced_ratio",
+    "wall_reactions",
+]

@@ -1,10 +1,10 @@
 """Reading the travel time of a pulse from what was sent and what was received.
 
 Three methods (paper, section 3.1.1): from peak to peak, by first arrival, and by cross-correlation. All lean
-on one search for the main peak, because bare rules fail on real records: the largest value may be a reflection,
-and the first one above some level a precursor (a P wave of the near field) or noise. The search looks no further
-than a horizon behind the peak it takes, so a simulation that stops when `arrived` says so gives the same readings,
-to the last bit, as one that goes on.
+on one search for the main peak, because bare rules fail on real records: the largest value may be a
+reflection, and the first one above some level a precursor (a P wave of the near field) or noise. The search
+looks no further than a horizon behind the peak it takes, so a simulation that stops when `arrived` says so
+gives the same readings, to the last bit, as one that goes on.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from scipy.signal import correlate, find_peaks, peak_prominences, peak_widths, s
 Floats = npt.NDArray[np.float64]
 
 PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
-PULSE_START = 1e-2  # of the sent peak; a record that starts higher has missed the start of the pulse
+PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
 
 
 class PickFailure(StrEnum):
@@ -41,7 +41,7 @@ class PickRule:
     ----------
     slowest, fastest
         Window of possible velocities, m/s. What is recorded before the fastest wave is there tells the zero
-        line and the noise.
+        line and the noise, so it pays not to set the latter higher than needed.
     significance
         Smallest height of the main peak, relative to the largest value up to the horizon.
     prominence
@@ -81,9 +81,7 @@ class PickRule:
     def __post_init__(self) -> None:
         """Refuse rules that pick nothing or anything."""
         if not 0.0 < self.slowest < self.fastest < np.inf:
-            raise ValueError(
-                f"slowest = {self.slowest}, fastest = {self.fastest} m/s: give 0 < slowest < fastest"
-            )
+            raise ValueError(f"slowest = {self.slowest}, fastest = {self.fastest} m/s: give 0 < slowest < fastest")
         for name in ("significance", "prominence", "width", "precursor", "correlation", "smoothing"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
@@ -151,21 +149,23 @@ class Signals:
     time_step
         Time between two samples, s. A hundred samples in a period are plenty: picks lie between samples.
     sent
-        (T,) velocity of the transmitter, m/s: one positive pulse that starts from rest.
+        (S,) velocity of the transmitter, m/s: one positive pulse, from rest to rest.
     received
-        (T,) signal of the receiver at the same times, in any unit, positive where it follows the sent pulse.
+        (T,) signal of the receiver from the same time on, of any length and in any unit, positive where it
+        follows the sent pulse.
     distance
         Between transmitter and receiver, m.
     floor
-        Peaks up to this value count as silence, in the unit of ``received``: a simulation without noise also
-        passes on signals that no instrument would see.
+        Peaks up to this value count as silence, in the unit of ``received``. Give what the receiver does
+        without a pulse, or about a thousandth of what is sent: a ripple long before the pulse looks like an
+        arrival until the pulse is there, and a simulation also passes on what no instrument would see.
     """
 
     time_step: float
     sent: Floats
     received: Floats
     distance: float
-    floor: float = 0.0
+    floor: float
 
     def __post_init__(self) -> None:
         """Refuse signals that do not match or hold no pulse."""
@@ -174,30 +174,21 @@ class Signals:
                 f"time_step = {self.time_step} s, distance = {self.distance} m, floor = {self.floor}: "
                 "give a positive step and distance, and a floor of 0 or more"
             )
-        shapes = np.shape(self.sent), np.shape(self.received)
-        if len(shapes[0]) != 1 or shapes[0] != shapes[1]:
-            raise ValueError(f"sent {shapes[0]}, received {shapes[1]}: give two arrays of the same length")
-        top = int(np.argmax(self.sent)) if shapes[0][0] else 0
-        if not 0 < top < shapes[0][0] - 1 or not self.sent[0] < PULSE_START * self.sent[top]:
-            raise ValueError(
-                "sent: give a record that starts at rest and goes on beyond the peak of the pulse"
-            )
+        if np.ndim(self.received) != 1 or np.size(self.received) == 0:
+            raise ValueError(f"received {np.shape(self.received)}: give a one-dimensional array of samples")
+        if np.ndim(self.sent) != 1 or np.size(self.sent) == 0:
+            raise ValueError(f"sent {np.shape(self.sent)}: give a one-dimensional array of samples")
+        if not max(self.sent[0], self.sent[-1]) < PULSE_START * np.max(self.sent):
+            raise ValueError("sent: give one whole positive pulse, which starts and ends at rest")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
     """Signals made ready for picking; times are counted in samples and may lie between two.
 
-    Attributes
-    ----------
-    received, smooth
-        (T,) received signal without its zero line, and the same smoothed.
-    sent_top, sent_peak, period
-        Sample and time of the sent peak, and duration of the sent pulse: twice its width at half height.
-    earliest, latest
-        Travel times of the window.
-    reach
-        Samples by which a smoothed value depends on later ones.
+    ``received`` is without its zero line; ``smooth`` is the same smoothed, so that a value depends on ``reach``
+    later ones. ``sent_top`` is the sample and ``sent_peak`` the time of the sent peak, ``period`` the duration
+    of the sent pulse: twice its width at half height. ``earliest`` and ``latest`` are the window's travel times.
     """
 
     signals: Signals
@@ -215,7 +206,7 @@ class Record:
         """Turn a travel time in samples into a reading."""
         if not self.earliest <= samples <= self.latest:
             return Reading(failure=PickFailure.OUTSIDE_WINDOW)
-        travel_time = samples * self.signals.time_step
+        travel_time = float(samples * self.signals.time_step)
         return Reading(travel_time, self.signals.distance / travel_time, quality)
 
 
@@ -257,9 +248,7 @@ def arrived(signals: Signals, rule: PickRule = DEFAULT_RULE) -> bool:
     return isinstance(find_main_peak(prepare(signals, rule)), MainPeak)
 
 
-def record_duration(
-    distance: float, velocity: float, frequency: float, rule: PickRule = DEFAULT_RULE
-) -> float:
+def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = DEFAULT_RULE) -> float:
     """Return the length of record, s, in which a pulse without dispersion is settled; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return 0.5 * period + travel + max((rule.horizon - 1.0) * travel, period) + rule.smoothing * period
@@ -301,6 +290,7 @@ def find_main_peak(record: Record) -> MainPeak | PickFailure:
     if not np.isfinite(record.received).all():
         return PickFailure.NOT_FINITE
     peaks, found = find_peaks(smooth, height=record.signals.floor, prominence=0.0)
+    # Of the whole record, and so at least as large as in the view up to the horizon.
     stands_out = found["prominences"] >= rule.prominence * found["peak_heights"]
     travel = peaks - record.sent_peak
     doubtful = 0.0
@@ -378,6 +368,8 @@ def read_cross_correlation(record: Record, main: MainPeak) -> Reading:
     support = np.flatnonzero(np.abs(sent) > PULSE_FLOOR * sent[record.sent_top])
     begin = int(support[0])
     pulse = sent[begin : int(support[-1]) + 1]
+    if len(pulse) > len(received):
+        return Reading(failure=PickFailure.TOO_SHORT)
     products = correlate(received, pulse, mode="valid")
     best = int(np.argmax(products))
     if not 0 < best < len(products) - 1:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calcidem.dem.arrival import Picks, PickRule, Signals, arrived, read_arrival
+from calcidem.dem.arrival import PickRule, Picks, Signals, arrived, read_arrival
 from calcidem.dem.cement import CementOrdering, CementRule, PlacedCement, draw_cement
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand, require
@@ -46,6 +46,8 @@ class Experiment:
         See `scene.Bonds`.
     method
         Reading that becomes Vs.
+    least_quality
+        Readings of lower quality are not trusted.
     signal
         Received signal that is read.
     frequencies
@@ -63,6 +65,7 @@ class Experiment:
     installation: Installation = "preserve"
     method: Method = "peak"
     signal: ReceivedSignal = "velocity"
+    least_quality: float = 0.1
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
@@ -72,7 +75,7 @@ class Experiment:
             self.installation == "preserve" or self.wave.regime != "linear",
             "installation",
             self.installation,
-            'changes the contact forces, which regime = "linear" takes as they are; choose regime = "small" or "finite"',
+            'changes the contact forces, which regime = "linear" takes as they are; choose "small" or "finite"',
         )
 
     def frequency(self, content: float) -> float:
@@ -122,7 +125,7 @@ class Measurement:
     frequency
         Excitation, Hz.
     error_estimate
-        Estimated relative error of ``vs`` by the time step and the sampling; None without ``vs``.
+        Relative error of ``vs``, see `discretisation_error`; None without ``vs``.
     cement
         Where the cement is.
     record
@@ -223,6 +226,9 @@ def judged(
         reading = getattr(picks, experiment.method)
         if reading.velocity is None:
             outcome, reason = Outcome.NO_ARRIVAL, str(reading.failure)
+        elif reading.quality < experiment.least_quality:
+            outcome = Outcome.NO_ARRIVAL
+            reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         else:
             outcome, vs = Outcome.DONE, reading.velocity
             error = discretisation_error(record, frequency, reading.travel_time)

@@ -16,7 +16,7 @@ class SettlingError(RuntimeError):
 
 
 def settled(state: State, balance: float, most_steps: int) -> State:
-    """State in which every lane is at rest, with the servo of the lid at work; steps are counted from zero again.
+    """State in which every lane is at rest under the lid's servo; steps are counted from zero again.
 
     A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
     alone.
@@ -48,7 +48,8 @@ def settled(state: State, balance: float, most_steps: int) -> State:
     while open_lanes.any():
         if current.steps >= most_steps:
             raise SettlingError(
-                f"a cemented sample is not at rest after {most_steps} steps: raise wave.most_settling_steps or wave.balance"
+                f"a cemented sample is not at rest after {most_steps} steps: "
+                "raise wave.most_settling_steps or wave.balance"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
         current = carried_on(current, CHUNK, no_recording(current))

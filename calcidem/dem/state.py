@@ -214,6 +214,9 @@ def install(scene: Scene, assembly: Assembly, features: Features, preload: Prelo
     pairs = assembly.pairs
     if features.linear:
         return assembly
+    if not features.finite:
+        # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
+        pairs.hertz[pairs.geometry[:, 3] <= 0.0] = 0.0
     overlap = np.maximum(pairs.geometry[:, 3], 0.0)[:, None]
     pairs.root[...] = np.sqrt(overlap)
     wall_overlap = np.maximum(assembly.wall_pairs.overlap, 0.0)[:, None]

@@ -16,8 +16,8 @@ from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
 from calcidem.dem.pulse import Pulse
-from calcidem.dem.scene import Bonds, Installation, Regime, Scene, Wall
 from calcidem.dem.readout import overlaps, wall_overlaps
+from calcidem.dem.scene import Bonds, Installation, Regime, Scene, Wall
 from calcidem.dem.settling import settled
 from calcidem.dem.stability import critical_time_step
 from calcidem.dem.state import SKIN, Precision, State, carried_on, choose_features, start
@@ -79,13 +79,34 @@ class WaveRule:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
-        for name in ("amplitude", "transmitter_half_width", "receiver_half_width", "slowest", "listening_depth"):
+        for name in (
+            "amplitude",
+            "transmitter_half_width",
+            "receiver_half_width",
+            "slowest",
+            "listening_depth",
+        ):
             require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
         for name in ("damping", "boundary_damping"):
             require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
-        require(self.band_friction > 0.0, "band_friction", self.band_friction, "a smooth transmitter moves nothing; give a positive coefficient")
-        require(self.boundary_thickness >= 0.0, "boundary_thickness", self.boundary_thickness, "give 0 or more, in m")
-        require(0.0 < self.step_fraction <= 1.0, "step_fraction", self.step_fraction, "above 1 the scheme is unstable; choose 0.05 to 0.95")
+        require(
+            self.band_friction > 0.0,
+            "band_friction",
+            self.band_friction,
+            "a smooth transmitter moves nothing; give a positive coefficient",
+        )
+        require(
+            self.boundary_thickness >= 0.0,
+            "boundary_thickness",
+            self.boundary_thickness,
+            "give 0 or more, in m",
+        )
+        require(
+            0.0 < self.step_fraction <= 1.0,
+            "step_fraction",
+            self.step_fraction,
+            "above 1 the scheme is unstable; choose 0.05 to 0.95",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +148,10 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         half = getattr(rule, name)
         require(half < middle, name, half, f"has to be less than half the height of the sample, {middle:.4g} m")
     require(
-        rule.boundary_thickness < middle, "boundary_thickness", rule.boundary_thickness, f"has to be less than half the height of the sample, {middle:.4g} m"
+        rule.boundary_thickness < middle,
+        "boundary_thickness",
+        rule.boundary_thickness,
+        f"has to be less than half the height of the sample, {middle:.4g} m",
     )
     sent, heard = rule.transmitter_half_width, rule.receiver_half_width
     infinite = np.inf
@@ -234,7 +258,11 @@ def send_waves(
     )
     features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=far)
     state = start(
-        scene, features=features, precision=rule.precision, preload=packing.preload, step_fraction=rule.step_fraction
+        scene,
+        features=features,
+        precision=rule.precision,
+        preload=packing.preload,
+        step_fraction=rule.step_fraction,
     )
     if bonds is not None and installation != "preserve":
         state = settled(state, rule.balance, rule.most_settling_steps)
@@ -335,8 +363,9 @@ class Recorder:
             return f"a disk moved {furthest:.3g} m, out of reach of its list of neighbours"
         if furthest > NOTICEABLE * self.overlap and state.time_step[lane] > self.present_limit()[lane]:
             return (
-                f"the step of {state.time_step[lane]:.3g} s is above the stability limit that the pressed contacts have after "
-                f"{state.steps} steps, {self.present_limit()[lane]:.3g} s: lower wave.step_fraction or wave.amplitude"
+                f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
+                f"after {state.steps} steps, {self.present_limit()[lane]:.3g} s: "
+                "lower wave.step_fraction or wave.amplitude"
             )
         return ""
 

@@ -131,7 +131,7 @@ def held_error(holder: Lease | None) -> LeaseHeldError:
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 
-def refresh(session: Session, campaign_id: int, token: str) -> None:
+def refresh(session: Session, token: str) -> None:
     """Move the heartbeat to now.
 
     Raises
@@ -139,7 +139,7 @@ def refresh(session: Session, campaign_id: int, token: str) -> None:
     LeaseLostError
         If the row is another process's by now.
     """
-    statement = update(Lease).where(Lease.campaign_id == campaign_id, Lease.token == token)
+    statement = update(Lease).where(Lease.token == token)
     result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=datetime.now(UTC))))
     if result.rowcount == 0:
         raise LeaseLostError(
@@ -148,9 +148,9 @@ def refresh(session: Session, campaign_id: int, token: str) -> None:
         )
 
 
-def drop(session: Session, campaign_id: int, token: str) -> None:
+def drop(session: Session, token: str) -> None:
     """Remove the row if it is still this master's."""
-    session.execute(delete(Lease).where(Lease.campaign_id == campaign_id, Lease.token == token))
+    session.execute(delete(Lease).where(Lease.token == token))
 
 
 def _is_alive(pid: int) -> bool:

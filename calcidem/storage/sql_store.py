@@ -93,7 +93,7 @@ class SqlStore(Store):
         """Open a writing transaction that fails if the lease was lost."""
         with transaction(self._engine, self.address, write=True) as session:
             if self._token is not None:
-                lease.refresh(session, self._campaign, self._token)
+                lease.refresh(session, self._token)
             yield session
 
     @property
@@ -198,7 +198,7 @@ class SqlStore(Store):
         if self._token is not None:
             token, self._token = self._token, None
             with transaction(self._engine, self.address, write=True) as session:
-                lease.drop(session, self._campaign, token)
+                lease.drop(session, token)
         if self._lock is not None:
             self._lock.release()
 

@@ -87,8 +87,13 @@ class Session:
             return
         if error is None:
             self.end(EXIT_COMPLETE)
+        if isinstance(error, MasterLostError):
+            # Every worker finds out by itself. Several ranks that abort at once can hang mpirun for ever.
+            sys.stderr.write(f"rank {self.rank}: {error}\n")
+            self._flush(EXIT_RESUMABLE)
+            os._exit(EXIT_RESUMABLE)
         sys.stderr.write(f"rank {self.rank}: {''.join(traceback.format_exception(error))}")
-        self.abort(EXIT_RESUMABLE if isinstance(error, MasterLostError) else EXIT_ERROR)
+        self.abort(EXIT_ERROR)
 
     def broadcast(self, value: ValueT | None) -> ValueT:
         """Return on all ranks the value that rank 0 gives, without keeping a core busy while waiting."""
@@ -159,5 +164,9 @@ class Session:
         """Tell whether all other ranks end within half a second."""
         from calcidem.sweep.protocol import failed_ranks, wait_until  # noqa: PLC0415 - as above
 
+        def all_failed(comm: MPI.Comm) -> bool:
+            comm.Iprobe(self.rank)  # MPI takes note of failures only while it is at work
+            return len(failed_ranks(comm)) == self.size - 1
+
         comm = self.comm
-        return comm is not None and wait_until(lambda: len(failed_ranks(comm)) == self.size - 1, limit=0.5)
+        return comm is not None and wait_until(lambda: all_failed(comm), limit=0.5)

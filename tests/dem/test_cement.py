@@ -223,16 +223,12 @@ def test_random_streams_are_pinned() -> None:
     """The streams of root 42, seed 1 never change: stored samples are rebuilt from them."""
     ordering = SMALL.draw()
     assert np.argsort(ordering.p_rank)[:6].tolist() == [291, 64, 369, 178, 195, 370]
-    assert ordering.centres[0] == pytest.approx(
-        (0.023363563142287897, 0.04902323065990719), rel=1e-15, abs=0.0
-    )
+    assert ordering.centres[0] == pytest.approx((0.023363563142287897, 0.04902323065990719), rel=1e-15, abs=0.0)
 
 
 def test_contact_points_are_between_the_surfaces() -> None:
     """A contact point has the same distance, half the overlap, from both surfaces, inside both disks."""
-    points = contact_points(
-        np.array([0.0, 3.0]), np.array([0.0, 4.0]), np.array([2.0, 3.4]), np.array([[0, 1]])
-    )
+    points = contact_points(np.array([0.0, 3.0]), np.array([0.0, 4.0]), np.array([2.0, 3.4]), np.array([[0, 1]]))
     from_first, from_second = np.hypot(*points[0]), np.hypot(*(points[0] - np.array([3.0, 4.0])))
     assert (2.0 - from_first, 3.4 - from_second) == pytest.approx((0.2, 0.2))
 

@@ -20,9 +20,7 @@ def test_velocity_starts_and_ends_at_rest_with_its_peak_between(amplitude: float
 
 
 @given(AMPLITUDES, FREQUENCIES, st.floats(0.0, 1.5))
-def test_displacement_is_the_integral_of_the_velocity(
-    amplitude: float, frequency: float, cycle: float
-) -> None:
+def test_displacement_is_the_integral_of_the_velocity(amplitude: float, frequency: float, cycle: float) -> None:
     """The displacement at any time is the integral of the velocity until then."""
     pulse = Pulse(amplitude, frequency)
     nodes, weights = np.polynomial.legendre.leggauss(30)
@@ -69,9 +67,7 @@ def test_cutoff_is_that_of_a_chain() -> None:
     matrix = 2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
     highest = np.sqrt(np.linalg.eigvalsh(matrix)[-1] * stiffness / mass) / (2.0 * np.pi)
     speed = spacing * np.sqrt(stiffness / mass)
-    assert cutoff_frequency(speed, spacing) == pytest.approx(
-        highest, rel=(np.pi / count) ** 2
-    )  # finite length
+    assert cutoff_frequency(speed, spacing) == pytest.approx(highest, rel=(np.pi / count) ** 2)  # finite length
 
 
 @pytest.mark.parametrize(

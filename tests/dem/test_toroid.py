@@ -56,9 +56,7 @@ def test_narrow_cement_follows_the_parabola() -> None:
     """Narrow cement has the area between two parabolas, d_c^3 (1/d_1 + 1/d_2) / 12."""
     first, second, cement = 2e-3, 3e-3, 2e-5
     expected = cement**3 * (1 / first + 1 / second) / 12
-    assert toroid_area(first, second, cement) == pytest.approx(
-        expected, rel=1e-4, abs=0.0
-    )  # (d_c / d)^2 = 1e-4
+    assert toroid_area(first, second, cement) == pytest.approx(expected, rel=1e-4, abs=0.0)  # (d_c / d)^2 = 1e-4
 
 
 def test_arguments_broadcast() -> None:
@@ -75,9 +73,7 @@ def test_cement_wider_than_a_disk_is_refused() -> None:
         toroid_area([3e-3, 2.4e-3], 3e-3, 2.5e-3)
 
 
-@pytest.mark.parametrize(
-    "wrong", [(0.0, 1.0, 0.1), (1.0, -1.0, 0.1), (1.0, 1.0, 0.0), (1.0, float("nan"), 0.1)]
-)
+@pytest.mark.parametrize("wrong", [(0.0, 1.0, 0.1), (1.0, -1.0, 0.1), (1.0, 1.0, 0.0), (1.0, float("nan"), 0.1)])
 def test_diameters_have_to_be_positive(wrong: tuple[float, float, float]) -> None:
     """A diameter of zero, below zero or not a number is refused."""
     with pytest.raises(ValueError, match="positive"):

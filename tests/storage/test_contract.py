@@ -295,7 +295,7 @@ def test_read_only_store_refuses_writes(
 
 
 def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> None:
-    """Asking again for a lease that is held already gives the same one; released, it is free for a new one."""
+    """Asking again for a held lease gives the same one; released, it is free for a new one."""
     grant = store.acquire_lease()
     assert store.acquire_lease() == grant
     store.release_lease()

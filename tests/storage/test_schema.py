@@ -20,7 +20,7 @@ from calcidem.storage.sql_store import SqlStore, open_store
 if TYPE_CHECKING:
     from conftest import Records
 
-# Made by `open_store` of that version with the factories of conftest.py; never to be made again. A new schema adds a file.
+# Made once by the calcidem of that schema with the factories of conftest.py. A new schema adds a file.
 ASSETS = Path(__file__).parent / "assets"
 
 

@@ -1,0 +1,165 @@
+"""From a stored packing and a stored cement pattern to the contact graph and its path features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calcidem.analysis.connectivity import ContactWeights, PathScale
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
+from calcidem.analysis.features import PathFeatures, measure_path, path_features
+from calcidem.storage.records import PathFeatures as StoredPathFeatures
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from calcidem.storage.records import CementPattern, PackingRecord
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackingGraph:
+    """The contacts of a packing, and what turns its paths into features.
+
+    Parameters
+    ----------
+    packing
+        The disks.
+    graph
+        Their contacts and the grains at transmitter and receiver.
+    weights
+        Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains.
+    scale
+        Distance between transmitter and receiver, and median diameter.
+    """
+
+    packing: PackingRecord
+    graph: ContactGraph
+    weights: ContactWeights
+    scale: PathScale
+
+    def bonded(self, cement: CementPattern) -> NDArray[np.bool_]:
+        """Give which contacts of the graph are cemented, shape (m,).
+
+        Raises
+        ------
+        ValueError
+            If the pattern cements two grains that do not touch.
+        """
+        mask = np.zeros(self.graph.contact_count, dtype=np.bool_)
+        mask[self._rows(cement.contacts)] = True
+        return mask
+
+    def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
+        """Give 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,); errors as `bonded`."""
+        kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
+        kinds[self._rows(cement.contacts)] = cement.kind
+        return kinds
+
+    def features(
+        self, bonded: NDArray[np.bool_], known: StoredPathFeatures | None = None
+    ) -> PathFeatures:
+        """Give the path features of one sample.
+
+        Parameters
+        ----------
+        bonded
+            Which contacts are cemented, shape (m,).
+        known
+            Features stored with the sample; their path saves the search.
+
+        Raises
+        ------
+        ValueError
+            If no chain of contacts joins transmitter and receiver.
+        """
+        if known is None or not known.path:
+            return path_features(self.graph, bonded, self.weights, self.scale)
+        flags = bonded[self._rows(np.array(list(pairwise(known.path))))]
+        path = PreferentialPath(known.path, tuple(flags.tolist()))
+        return measure_path(path, self.weights, self.scale)
+
+    def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Find the row of each pair among the contacts, whose pairs are sorted."""
+        count = self.graph.grain_count
+        keys = _keys(self.graph.pairs, count)
+        wanted = _keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), count)
+        rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        strange = keys[rows] != wanted
+        if strange.any():
+            first = np.asarray(pairs)[strange][0].tolist()
+            raise ValueError(
+                f"grains {first[0]} and {first[1]} are joined in the pattern but do not touch in packing "
+                f"{self.packing.index}; the pattern belongs to another packing"
+            )
+        return np.asarray(rows, dtype=np.int64)
+
+
+def packing_graph(
+    packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float
+) -> PackingGraph:
+    """Make the graph of a packing.
+
+    Parameters
+    ----------
+    packing
+        The disks.
+    transmitter_half_width, receiver_half_width
+        Of the bands of the left and of the right wall around mid-height, m. Grains that touch the wall there
+        transmit and receive.
+
+    Raises
+    ------
+    ValueError
+        If no grain touches one of the bands.
+    """
+    off_centre = np.abs(packing.y - packing.height / 2)
+    graph = ContactGraph(
+        grain_count=packing.radius.size,
+        pairs=touching_pairs(packing.x, packing.y, packing.radius),
+        transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
+        receiver=np.flatnonzero(
+            (packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)
+        ),
+    )
+    return PackingGraph(
+        packing=packing,
+        graph=graph,
+        weights=ContactWeights.from_coordination_number(graph.coordination_number),
+        scale=PathScale(packing.width, 2 * float(np.median(packing.radius))),
+    )
+
+
+def touching_pairs(
+    x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Give the pairs of disks that overlap, shape (m, 2), both columns sorted; positions and radii in m."""
+    centres = np.column_stack([x, y])
+    near = cKDTree(centres).query_pairs(2 * float(radius.max()), output_type="ndarray")
+    pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)
+    distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    pairs = pairs[distance < radius[pairs].sum(axis=1)]
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def features_record(features: PathFeatures) -> StoredPathFeatures:
+    """Turn features into the record in which a store keeps them."""
+    return StoredPathFeatures(
+        contacts=features.contacts,
+        hertz_contacts=features.hertz_contacts,
+        bonded_contacts=features.bond_contacts,
+        bonded_fraction=features.bond_proportion,
+        longest_bonded_run_fraction=features.longest_bond_run_proportion,
+        longest_bonded_run=features.longest_bond_run,
+        connectivity=features.connectivity,
+        normalized_connectivity=features.normalised_connectivity,
+        path=features.path.grains,
+    )
+
+
+def _keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:
+    keys: NDArray[np.int64] = pairs.min(axis=1) * grain_count + pairs.max(axis=1)
+    return keys

@@ -1,0 +1,65 @@
+"""Small scenes that several tests of the physics use."""
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.scene import Bonds, Scene, Wall
+
+RADIUS = 1.0e-3
+SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see
+SOFT_CEMENT = Cement(bond_modulus=2.0e8, linear_modulus=1.0e8, bond_stiffness_ratio=2.0, linear_stiffness_ratio=1.5)
+
+
+def pair_scene(gap: float = 0.0, second_radius: float = RADIUS, **options: object) -> Scene:
+    """Two disks side by side along x, ``gap`` apart (negative: overlapping)."""
+    radius = np.array([RADIUS, second_radius])
+    return Scene(x=np.array([0.0, radius.sum() + gap]), y=np.zeros(2), radius=radius, **options)  # type: ignore[arg-type]
+
+
+def hexagonal(columns: int, rows: int, spacing: float) -> tuple[Floats, Floats]:
+    """Centres of a hexagonal lattice, rows along x."""
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    x = (column + 0.5 * (row % 2)) * spacing
+    return x.ravel(), (row * spacing * np.sqrt(0.75)).ravel()
+
+
+def jumble(seed: int, count: int = 12, *, walls: bool = True, share_bonded: float = 0.0, **options: object) -> Scene:
+    """Unequal disks in a disordered heap, touching with overlaps of some thousandths of a radius.
+
+    The heap is not in equilibrium: released, it flies apart, rubs and rolls.
+    """
+    generator = np.random.default_rng(seed)
+    columns = int(np.ceil(np.sqrt(count)))
+    x, y = hexagonal(columns, columns, 1.995 * RADIUS)
+    chosen = np.arange(count)
+    jitter = generator.uniform(-4e-3, 4e-3, (2, count)) * RADIUS
+    x, y = x[chosen] + jitter[0], y[chosen] + jitter[1]
+    radius = RADIUS * generator.uniform(0.996, 1.004, count)
+    bonds = None
+    if share_bonded > 0.0:
+        near = np.array(
+            [(i, j) for i in range(count) for j in range(i) if np.hypot(x[i] - x[j], y[i] - y[j]) < 2.02 * RADIUS]
+        )
+        bonded = generator.random(len(near)) < share_bonded
+        bonded[0] = True
+        cement = options.pop("cement", SOFT_CEMENT)
+        lanes = generator.integers(1, 2**16, len(near), dtype=np.uint32)[bonded]
+        installation = options.pop("installation", "preserve")
+        bonds = Bonds(near[bonded], cement, lanes, installation)  # type: ignore[arg-type]
+    box = ()
+    if walls:
+        box = (
+            Wall((x.min() - 0.999 * RADIUS, 0.0), (1.0, 0.0), friction=0.3, velocity=(0.02, 0.05)),
+            Wall((0.0, y.min() - 0.999 * RADIUS), (0.0, 1.0), friction=0.0),
+            Wall((x.max() + 1.0 * RADIUS, 0.0), (-0.8, 0.6), friction=0.9, velocity=(-0.01, 0.0)),
+        )
+    settings = {"sand": SOFT, "walls": box, "bonds": bonds, **options}
+    return Scene(x=x, y=y, radius=radius, **settings)  # type: ignore[arg-type]
+
+
+def throw(scene: Scene, seed: int, speed: float = 0.05) -> tuple[Floats, Floats]:
+    """Random velocities (N, 2) and spins (N,) for a scene."""
+    generator = np.random.default_rng([seed, 1])
+    velocity = speed * generator.standard_normal((scene.count, 2))
+    return velocity, speed / RADIUS * generator.standard_normal(scene.count)

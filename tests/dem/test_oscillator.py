@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from scenes import RADIUS, SOFT_CEMENT, pair_scene
+
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.scene import Bonds
+from calcidem.dem.state import State, advance, run_sweep, no_recording, start
+
+PAIR = Bonds(np.array([[0, 1]]), SOFT_CEMENT)
+HELD = np.array([True, False])
+LINEAR = Features(
+    finite=False, linear=True, bonds=True, linear_group=True, slip=False, rescaling=False, damping=True, search=False
+)
+SPEED = 1e-3
+
+
+def oscillator(fraction: float, damping: float = 0.0, speed: float = SPEED) -> tuple[State, float]:
+    """Disk on a bond to a held disk, kicked along the bond; the step as a part of 2 / omega, and omega."""
+    scene = pair_scene(bonds=PAIR, held=HELD, damping=damping)
+    stiffness = SOFT_CEMENT.bond_modulus + SOFT_CEMENT.linear_modulus  # 2 E R_min / (R1 + R2) of equal disks
+    omega = np.sqrt(stiffness / scene.mass[1])
+    velocity = np.array([[0.0, 0.0], [speed, 0.0]])
+    state = start(scene, features=LINEAR, velocity=velocity, step_fraction=0.01)
+    step = np.array([fraction * 2.0 / omega])
+    return advance(state_with_step(state, step), 1), float(omega)
+
+
+def state_with_step(state: State, step: Floats) -> State:
+    """The state with another step, also one that `start` would refuse."""
+    from dataclasses import replace
+
+    return replace(state, time_step=step)
+
+
+def track(state: State, steps: int) -> tuple[Floats, Floats]:
+    """Displacement of the free disk at the steps, and velocity half a step before each."""
+    place, speed = [], []
+    for _ in range(steps):
+        place.append(state.motion.displacement[1, 0, 0])
+        speed.append(state.motion.velocity[1, 0, 0])
+        run_sweep(state, 1, no_recording(state))
+    return np.array(place), np.array(speed)
+
+
+@pytest.mark.parametrize("fraction", [0.01, 0.3, 0.9])
+def test_the_leapfrog_energy_of_a_linear_oscillator_is_constant(fraction: float) -> None:
+    """1/2 m v(k - 1/2) v(k + 1/2) + 1/2 k x(k)^2 does not change, whatever the step."""
+    state, omega = oscillator(fraction)
+    place, speed = track(state, 4000)
+    energy = 0.5 * speed[:-1] * speed[1:] + 0.5 * omega**2 * place[:-1] ** 2
+    # A random walk of 4000 roundings of 1e-16, of terms up to twice the energy at the largest step.
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-12 / (1.0 - fraction**2))
+
+
+@pytest.mark.parametrize("fraction", [0.01, 0.3, 0.9])
+def test_a_linear_oscillator_has_the_frequency_of_the_leapfrog_grid(fraction: float) -> None:
+    """The measured frequency is (2 / dt) asin(omega dt / 2)."""
+    state, omega = oscillator(fraction)
+    dt = state.time_step[0]
+    place, _ = track(state, 2000)
+    angle = 2.0 * np.arcsin(0.5 * omega * dt)
+    amplitude = SPEED * dt / np.sin(angle)
+    expected = amplitude * np.sin(angle * np.arange(1, 2001))
+    # 2000 steps multiply a rounding of the phase by 2000, and 1 / (1 - fraction^2) more near the stability limit.
+    np.testing.assert_allclose(place, expected, atol=amplitude * 1e-11)
+
+
+@pytest.mark.parametrize("alpha", [0.1, 0.3, 0.7])
+def test_local_damping_shrinks_each_half_cycle_by_a_known_factor(alpha: float) -> None:
+    """Successive extremes of an oscillator have the ratio sqrt((1 - alpha) / (1 + alpha)).
+
+    On the way in the spring pulls with (1 - alpha) of its force, on the way out with (1 + alpha): the speed v at the middle
+    obeys v^2 = omega^2 (1 - alpha) A^2 = omega^2 (1 + alpha) A'^2.
+    """
+    state, omega = oscillator(0.001, damping=alpha)
+    half_period = 0.5 * np.pi / omega * (1.0 / np.sqrt(1.0 - alpha) + 1.0 / np.sqrt(1.0 + alpha))
+    place, _ = track(state, int(3.5 * half_period / state.time_step[0]))
+    turns = np.flatnonzero((place[1:-1] - place[:-2]) * (place[2:] - place[1:-1]) < 0.0) + 1
+    extremes = np.abs(place[turns])
+    assert len(extremes) >= 3
+    # The sign of the velocity is one half step late at each turn: a relative error of about omega dt = 2e-3, squared.
+    np.testing.assert_allclose(extremes[1:] / extremes[:-1], np.sqrt((1.0 - alpha) / (1.0 + alpha)), rtol=1e-4)
+    np.testing.assert_allclose(np.diff(turns) * state.time_step[0], half_period, rtol=5e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3, 1.0])
+def test_local_damping_lowers_the_critical_step_by_the_root_of_one_plus_alpha(alpha: float) -> None:
+    """An oscillator stays bounded just below 2 / (omega sqrt(1 + alpha)) and grows without bound just above."""
+    below, above = (
+        np.abs(track(oscillator(fraction / np.sqrt(1.0 + alpha), alpha)[0], 600)[0]) for fraction in (0.99, 1.02)
+    )
+    assert below.max() < 20.0 * RADIUS * 1e-3
+    assert not above.max() < 1e3 * below.max()
+
+
+def test_the_limit_that_start_reports_is_below_the_exact_one() -> None:
+    """`State.limit` of a damped oscillator is at most 2 / (omega sqrt(1 + alpha)), and at least half of that."""
+    for alpha in (0.0, 0.3, 1.0):
+        state, omega = oscillator(0.1, alpha)
+        exact = 2.0 / (omega * np.sqrt(1.0 + alpha))
+        assert 0.4 * exact < state.limit[0] <= exact
