@@ -27,7 +27,7 @@ class PickFailure(StrEnum):
     SILENT = "nothing above the noise was received"
     TOO_SHORT = "the record ends before the main peak is certain: record for longer"
     NO_PEAK = "no peak stands out of the received signal"
-    PRECURSOR = "an earlier swing is as large as the main peak"
+    PRECURSOR = "an earlier swing is nearly as large as the main peak"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
     UNLIKE = "the received signal does not resemble the sent pulse"
@@ -71,7 +71,7 @@ class PickRule:
     significance: float = 0.5
     prominence: float = 0.5
     width: float = 0.4
-    precursor: float = 1.0
+    precursor: float = 0.8
     horizon: float = 1.5
     onset: float = 0.1
     signal_to_noise: float = 3.0
@@ -193,6 +193,7 @@ class Record:
 
     signals: Signals
     rule: PickRule
+    sent: Floats
     received: Floats
     smooth: Floats
     sent_top: int
@@ -269,6 +270,7 @@ def prepare(signals: Signals, rule: PickRule) -> Record:
     return Record(
         signals=signals,
         rule=rule,
+        sent=sent,
         received=received,
         smooth=smooth,
         sent_top=top,
@@ -354,7 +356,7 @@ def why_no_peak(record: Record, cut_off: bool) -> PickFailure:
 
 def read_first_arrival(record: Record, main: MainPeak) -> Reading:
     """Read the time between the last rises through the onset level before both peaks."""
-    onset, sent = record.rule.onset, record.signals.sent
+    onset, sent = record.rule.onset, record.sent
     if main.noise >= onset * main.height:
         return Reading(failure=PickFailure.NOISE)
     began = last_rise(sent, record.sent_top, onset * float(sent[record.sent_top]))
@@ -364,7 +366,7 @@ def read_first_arrival(record: Record, main: MainPeak) -> Reading:
 
 def read_cross_correlation(record: Record, main: MainPeak) -> Reading:
     """Read the lag at which the sent pulse fits the received signal best."""
-    sent, received = record.signals.sent, record.received[: main.end]
+    sent, received = record.sent, record.received[: main.end]
     support = np.flatnonzero(np.abs(sent) > PULSE_FLOOR * sent[record.sent_top])
     begin = int(support[0])
     pulse = sent[begin : int(support[-1]) + 1]

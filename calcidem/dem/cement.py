@@ -276,9 +276,7 @@ def draw_cement(
     sand_area = float(np.pi * np.sum(radius**2))
     pore_area = box[0] * box[1] - sand_area
     if not pore_area > 0.0:
-        raise ValueError(
-            f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size"
-        )
+        raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size")
     first, second = 2.0 * radius[pairs[:, 0]], 2.0 * radius[pairs[:, 1]]
     p_area = rule.p_share * toroid_area(first, second, rule.p_diameter)
     c_area = toroid_area(first, second, rule.c_diameter)

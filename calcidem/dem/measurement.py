@@ -10,12 +10,13 @@ import numpy as np
 
 from calcidem.dem.arrival import PickRule, Picks, Signals, arrived, read_arrival
 from calcidem.dem.cement import CementOrdering, CementRule, PlacedCement, draw_cement
-from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
 from calcidem.dem.pulse import excitation_frequency
 from calcidem.dem.scene import Installation
 from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
+
+SILENCE = 1e-5  # received velocity over the amplitude of the pulse that no instrument would see
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 ReceivedSignal = Literal["velocity", "force"]
@@ -205,9 +206,17 @@ def measure(
 
 
 def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
-    """Signals of a record as the picking wants them."""
-    received: Floats = record.velocity if experiment.signal == "velocity" else record.force
-    return Signals(record.interval, record.sent, received, experiment.packing.width)
+    """Signals of a record as the picking wants them.
+
+    A received velocity below a small part of the sent one is silence. The force that belongs to it is that of a wave
+    of the slowest velocity that is looked for, ``rho V v`` times the length of the receiver.
+    """
+    wave = experiment.wave
+    floor = SILENCE * wave.amplitude
+    if experiment.signal == "velocity":
+        return Signals(record.interval, record.sent, record.velocity, experiment.packing.width, floor)
+    floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
+    return Signals(record.interval, record.sent, record.force, experiment.packing.width, floor)
 
 
 def judged(

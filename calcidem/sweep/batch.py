@@ -109,9 +109,7 @@ def plan_batches(
     wave_of_seed = {seed: rank // lanes for rank, seed in enumerate(sorted({seed for seed, _ in cells}))}
     cost = {content: cost_of_content(content) for content in {content for _, content in cells}}
 
-    chunks = [
-        tuple(group[start : start + lanes]) for group in groups for start in range(0, len(group), lanes)
-    ]
+    chunks = [tuple(group[start : start + lanes]) for group in groups for start in range(0, len(group), lanes)]
     # The wave of a batch is that of its first seed: that is the seed which waits for it the longest.
     chunks.sort(key=lambda chunk: (wave_of_seed[chunk[0][0]], -cost[chunk[0][1]], chunk[0]))
     chunks.extend((cell,) for cell in sorted(suspects, key=lambda cell: (losses[cell], cell)))

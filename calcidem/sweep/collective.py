@@ -28,9 +28,7 @@ def barrier(comm: MPI.Comm) -> None:
 
 def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:
     """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
-    payload = (
-        bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if comm.Get_rank() == MASTER else bytearray()
-    )
+    payload = bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if comm.Get_rank() == MASTER else bytearray()
     size = np.array([len(payload)], dtype=np.int64)
     wait_until(comm.Ibcast(size, MASTER).Test)
     if comm.Get_rank() != MASTER:

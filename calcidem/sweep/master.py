@@ -104,9 +104,7 @@ def _account_for(losses: list[Loss[CellT]], context: SweepContext[CellT]) -> Non
         context.store([outcome] if outcome is not None else [])
 
 
-def _reason_to_end(
-    crew: Crew[CellT], context: SweepContext[CellT], level: StopLevel
-) -> tuple[SweepState, str] | None:
+def _reason_to_end(crew: Crew[CellT], context: SweepContext[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
     """Return why the sweep is over, or None if it isn't."""
     signal_name = context.stop_request.reason
     if crew.running == 0 and len(context.schedule) == 0:

@@ -103,18 +103,14 @@ class LineProgress:
         self._next = time.monotonic() + self._pause
         done, total = self._forecast.settled, self._forecast.total
         left = duration(self._forecast.seconds_left(workers))
-        self._write(
-            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {count(workers, 'worker')}"
-        )
+        self._write(f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {count(workers, 'worker')}")
 
     def ended(self, end: SweepEnd) -> None:
         """Write how it ended."""
         self._write(end_line(end))
 
     def _write(self, line: str) -> None:
-        self._console.print(
-            f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True
-        )
+        self._console.print(f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True)
 
 
 class BarProgress:

@@ -111,9 +111,7 @@ def _send_outcome(comm: MPI.Comm, outcome: BatchOutcome[CellT, ResultT]) -> Inco
     except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
         failure = Failure.from_exception(FailureKind.FAILED, error)
         seconds = outcome.seconds + time.monotonic() - start
-        unsent: BatchOutcome[CellT, ResultT] = BatchOutcome(
-            outcome.batch, outcome.place, seconds, failure=failure
-        )
+        unsent: BatchOutcome[CellT, ResultT] = BatchOutcome(outcome.batch, outcome.place, seconds, failure=failure)
         request = start_send(comm, unsent, MASTER, Tag.OUTCOME)
     stopped = False
 

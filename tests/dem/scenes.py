@@ -27,7 +27,8 @@ def hexagonal(columns: int, rows: int, spacing: float) -> tuple[Floats, Floats]:
 def jumble(seed: int, count: int = 12, *, walls: bool = True, share_bonded: float = 0.0, **options: object) -> Scene:
     """Unequal disks in a disordered heap, touching with overlaps of some thousandths of a radius.
 
-    The heap is not in equilibrium: released, it flies apart, rubs and rolls.
+    The heap is not in equilibrium: released, it flies apart, rubs and rolls. Bonds differ between the lanes, except
+    where all pairs are bonded.
     """
     generator = np.random.default_rng(seed)
     columns = int(np.ceil(np.sqrt(count)))
@@ -44,7 +45,7 @@ def jumble(seed: int, count: int = 12, *, walls: bool = True, share_bonded: floa
         bonded = generator.random(len(near)) < share_bonded
         bonded[0] = True
         cement = options.pop("cement", SOFT_CEMENT)
-        lanes = generator.integers(1, 2**16, len(near), dtype=np.uint32)[bonded]
+        lanes = None if share_bonded == 1.0 else generator.integers(1, 2**16, len(near), dtype=np.uint32)[bonded]
         installation = options.pop("installation", "preserve")
         bonds = Bonds(near[bonded], cement, lanes, installation)  # type: ignore[arg-type]
     box = ()

@@ -108,7 +108,7 @@ def test_dispersed_pulses_are_read_at_their_wave_speed(velocity: float, frequenc
         assert reading.quality > 0.9
 
 
-@given(st.floats(100.0, 2000.0), st.floats(0.05, 0.9), st.integers(0, 2**32 - 1))
+@given(st.floats(100.0, 2000.0), st.floats(0.05, 0.75), st.integers(0, 2**32 - 1))
 def test_precursor_of_opposite_sign_lowers_quality_only(velocity: float, depth: float, seed: int) -> None:
     """A P wave of opposite sign, arriving 1.4 to 2 times as fast, leaves the peak where it is."""
     frequency = 4.0 * velocity / DISTANCE  # four wavelengths between the walls: both waves are apart
@@ -145,18 +145,19 @@ def test_precursor_stays_a_reason_when_something_larger_follows() -> None:
     signals = delayed(200.0, 10e3, longer=2.0)
     height, middle = signals.received.max(), 0.5e-4 + DISTANCE / 200.0
     precursor = bump(signals, 0.5e-4 + DISTANCE / 290.0, 10e3, 1.2 * height)
-    ringing = bump(signals, middle + 2.6e-4, 10e3, 1.4 * height)
+    ringing = bump(signals, middle + 2.6e-4, 10e3, 1.7 * height)
     picks = read_arrival(with_received(signals, signals.received - precursor + ringing))
     assert picks.peak.failure is PickFailure.PRECURSOR
 
 
-def test_recovery_from_a_precursor_is_not_the_arrival() -> None:
-    """A small positive peak after a negative swing is high above its foot, but not above the main peak's half."""
+def test_small_peak_between_negative_swings_is_not_the_arrival() -> None:
+    """A peak far above the troughs beside it, but under half of the main one, is passed over."""
     signals = delayed(200.0, 10e3)
-    height = signals.received.max()
-    swing = bump(signals, 0.5e-4 + DISTANCE / 330.0, 14e3, 0.5 * height)
-    recovery = bump(signals, 0.5e-4 + DISTANCE / 330.0 + 0.6e-4, 14e3, 0.4 * height)
-    assert error(read_arrival(with_received(signals, signals.received - swing + recovery)).peak, 200.0) < 0.001
+    height, middle = signals.received.max(), 0.5e-4 + DISTANCE / 280.0
+    small = bump(signals, middle, 14e3, 0.45 * height)
+    swings = [bump(signals, middle + shift, 14e3, 0.2 * height) for shift in (-0.6e-4, 0.6e-4)]
+    received = signals.received + small - sum(swings)
+    assert error(read_arrival(with_received(signals, received)).peak, 200.0) < 0.001
 
 
 def test_shoulder_before_the_peak_is_not_the_arrival() -> None:
@@ -182,7 +183,7 @@ def test_larger_peak_within_the_horizon_is_the_arrival() -> None:
 
 
 def test_noise_costs_little() -> None:
-    """White noise of 3 % of the peak moves peak and correlation by 2 and 1 hundredths of a period (rms)."""
+    """White noise of 3 % of the peak moves peak and correlation by under 2 and 0.2 % of a period (rms)."""
     signals = delayed(400.0, 10e3)
     errors = []
     for seed in range(100):
@@ -192,8 +193,8 @@ def test_noise_costs_little() -> None:
         assert picks.cross_correlation.travel_time is not None, picks.cross_correlation.failure
         errors.append([picks.peak.travel_time, picks.cross_correlation.travel_time])
     spread = np.sqrt(np.mean((np.array(errors) - DISTANCE / 400.0) ** 2, axis=0)) * 10e3
-    assert spread[0] < 0.025  # XX without smoothing
-    assert spread[1] < 0.01
+    assert spread[0] < 0.02  # 0.012 measured; 0.028 without smoothing
+    assert spread[1] < 0.002  # 0.0013 measured
 
 
 def test_noise_above_the_onset_hides_the_first_arrival_only() -> None:
@@ -213,13 +214,20 @@ def test_noise_alone_is_no_arrival(seed: int) -> None:
     assert {picks.peak.velocity, picks.first_arrival.velocity, picks.cross_correlation.velocity} == {None}
 
 
-@pytest.mark.parametrize("frequency", [2e3, 4e3, 6.2e3])
-def test_ripples_before_the_pulse_are_not_taken(frequency: float) -> None:
-    """Steady ripples of 1 %, as slow as the pulse or faster, do not hide a pulse that comes much later."""
+def test_fast_ripples_before_the_pulse_are_not_taken() -> None:
+    """Ripples of 1 % that are much narrower than the pulse are noise, though they peak long before it."""
     signals = delayed(60.0, 4e3)
     time = np.arange(len(signals.sent)) * signals.time_step
-    ripple = -0.01 * signals.received.max() * np.sin(2.0 * np.pi * frequency * time)
+    ripple = 0.01 * signals.received.max() * np.sin(2.0 * np.pi * 10e3 * time)
     assert error(read_arrival(with_received(signals, signals.received + ripple)).peak, 60.0) < 0.002
+
+
+def test_doubtful_ripple_does_not_spoil_a_large_peak() -> None:
+    """A ripple of 1 % that swings both ways is doubtful itself, but not beside the peak that comes later."""
+    signals = delayed(60.0, 4e3)
+    height = 0.01 * signals.received.max()
+    ripple = bump(signals, 5e-4, 4e3, height) - bump(signals, 3e-4, 4e3, height)
+    assert error(read_arrival(with_received(signals, signals.received + ripple)).peak, 60.0) < 0.001
 
 
 def test_ripples_below_the_floor_are_not_taken() -> None:
@@ -275,7 +283,9 @@ def test_readings_are_final_from_the_first_sample_on() -> None:
     """From the very sample at which a noisy record is settled, no further one changes a bit of any reading."""
     signals = delayed(400.0, 10e3, samples=40, longer=1.5)
     noise = np.random.default_rng(3).normal(0.0, 0.01 * signals.received.max(), len(signals.received))
-    whole = with_received(signals, signals.received + noise)
+    # A reflection that rises past the peak just at the horizon: the quality depends on the last values seen.
+    reflection = bump(signals, 0.5e-4 + DISTANCE / 400.0 + 1.2e-4, 10e3, 1.8 * signals.received.max())
+    whole = with_received(signals, signals.received + noise + reflection)
     cuts = [with_received(whole, whole.received[:length]) for length in range(1, len(whole.received))]
     settled = [cut for cut in cuts if arrived(cut)]
     assert 10 < len(settled) < len(cuts)

@@ -16,10 +16,10 @@ def area_between_circles(first: float, second: float, cement: float) -> float:
     """Integral of the gap between two touching circles over the width of the cement."""
 
     def gap(across: float) -> float:
-        return sum(d / 2 - np.sqrt(max(0.0, d**2 / 4 - across**2)) for d in (first, second))
+        return sum(float(d / 2 - np.sqrt(max(0.0, d**2 / 4 - across**2))) for d in (first, second))
 
     area, _ = quad(gap, -cement / 2, cement / 2, epsabs=0.0, epsrel=1e-10, limit=200)
-    return area
+    return float(area)
 
 
 @given(DIAMETERS, DIAMETERS, SHARES)

@@ -112,9 +112,7 @@ class Campaign:
         self.database = folder / "sweep.db"
         self._mpirun = mpirun
 
-    def start(
-        self, *options: str, ranks: int = 3, ulfm: bool = True, program: str = "sweep_program.py"
-    ) -> Launch:
+    def start(self, *options: str, ranks: int = 3, ulfm: bool = True, program: str = "sweep_program.py") -> Launch:
         """Start the program under mpirun and return at once."""
         launcher = [
             str(self._mpirun),

@@ -75,21 +75,13 @@ def test_an_exception_costs_only_its_cell(sink: MemorySink) -> None:
 
 def test_exit_is_a_failure_of_the_cell(sink: MemorySink) -> None:
     """A computation that calls sys.exit does not end the program."""
-
-    def leave(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
-        sys.exit(1)
-
-    end = run_sweep(None, [Batch(0, (1,))], leave, sink)
+    end = run_sweep(None, [Batch(0, (1,))], lambda _batch, _check: sys.exit(1), sink)
     assert end.tally.failed == 1
 
 
 def test_a_wrong_number_of_results_is_a_failure(sink: MemorySink) -> None:
-    """One result for two cells is refused and named."""
-
-    def one_result(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
-        return [1, 1]
-
-    run_sweep(None, [Batch(0, (1,))], one_result, sink)
+    """Two results for one cell are refused and counted."""
+    run_sweep(None, [Batch(0, (1,))], lambda _batch, _check: [1, 1], sink)
     failure = sink.outcomes[0].failure
     assert failure is not None
     assert "2 results for 1 cells" in failure.message
@@ -143,10 +135,10 @@ def test_an_error_of_the_sink_is_passed_on() -> None:
     """A full disk ends the sweep with the sink's own exception."""
 
     class FullDisk:
-        def store(self, outcomes: object) -> None:
+        def store(self, _outcomes: object) -> None:
             raise OSError(28, "No space left on device")
 
-        def lost(self, batch: object, reason: str) -> None: ...
+        def lost(self, _batch: object, _reason: str) -> None: ...
 
     with pytest.raises(OSError, match="No space left"):
         run_sweep(None, BATCHES, square, FullDisk())

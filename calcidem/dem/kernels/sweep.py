@@ -14,7 +14,15 @@ from numba import njit
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, magnitude, store
+from calcidem.dem.kernels.lanes import (
+    Vector,
+    bits_of_mask,
+    flush_tiny_numbers,
+    load,
+    magnitude,
+    restore_control_word,
+    store,
+)
 from calcidem.dem.kernels.laws import damped, inlined
 from calcidem.dem.kernels.layout import Floats, Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
 from calcidem.dem.kernels.pair import pair_forces
@@ -54,6 +62,29 @@ def sweep(
     -------
     Steps done: fewer than ``steps`` when a disk has moved so far that the pair list must be renewed.
     """
+    word = flush_tiny_numbers()
+    done = sweep_steps(
+        features, steps, time_step, shear_ratio, grains, motion, pairs, wall_pairs, walls, recording, watch
+    )
+    restore_control_word(word)
+    return done
+
+
+@inlined
+def sweep_steps(
+    features: Features,
+    steps: int,
+    time_step: Floats,
+    shear_ratio: float,
+    grains: Grains,
+    motion: Motion,
+    pairs: Pairs,
+    wall_pairs: WallPairs,
+    walls: Walls,
+    recording: Recording,
+    watch: Watch,
+) -> int:
+    """Do the steps of `sweep`."""
     lanes = features.lanes
     dt = load(time_step, (0,), lanes)
     for step in range(steps):

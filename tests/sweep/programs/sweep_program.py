@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 CONTENTS = (0.0, 2.55, 9.0)
 
+BAD_CELL = (5, 2.55)
+"""The cell that misbehaves on order."""
+
 SCHEMA = """
 create table if not exists cell (
     seed integer, content real, status text, value text, message text, rank integer, primary key (seed, content));
@@ -79,9 +82,7 @@ class Sink:
     def lost(self, batch: Batch[Cell], reason: str) -> None:
         """Keep a loss."""
         for seed, content in batch.cells:
-            self._connection.execute(
-                "insert into loss values (?, ?, ?, ?)", (seed, content, batch.losses, reason)
-            )
+            self._connection.execute("insert into loss values (?, ?, ?, ?)", (seed, content, batch.losses, reason))
 
     def close(self) -> None:
         """Close the file."""
@@ -96,12 +97,8 @@ class Sink:
 
 
 def endless_loop() -> None:
-    """Compute for ever in compiled code, holding the interpreter, as a stuck kernel does."""
-    libc = ctypes.PyDLL(None)  # PyDLL keeps the interpreter lock, so no Python handler can run
-    libc.usleep.restype = ctypes.c_int
-    end = time.monotonic() + 60.0
-    while time.monotonic() < end:  # each call is one hundred seconds of uninterruptible C for Python
-        libc.sleep(100)
+    """Compute for ever in compiled code, as a stuck kernel does: no Python signal handler can run."""
+    ctypes.PyDLL(None).sleep(100)  # unlike CDLL, PyDLL keeps the interpreter lock meanwhile
 
 
 FAULTS: dict[str, Callable[[], Any]] = {
@@ -134,38 +131,43 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def main() -> None:
-    """Run or continue the sweep."""
-    options = arguments()
+class Work:
+    """The computation of a batch: hashes, some waiting, and the fault on order."""
 
-    def faulty(batch: Batch[Cell]) -> bool:
-        if options.fault is None or (5, 2.55) not in batch.cells:
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options = options
+
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> list[Any]:
+        """Return the hash of each cell, or do what was ordered."""
+        options = self._options
+        fault = options.fault if self._is_due(batch) else None
+        if fault is not None and options.moment == "start":
+            FAULTS[fault]()
+        end = time.monotonic() + (1000.0 if fault == "slow" else options.seconds)
+        while time.monotonic() < end:
+            deadline_check()
+            time.sleep(0.01)
+        if fault is not None and options.moment == "end":
+            FAULTS[fault]()
+        if fault == "unpicklable":
+            return [lambda: None for _ in batch.cells]
+        return [hashlib.sha256(repr(cell).encode()).hexdigest() + "x" * options.blob for cell in batch.cells]
+
+    def _is_due(self, batch: Batch[Cell]) -> bool:
+        if BAD_CELL not in batch.cells:
             return False
-        if options.once is None:
+        if self._options.once is None:
             return True
         try:
-            options.once.touch(exist_ok=False)
+            self._options.once.touch(exist_ok=False)
         except FileExistsError:
             return False
         return True
 
-    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> list[Any]:
-        fault = faulty(batch)
-        if fault and options.moment == "start":
-            FAULTS[options.fault]()
-        end = time.monotonic() + (1000.0 if fault and options.fault == "slow" else options.seconds)
-        while time.monotonic() < end:
-            deadline_check()
-            time.sleep(0.01)
-        results: list[Any] = [hashlib.sha256(repr(cell).encode()).hexdigest() for cell in batch.cells]
-        if options.blob:
-            results = [result + "x" * options.blob for result in results]
-        if fault and options.moment == "end":
-            FAULTS[options.fault]()
-        if fault and options.fault == "unpicklable":
-            return [lambda: None for _ in batch.cells]
-        return results
 
+def main() -> None:
+    """Run or continue the sweep."""
+    options = arguments()
     with Session() as session:
         sink, batches = None, ()
         if session.rank == 0:
@@ -177,7 +179,7 @@ def main() -> None:
         end = run_sweep(
             session.comm,
             batches,
-            compute,
+            Work(options),
             sink,
             options=SweepOptions(time_limit=options.time_limit, watchdog_margin=0.5, hurry_grace=1.0),
             progress=LineProgress(Console(stderr=True), shortest=0.5),

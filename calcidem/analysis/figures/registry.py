@@ -1,0 +1,296 @@
+"""All figures of a campaign: file name, title, caption, and how each is drawn from the analysis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calcidem.analysis.campaign_features import CampaignAnalysis, Sample, UnavailableError
+from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
+from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
+from calcidem.analysis.figures.signals import METHODS, Arrival, draw_signals
+from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_narrowing, draw_range
+from calcidem.analysis.planning import narrowing
+from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.storage.errors import UnknownCellError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
+
+DEFAULT_ONSET = 0.1
+SHOWN_SIGNALS = 5
+SHOWN_NARROWINGS = 4
+SAMPLES_OF_A_CONTENT = 3
+PATHS_CONTENT = 5.0
+"""Content, or the nearest one that the campaign has, at which preferential paths are compared."""
+
+SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 29).round()))
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFigure:
+    """A figure that every campaign can have.
+
+    Parameters
+    ----------
+    name
+        File name without ending.
+    title
+        In a few words.
+    caption
+        What is to be seen, in sentences.
+    draw
+        Draws it; raises `UnavailableError` where the campaign lacks what it needs.
+    pictorial
+        Whether it shows thousands of grains, so that pixels serve it better than vectors.
+    """
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[CampaignAnalysis], Figure]
+    pictorial: bool = False
+
+
+def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
+    """Give the published rows at the contents of the campaign, empty unless two or more match."""
+    contents = analysis.vs["content"].to_numpy()
+    rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
+    return rows if len(rows) > 1 else []
+
+
+def read_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
+    """Give the signals of a sample and what was read from them.
+
+    Raises
+    ------
+    UnavailableError
+        If no signal is stored.
+    """
+    try:
+        signal = analysis.campaign.signal(seed=seed, content=content)
+    except UnknownCellError as error:
+        raise UnavailableError(str(error)) from error
+    cell = analysis.cells.sel(seed=seed, content=content)
+    pick = analysis.campaign.config.get("pick", {})
+    force = pick.get("signal") == "force"
+    velocities = {name: float(cell[f"vs_{name}"]) for name in METHODS}
+    return Arrival(
+        seed=seed,
+        content=content,
+        time=signal.time,
+        sent=signal.sent_velocity,
+        received=signal.received_force if force else signal.received_velocity,
+        distance=analysis.campaign.packing(int(cell["packing_index"])).width,
+        velocities={name: value for name, value in velocities.items() if math.isfinite(value)},
+        onset=float(pick.get("onset", DEFAULT_ONSET)),
+    )
+
+
+def _spread(contents: list[float], count: int) -> list[float]:
+    """Give `count` contents from the least to the most, evenly over their order."""
+    places = np.unique(np.linspace(0, len(contents) - 1, count).round().astype(int))
+    return [contents[place] for place in places]
+
+
+def _measured_contents(analysis: CampaignAnalysis, at_least: int = 1) -> list[float]:
+    return [row.content for row in analysis.distributions if row.vs.n >= at_least]
+
+
+def _cemented_samples(analysis: CampaignAnalysis) -> Figure:
+    cemented = [sample for sample in analysis.samples if sample.packing_index == 0 and sample.kinds.any()]
+    if not cemented:
+        raise UnavailableError("no cemented sample is stored")
+    of_seed = [sample for sample in cemented if sample.seed == cemented[0].seed]
+    # One sample with P alone and two with clusters show most.
+    single = [sample for sample in of_seed if sample.kinds.max() == 1]
+    clustered = [sample for sample in of_seed if sample.kinds.max() > 1]
+    chosen: list[Sample] = single[-1:]
+    if clustered:
+        middle = min(clustered, key=lambda sample: abs(sample.content - PATHS_CONTENT / 2))
+        chosen += [sample for sample in clustered if sample in (middle, clustered[-1])]
+    return draw_cemented_samples(analysis.graphs[0], chosen)
+
+
+def _measurement(analysis: CampaignAnalysis) -> Figure:
+    wave = analysis.campaign.config.get("wave", {})
+    shown = _typical_sample(analysis)
+    try:
+        arrival = None if shown is None else read_arrival(analysis, *shown)
+    except UnavailableError:
+        arrival = None
+    return draw_measurement(
+        analysis.graphs[0],
+        transmitter_half_width=float(wave["transmitter_half_width"]),
+        receiver_half_width=float(wave["receiver_half_width"]),
+        damped_layer=float(wave.get("boundary_thickness", 0.0)),
+        arrival=arrival,
+    )
+
+
+def _typical_sample(analysis: CampaignAnalysis) -> tuple[int, float] | None:
+    """Give seed and content of a sample with a velocity near the middle of the contents."""
+    contents = _measured_contents(analysis)
+    if not contents:
+        return None
+    content = contents[len(contents) // 2]
+    column = analysis.vs.sel(content=content).dropna("seed")
+    return int(column["seed"][0]), content
+
+
+def _signals(analysis: CampaignAnalysis) -> Figure:
+    arrivals = []
+    for content in _spread(_measured_contents(analysis) or [math.nan], SHOWN_SIGNALS):
+        if math.isnan(content):
+            raise UnavailableError("no sample has a velocity")
+        seed = int(analysis.vs.sel(content=content).dropna("seed")["seed"][0])
+        arrivals.append(read_arrival(analysis, seed, content))
+    return draw_signals(arrivals)
+
+
+def _range(analysis: CampaignAnalysis) -> Figure:
+    if not _measured_contents(analysis):
+        raise UnavailableError("no sample has a velocity")
+    return draw_range(analysis.vs, analysis.distributions, published_velocities(analysis))
+
+
+def _histograms(analysis: CampaignAnalysis) -> Figure:
+    if not _measured_contents(analysis):
+        raise UnavailableError("no sample has a velocity")
+    return draw_histograms(analysis.vs, analysis.distributions)
+
+
+def _methods(analysis: CampaignAnalysis) -> Figure:
+    if not bool(np.isfinite(analysis.cells["vs_peak"]).any()):
+        raise UnavailableError("no sample has a velocity from peak to peak")
+    return draw_methods(analysis.cells)
+
+
+def _paths(analysis: CampaignAnalysis) -> Figure:
+    contents = _measured_contents(analysis, SAMPLES_OF_A_CONTENT)
+    spread = [row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0]
+    if not spread:
+        raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
+    ordered = analysis.measured_samples(min(spread, key=lambda content: abs(content - PATHS_CONTENT)))
+    ordered = [sample for sample in ordered if sample.packing_index == 0]
+    if len(ordered) < SAMPLES_OF_A_CONTENT:
+        raise UnavailableError(f"fewer than {SAMPLES_OF_A_CONTENT} samples have a stored cement pattern")
+    chosen = [ordered[0], ordered[len(ordered) // 2], ordered[-1]]
+    return draw_preferential_paths(analysis.graphs[0], chosen)
+
+
+def _ratio_scan(analysis: CampaignAnalysis) -> Figure:
+    published = next(law for law in published_study().laws if law.name == "Monte-Carlo")
+    shown = published.weights.ratio if published_velocities(analysis) else None
+    return draw_ratio_scan(analysis.ratio_scan, analysis.best_ratio, shown)
+
+
+def _laws(analysis: CampaignAnalysis) -> Figure:
+    contents = np.array([sample.content for sample in analysis.samples])
+    published = published_study().laws if published_velocities(analysis) else ()
+    laws = (analysis.physical_law, analysis.scanned_law)
+    return draw_laws(laws, analysis.sample_vs, contents, published)
+
+
+def _narrowing(analysis: CampaignAnalysis) -> Figure:
+    varied = [
+        row.content
+        for row in analysis.distributions
+        if row.vs.n >= SAMPLES_OF_A_CONTENT and row.vs.standard_deviation > 0
+    ]
+    if not varied:
+        raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
+    contents = _spread(varied, SHOWN_NARROWINGS)
+    return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), SEED_COUNTS) for c in contents})
+
+
+CAMPAIGN_FIGURES = (
+    CampaignFigure(
+        "vs_range",
+        "Vs against calcite content",
+        "Dots are samples, the line joins their means. The dark band is the 95 % confidence interval of the mean, "
+        "the pale one the interval in which 95 % of new samples fall if Vs is normal at each content.",
+        _range,
+    ),
+    CampaignFigure(
+        "histograms",
+        "Distribution of Vs at each content",
+        "Bars and ticks are the samples, the line is the normal distribution with their mean and standard "
+        "deviation. S is skewness, K kurtosis and p the small-sample p-value of the Jarque-Bera test; numbers "
+        "are coloured where it is below 0.05.",
+        _histograms,
+    ),
+    CampaignFigure(
+        "samples",
+        "Cemented samples",
+        "Samples of one seed from P contacts alone to clusters (C); below, the framed parts enlarged. What is "
+        "cemented at a content stays so at every larger one.",
+        _cemented_samples,
+        pictorial=True,
+    ),
+    CampaignFigure(
+        "measurement",
+        "Measurement of Vs",
+        "The transmitter, a band of the left wall, slides up for one pulse; the shear wave crosses the sample and "
+        "is read near the receiver, a band of the right wall. Grey layers are strongly damped, so that "
+        "nothing comes back from floor and lid.",
+        _measurement,
+        pictorial=True,
+    ),
+    CampaignFigure(
+        "signals",
+        "Signals and their arrivals",
+        "Velocity sent (grey) and signal received (blue), each over its peak, with the arrival by each method. "
+        "Peak and cross-correlation count from the sent peak, the first arrival from the sent onset.",
+        _signals,
+    ),
+    CampaignFigure(
+        "methods",
+        "Three ways to read the arrival",
+        "Median and central 80 % of the samples for each way to read the travel time.",
+        _methods,
+    ),
+    CampaignFigure(
+        "paths",
+        "Slow, middle and fast sample of one content",
+        "The slowest sample, the one in the middle and the fastest at one content, with the path of smallest "
+        "weighted length from transmitter to receiver. Rings mark the contacts on it that are not cemented.",
+        _paths,
+        pictorial=True,
+    ),
+    CampaignFigure(
+        "correlations",
+        "Correlation of path features and Vs",
+        "Over all contents a common growth with content makes every feature correlate. After the mean of each "
+        "content is subtracted, what is left is how much of the scatter at a fixed content goes together.",
+        lambda analysis: draw_correlations(analysis.correlations),
+    ),
+    CampaignFigure(
+        "weight_scan",
+        "Weight of a cemented contact",
+        "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
+        "sample is found anew for every ratio. The band holds the best ratio of 95 % of bootstrap replicates "
+        "over seeds.",
+        _ratio_scan,
+    ),
+    CampaignFigure(
+        "laws",
+        "Vs against connectivity",
+        "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
+        "with the interval in which 95 % of new samples fall.",
+        _laws,
+    ),
+    CampaignFigure(
+        "narrowing",
+        "Monte-Carlo error against number of seeds",
+        "Half-width of the 95 % intervals of mean, standard deviation and skewness, forecast from the samples "
+        "there are; dotted where the campaign stands.",
+        _narrowing,
+    ),
+)
+"""In the order in which a report shows them."""

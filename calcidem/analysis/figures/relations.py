@@ -1,0 +1,191 @@
+"""Pictures of what the paths say about Vs: correlations, the weight scan and the laws."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+
+from calcidem.analysis.features import FEATURES
+from calcidem.analysis.figures.style import (
+    BLACK,
+    BLUE,
+    CONTENT_MAP,
+    CORRELATION_MAP,
+    GREY,
+    PALE,
+    SKY,
+    VERMILION,
+    VS_LABEL,
+    new_figure,
+    styled,
+)
+from calcidem.analysis.fits import power_law
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+    from numpy.typing import NDArray
+
+    from calcidem.analysis.campaign_features import LawFit
+    from calcidem.analysis.correlation import Correlations
+    from calcidem.analysis.published import PublishedLaw
+    from calcidem.analysis.weights import RatioScan
+
+SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
+READABLE_ON_DARK = 0.6
+
+
+def symbol(name: str) -> str:
+    """Give the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
+    base, _, index = SYMBOLS[name].partition("_")
+    upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
+    return f"${upright}_{{{index}}}$" if index else f"${upright}$"
+
+
+@styled
+def draw_correlations(correlations: Correlations) -> Figure:
+    """Draw the correlation matrices over all contents and within one (Fig. 13a).
+
+    Parameters
+    ----------
+    correlations
+        Of the eight features and Vs.
+    """
+    figure = new_figure(height=3.95, width=7.4)
+    panels = figure.subplots(1, 2)
+    titles = ("over all contents", "within one content")
+    for axes, matrices, title in zip(
+        panels, (correlations.overall, correlations.within), titles, strict=True
+    ):
+        image = _draw_matrix(axes, matrices)
+        axes.set_title(f"{title} (n = {int(matrices['n'])})", pad=18)
+    panels[1].tick_params(labelleft=False)
+    colour_bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.03)
+    colour_bar.set_label("below the diagonal Pearson's coefficient, above it Spearman's")
+    colour_bar.outline.set_visible(False)  # type: ignore[operator] - a spine, not a method
+    return figure
+
+
+def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
+    names = [str(name) for name in matrices["variable"].to_numpy()]
+    below = np.tri(len(names), dtype=np.bool_)
+    values = np.where(below, matrices["pearson"].to_numpy(), matrices["spearman"].to_numpy())
+    axes.set_facecolor(PALE)
+    image = axes.imshow(values, cmap=CORRELATION_MAP, vmin=-1, vmax=1)
+    axes.grid(visible=False)
+    for (row, column), value in np.ndenumerate(values):
+        if row != column:
+            text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
+            colour = "white" if abs(value) > READABLE_ON_DARK else BLACK
+            axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
+    labels = [symbol(name) for name in names]
+    axes.set_xticks(range(len(names)), labels, fontsize=8)
+    axes.set_yticks(range(len(names)), labels, fontsize=8)
+    axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    return image
+
+
+@styled
+def draw_ratio_scan(scan: RatioScan, best_ratio: float, published_ratio: float | None = None) -> Figure:
+    """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14).
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    best_ratio
+        The ratio that is taken for best.
+    published_ratio
+        The best ratio of the reproduced study, to show beside.
+    """
+    figure = new_figure(height=3.4)
+    axes = figure.subplots()
+    interval = scan.best_ratio_interval
+    axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
+    axes.plot(scan.ratios, scan.correlation, color=BLUE)
+    axes.plot(
+        best_ratio,
+        scan.best_correlation,
+        "o",
+        color=BLUE,
+        markersize=6,
+        label=f"best: {best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})",
+    )
+    if published_ratio is not None:
+        axes.axvline(
+            published_ratio, color=VERMILION, linestyle="--", label=f"published best: {published_ratio:g}"
+        )
+    axes.set_xlim(0, 1)
+    axes.set_xlabel(r"weight ratio $\omega_{LPB}\,/\,\omega_h$")
+    axes.set_ylabel("correlation of $C_{d,n}$ with $V_s$")
+    axes.legend(loc="best")
+    return figure
+
+
+@styled
+def draw_laws(
+    laws: Sequence[LawFit],
+    vs: NDArray[np.float64],
+    contents: NDArray[np.float64],
+    published: Sequence[PublishedLaw] = (),
+) -> Figure:
+    """Draw Vs against C_d,n with the fitted law for each choice of weights (Table 4).
+
+    Parameters
+    ----------
+    laws
+        One panel for each.
+    vs, contents
+        Velocity in m/s and content in percent of each sample, shape (n,).
+    published
+        Laws to show beside, by the name of a fitted one; each in its own range.
+    """
+    figure = new_figure(height=4.1, width=7.4)
+    panels = figure.subplots(1, len(laws), squeeze=False, sharey=True)[0]
+    for axes, law in zip(panels, laws, strict=True):
+        points = axes.scatter(law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0)
+        known = law.connectivity[np.isfinite(vs)]
+        grid = np.linspace(known.min(), known.max(), 200)
+        fit = law.fit
+        axes.fill_between(
+            grid, *fit.prediction_bounds(grid), color=GREY, alpha=0.18, linewidth=0, label="95 % of new samples"
+        )
+        axes.plot(grid, fit.predict(grid), color=BLACK, label=law_text(fit.a, fit.b, fit.c))
+        for other in published:
+            if other.name == law.name:
+                span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
+                axes.plot(
+                    span,
+                    power_law(span, other.a, other.conclusions_b, other.c),
+                    color=VERMILION,
+                    linestyle="--",
+                    label="published: " + law_text(other.a, other.conclusions_b, other.c),
+                )
+        axes.set_title(f"weights by {law.name}" if law.name != "Monte-Carlo" else "weights by the scan")
+        weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
+        axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
+        axes.legend(loc="upper right", fontsize=7)
+        axes.set_ylim(0, 1.25 * np.nanmax(vs))
+    panels[0].set_ylabel(VS_LABEL)
+    colour_bar = figure.colorbar(
+        mpl.cm.ScalarMappable(norm=points.norm, cmap=points.cmap), ax=panels, pad=0.01, aspect=35
+    )
+    colour_bar.set_label("calcite content (%)")
+    colour_bar.outline.set_visible(False)  # type: ignore[operator] - a spine, not a method
+    return figure
+
+
+def law_text(a: float, b: float, c: float) -> str:
+    """Give a law as mathematical text."""
+    sign = "\N{MINUS SIGN}" if c < 0 else "+"
+    return f"$V_s = {a:.0f}\\,C_{{d,n}}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"
+
+

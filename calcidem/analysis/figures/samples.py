@@ -1,0 +1,201 @@
+"""Pictures of samples: where the cement is, how the wave is sent, and which way it prefers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from calcidem.analysis.figures.grains import MM, draw_bands, draw_frame, draw_grains, draw_path
+from calcidem.analysis.figures.signals import signal_axes
+from calcidem.analysis.figures.style import (
+    BLACK,
+    C_CEMENT,
+    CLUSTER_GRAIN,
+    GREEN,
+    GREY,
+    P_CEMENT,
+    PURPLE,
+    SAND_GRAIN,
+    VERMILION,
+    new_figure,
+    scale_bar,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+    from calcidem.analysis.campaign_features import Sample
+    from calcidem.analysis.figures.signals import Arrival
+    from calcidem.analysis.packing_graph import PackingGraph
+
+SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
+CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
+P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
+C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
+PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
+BARE_KEY = Line2D(
+    [],
+    [],
+    linestyle="none",
+    marker="o",
+    markersize=4.5,
+    markerfacecolor="white",
+    markeredgecolor=PURPLE,
+    markeredgewidth=1.3,
+    label="uncemented contact on it",
+)
+
+
+@styled
+def draw_cemented_samples(graph: PackingGraph, samples: Sequence[Sample]) -> Figure:
+    """Draw whole samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5).
+
+    Parameters
+    ----------
+    graph
+        The packing.
+    samples
+        The samples, from the least to the most cemented; two to four look best.
+    """
+    packing = graph.packing
+    middle, half = packing.height / 2, min(0.011, packing.height / 4)
+    figure = new_figure(height=7.6)
+    detail_share = 2.1 * half / packing.width * (packing.width / (2 * half)) / (packing.height / packing.width)
+    grid = figure.subplots(
+        2, len(samples), squeeze=False, height_ratios=[1.0, min(1.0, detail_share)], gridspec_kw={"hspace": 0.03}
+    )
+    left = packing.width / 2 - half
+    for axes, sample in zip(grid[0], samples, strict=True):
+        draw_grains(axes, graph, sample.kinds, cement_width=0.7)
+        draw_frame(axes, packing)
+        axes.set_title(f"{sample.content:g} %", loc="center")
+        corner = (left * MM, (middle - half) * MM)
+        axes.add_patch(Rectangle(corner, 2 * half * MM, 2 * half * MM, fill=False, edgecolor=BLACK, linewidth=1.1))
+    for axes, sample in zip(grid[1], samples, strict=True):
+        draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
+        axes.set_xlim(left * MM, (left + 2 * half) * MM)
+        axes.set_ylim((middle - half) * MM, (middle + half) * MM)
+        for spine in axes.spines.values():
+            spine.set_visible(True)
+            spine.set_linewidth(1.1)
+            spine.set_edgecolor(BLACK)
+    scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
+    scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
+    figure.legend(handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY], loc="outside lower center", ncols=4)
+    return figure
+
+
+@styled
+def draw_measurement(
+    graph: PackingGraph,
+    *,
+    transmitter_half_width: float,
+    receiver_half_width: float,
+    damped_layer: float,
+    arrival: Arrival | None,
+) -> Figure:
+    """Draw how the wave is sent and received, with an example of both signals (Fig. 4).
+
+    Parameters
+    ----------
+    graph
+        The packing.
+    transmitter_half_width, receiver_half_width
+        Of the two bands, m.
+    damped_layer
+        Thickness of the strongly damped layers at floor and lid, m.
+    arrival
+        The signals of a sample; none are drawn without.
+    """
+    packing = graph.packing
+    width, height = packing.width * MM, packing.height * MM
+    figure = new_figure(height=5.4)
+    scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
+    draw_grains(scene, graph)
+    for bottom in (0.0, height - damped_layer * MM):
+        scene.add_patch(
+            Rectangle((0, bottom), width, damped_layer * MM, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3)
+        )
+        label = "strongly damped layer"
+        scene.text(width / 2, bottom + damped_layer * MM / 2, label, ha="center", va="center", zorder=4)
+    draw_frame(scene, packing)
+    draw_bands(scene, packing, transmitter_half_width, receiver_half_width)
+    scene.set_xlim(-0.32 * width, 1.32 * width)
+    arrow = {"arrowstyle": "<->", "color": VERMILION, "linewidth": 1.6}
+    reach = max(transmitter_half_width * MM * 2.2, 0.07 * height)
+    scene.annotate(
+        "", (-0.08 * width, height / 2 + reach), (-0.08 * width, height / 2 - reach), arrowprops=arrow
+    )
+    scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
+    scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
+    scene.annotate(
+        "",
+        (width, 0.33 * height),
+        (0, 0.33 * height),
+        arrowprops={"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0},
+        zorder=9,
+    )
+    scene.text(
+        width / 2,
+        0.335 * height,
+        f"L = {width:g} mm",
+        ha="center",
+        va="bottom",
+        zorder=9,
+        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
+    )
+    scale_bar(scene, 0.0, -4.0, 0.2 * width, f"{0.2 * width:g} mm")
+    if arrival is None:
+        signals.set_axis_off()
+    else:
+        signal_axes(signals, arrival)
+        signals.set_title(f"sample of seed {arrival.seed} at {arrival.content:g} %")
+        signals.set_xlabel("time (ms)")
+        signals.legend(loc="upper right")
+    return figure
+
+
+@styled
+def draw_preferential_paths(graph: PackingGraph, samples: Sequence[Sample]) -> Figure:
+    """Draw samples of one content with the path that the wave prefers (Fig. 12).
+
+    Parameters
+    ----------
+    graph
+        The packing.
+    samples
+        Three samples from slow to fast.
+    """
+    packing = graph.packing
+    heights = np.concatenate([packing.y[list(sample.features.path.grains)] for sample in samples])
+    margin = 0.012
+    low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
+    high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
+    figure = new_figure(height=1.05 + len(samples) * 0.55 * 5.2 * (high - low) / packing.width)
+    panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
+    for axes, sample in zip(panels, samples, strict=True):
+        draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.1)
+        draw_path(axes, graph, sample.features.path)
+        features = sample.features
+        velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"
+        lines = (
+            f"seed {sample.seed}",
+            velocity,
+            f"$C_{{d,n}}$ = {features.normalised_connectivity:.2f}",
+            f"path of {features.contacts} contacts:",
+            f"{features.bond_contacts} cemented, {features.hertz_contacts} not,",
+            f"longest cemented run {features.longest_bond_run}",
+        )
+        axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
+    scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
+    figure.legend(
+        handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY, PATH_KEY, BARE_KEY], loc="outside lower center", ncols=3
+    )
+    return figure

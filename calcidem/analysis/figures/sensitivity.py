@@ -1,0 +1,138 @@
+"""Pictures of the sensitivity studies: reading method, damping and excitation frequency."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+
+from calcidem.analysis.figures.signals import METHODS
+from calcidem.analysis.figures.style import (
+    BLUE,
+    CONTENT_MAP,
+    GREY,
+    SEQUENCE,
+    VS_LABEL,
+    WIDTH,
+    new_figure,
+    styled,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+KHZ = 1e-3
+MS = 1e3
+FREQUENCY_LABEL = "excitation frequency (kHz)"
+SHOWN_METHODS = ("peak", "first_arrival")
+
+
+@styled
+def draw_reading_study(study: xr.Dataset) -> Figure:
+    """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
+
+    Parameters
+    ----------
+    study
+        What `calcidem.analysis.studies.frequency_study` gives.
+    """
+    contents = study["content"].to_numpy()
+    lines = math.ceil(len(contents) / 2)
+    figure = new_figure(height=0.6 + 2.1 * lines)
+    panels = figure.subplots(lines, min(2, len(contents)), squeeze=False, sharex=True).ravel()
+    frequency = study["frequency"].to_numpy() * KHZ
+    for axes, content in zip(panels, contents, strict=False):
+        for name in SHOWN_METHODS:
+            label, colour, marker = METHODS[name]
+            values = study[f"vs_{name}"].sel(content=content).transpose("seed", "frequency").to_numpy()
+            axes.plot(frequency, values.T, color=colour, alpha=0.25, linewidth=0.7)
+            known = np.isfinite(values).any(axis=0)
+            mean = np.nanmean(values[:, known], axis=0)
+            axes.plot(frequency[known], mean, color=colour, marker=marker, markersize=4, label=label)
+        axes.set_title(f"{content:g} %")
+        axes.set_ylim(bottom=0)
+    for axes in panels[len(contents) :]:
+        axes.set_axis_off()
+    panels[0].legend(loc="lower right")
+    figure.supxlabel(FREQUENCY_LABEL, fontsize=9)
+    figure.supylabel(VS_LABEL, fontsize=9)
+    return figure
+
+
+@styled
+def draw_frequency_study(study: xr.Dataset) -> Figure:
+    """Draw frequency received and Vs against frequency sent (Fig. 9).
+
+    Parameters
+    ----------
+    study
+        What `calcidem.analysis.studies.frequency_study` gives.
+    """
+    figure = new_figure(height=3.5, width=7.0)
+    left, right = figure.subplots(1, 2)
+    frequency = study["frequency"].to_numpy() * KHZ
+    left.plot(frequency, frequency, color=GREY, linestyle=":", linewidth=1.2, label="equal")
+    for content, colour in zip(study["content"].to_numpy(), SEQUENCE, strict=False):
+        for axes, name, scale in ((left, "received_frequency", KHZ), (right, "vs_peak", 1.0)):
+            values = study[name].sel(content=content).transpose("seed", "frequency").to_numpy() * scale
+            known = np.isfinite(values).any(axis=0)
+            low, high = np.nanmin(values[:, known], axis=0), np.nanmax(values[:, known], axis=0)
+            mean = np.nanmean(values[:, known], axis=0)
+            axes.fill_between(frequency[known], low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(frequency[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
+        used = float(study["campaign_frequency"].sel(content=content)) * KHZ
+        right.axvline(used, color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
+    for axes in (left, right):
+        axes.set_xlabel(FREQUENCY_LABEL)
+        axes.set_ylim(bottom=0)
+    left.set_ylabel("frequency received (kHz)")
+    right.set_ylabel(VS_LABEL)
+    left.legend(loc="upper left")
+    return figure
+
+
+@styled
+def draw_damping_study(study: xr.Dataset) -> Figure:
+    """Draw received signals for several damping factors (Fig. 7).
+
+    Parameters
+    ----------
+    study
+        What `calcidem.analysis.studies.damping_study` gives.
+    """
+    contents = study["content"].to_numpy()
+    factors = study["damping"].to_numpy()
+    figure = new_figure(height=0.7 + 2.9 * len(contents), width=WIDTH + 0.4)
+    panels = figure.subplots(len(contents), 2, squeeze=False, width_ratios=[2.2, 1.0])
+    colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.0, 0.9, len(factors)))
+    time = study["time"].to_numpy() * MS
+    for (signals, velocities), content in zip(panels, contents, strict=True):
+        chosen = study.sel(content=content)
+        largest = float(np.abs(chosen["received"]).max())
+        step = 0.75
+        for place, (factor, colour) in enumerate(zip(factors, colours, strict=True)):
+            signal = chosen["received"].sel(damping=factor).to_numpy() / largest
+            signals.plot(time, signal - step * place, color=colour, linewidth=1.2)
+            signals.annotate(
+                f"{factor:g}",
+                (time[-1], -step * place),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=colour,
+                annotation_clip=False,
+            )
+        signals.set_yticks([])
+        signals.set_xlim(0, time[-1])
+        signals.set_ylabel("received, by damping factor")
+        signals.set_title(f"{content:g} %")
+        velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
+        velocities.set_ylabel(VS_LABEL)
+        velocities.set_ylim(bottom=0)
+    panels[-1, 0].set_xlabel("time (ms)")
+    panels[-1, 1].set_xlabel("damping factor")
+    return figure

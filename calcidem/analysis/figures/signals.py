@@ -1,0 +1,131 @@
+"""Pictures of what was sent and what arrived."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calcidem.analysis.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure, styled
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+MS = 1e3
+METHODS = {
+    "peak": ("peak to peak", VERMILION, "v"),
+    "first_arrival": ("first arrival", GREEN, "o"),
+    "cross_correlation": ("cross-correlation", ORANGE, "s"),
+}
+"""Label, colour and marker of each way to read the arrival; names as in the stored quantities vs_*."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """Signals of one sample and what was read from them.
+
+    Parameters
+    ----------
+    seed, content
+        Which sample; content in percent.
+    time
+        s, shape (t,).
+    sent, received
+        The two signals at these times, each in a unit of its own, shape (t,).
+    distance
+        Between transmitter and receiver, m.
+    velocities
+        Velocity in m/s by the methods of `METHODS` that gave one.
+    onset
+        Level of the first arrival, relative to the peak.
+    """
+
+    seed: int
+    content: float
+    time: NDArray[np.float64]
+    sent: NDArray[np.float64]
+    received: NDArray[np.float64]
+    distance: float
+    velocities: Mapping[str, float]
+    onset: float
+
+    @property
+    def sent_peak(self) -> float:
+        """Time of the sent peak, s."""
+        return float(self.time[np.argmax(self.sent)])
+
+    @property
+    def sent_onset(self) -> float:
+        """Time at which the sent pulse rises to the onset level, s."""
+        top = int(np.argmax(self.sent))
+        below = int(np.flatnonzero(self.sent[: top + 1] < self.onset * self.sent[top])[-1])
+        return float(self.time[below + 1])
+
+    def arrival_time(self, method: str) -> float:
+        """Give the time in s at which the wave arrived by a method.
+
+        Times count from the sent peak, those of the first arrival from the sent onset.
+        """
+        began = self.sent_onset if method == "first_arrival" else self.sent_peak
+        return began + self.distance / self.velocities[method]
+
+
+def signal_axes(axes: Axes, arrival: Arrival) -> None:
+    """Draw both signals of a sample, each over its own peak, and mark the arrivals."""
+    time = arrival.time * MS
+    axes.axhline(0, color=GREY, linewidth=0.6)
+    axes.fill_between(time, arrival.sent / np.max(arrival.sent), color=GREY, alpha=0.35, linewidth=0, label="sent")
+    end = received_peak_index(arrival)
+    largest = np.abs(arrival.received[: end + 1]).max()
+    axes.plot(time, arrival.received / largest, color=BLUE, label="received")
+    for method, (label, colour, marker) in METHODS.items():
+        if method not in arrival.velocities:
+            continue
+        moment = arrival.arrival_time(method)
+        level = np.interp(moment, arrival.time, arrival.received / largest)
+        axes.plot(
+            moment * MS,
+            level,
+            linestyle="none",
+            marker=marker,
+            markersize=6,
+            color=colour,
+            markeredgecolor="white",
+            markeredgewidth=0.7,
+            zorder=5,
+            label=f"{label}: {arrival.velocities[method]:.0f} m/s",
+        )
+    axes.set_xlim(0, time[-1])
+    axes.set_ylim(-1.15, 1.25)
+    axes.set_ylabel("signal / its peak")
+
+
+def received_peak_index(arrival: Arrival) -> int:
+    """Index of the received peak, or of the last sample where none was read."""
+    if "peak" not in arrival.velocities:
+        return len(arrival.time) - 1
+    return int(np.searchsorted(arrival.time, arrival.arrival_time("peak")))
+
+
+@styled
+def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
+    """Draw the signals of several samples below one another, each with its arrivals.
+
+    Parameters
+    ----------
+    arrivals
+        From the least to the most cemented.
+    """
+    figure = new_figure(height=0.5 + 1.45 * len(arrivals))
+    panels = figure.subplots(len(arrivals), 1, squeeze=False)[:, 0]
+    for axes, arrival in zip(panels, arrivals, strict=True):
+        signal_axes(axes, arrival)
+        axes.set_title(f"{arrival.content:g} %, seed {arrival.seed}")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    panels[-1].set_xlabel("time (ms)")
+    return figure

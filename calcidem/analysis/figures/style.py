@@ -1,0 +1,137 @@
+"""One look for all figures: colours, sizes, units, and how a figure is written to files."""
+
+from __future__ import annotations
+
+from functools import wraps
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+P = ParamSpec("P")
+
+# Okabe and Ito (2008), distinguishable with every kind of colour vision.
+BLACK = "#1a1a1a"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+GREY = "#8a8f94"
+PALE = "#d9dde1"
+
+SAND_GRAIN = "#d3e0ea"
+CLUSTER_GRAIN = "#f6c667"
+P_CEMENT = BLUE
+C_CEMENT = "#a63603"
+
+SEQUENCE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+CONTENT_MAP = "viridis"
+CORRELATION_MAP = "RdBu_r"
+
+WIDTH = 6.2
+"""Width of a figure in inches: a column of the report, and still readable on a phone."""
+
+CONTENT_LABEL = "calcite content (% of sand mass)"
+VS_LABEL = "shear-wave velocity $V_s$ (m/s)"
+
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": "#50565b",
+    "axes.labelcolor": BLACK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.prop_cycle": mpl.cycler(color=SEQUENCE),
+    "grid.color": "#e6e8ea",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#50565b",
+    "ytick.color": "#50565b",
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.4,
+    "mathtext.default": "it",
+    "figure.dpi": 150.0,
+    "savefig.dpi": 150.0,
+    # The same data give the same file, byte for byte.
+    "svg.hashsalt": "calcidem",
+    "svg.fonttype": "path",
+    "pdf.fonttype": 42,
+}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make a function draw in this style, whatever the caller's matplotlib is set to."""
+
+    @wraps(draw)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """Give an empty figure of a size in inches; it belongs to nobody's window."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def bare(axes: Axes) -> None:
+    """Take grid, ticks and frame off axes that show a picture."""
+    axes.grid(visible=False)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> None:
+    """Draw a scale bar; position and length in data units."""
+    axes.plot([x, x + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
+    axes.annotate(
+        text,
+        (x + length / 2, y),
+        xytext=(0, -3),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=8.0,
+        annotation_clip=False,
+    )
+
+
+def render(figure: Figure, file_format: str) -> bytes:
+    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
+    buffer = BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(buffer, format=file_format, metadata=metadata)
+    return buffer.getvalue()
+
+
+def save(figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png", "svg", "pdf")) -> list[Path]:
+    """Write a figure to `folder`/`name`.* in several formats and return the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{name}.{file_format}" for file_format in formats]
+    for file, file_format in zip(files, formats, strict=True):
+        file.write_bytes(render(figure, file_format))
+    return files

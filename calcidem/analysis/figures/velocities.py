@@ -1,0 +1,233 @@
+"""Pictures of the velocities of a campaign: range, distribution, methods, and Monte-Carlo error."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+from calcidem.analysis.figures.signals import METHODS
+from calcidem.analysis.figures.style import (
+    BLACK,
+    BLUE,
+    CONTENT_LABEL,
+    CONTENT_MAP,
+    GREY,
+    SKY,
+    VERMILION,
+    VS_LABEL,
+    new_figure,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from calcidem.analysis.distribution import ContentDistribution, Distribution
+    from calcidem.analysis.published import PublishedVelocity
+
+LOW_CONTENT = 0.7
+"""Contents up to this lie so close together that they are drawn once more, enlarged."""
+HISTOGRAM_COLUMNS = 4
+
+
+@styled
+def draw_range(
+    vs: xr.DataArray,
+    distributions: Sequence[ContentDistribution],
+    published: Sequence[tuple[float, PublishedVelocity]] = (),
+) -> Figure:
+    """Draw Vs against content with its intervals (Fig. 10).
+
+    Parameters
+    ----------
+    vs
+        m/s along (seed, content).
+    distributions
+        Of each content.
+    published
+        Means and standard deviations to show beside, each with its content in percent.
+    """
+    rows = [row for row in distributions if row.vs.n]
+    figure = new_figure(height=4.6)
+    axes = figure.subplots()
+    _draw_range(axes, vs, rows, published)
+    axes.set_xlabel(CONTENT_LABEL)
+    axes.set_ylabel(VS_LABEL)
+    axes.legend(loc="lower right")
+    low = [row for row in rows if row.content <= LOW_CONTENT]
+    if len(low) > 2 and rows[-1].content > 4 * LOW_CONTENT:  # noqa: PLR2004 - fewer need no second picture
+        inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
+        _draw_range(inset, vs, low, [row for row in published if row[0] <= LOW_CONTENT])
+        inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
+        inset.tick_params(labelsize=7)
+    return figure
+
+
+def _draw_range(
+    axes: Axes,
+    vs: xr.DataArray,
+    rows: Sequence[ContentDistribution],
+    published: Sequence[tuple[float, PublishedVelocity]],
+) -> None:
+    content = np.array([row.content for row in rows])
+    means = np.array([row.vs.mean for row in rows])
+
+    def band(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        intervals = [getattr(row.vs, name) for row in rows]
+        low, high = np.array([(interval.low, interval.high) for interval in intervals]).T
+        return low, high
+
+    axes.fill_between(
+        content, *band("prediction_interval"), color=SKY, alpha=0.25, linewidth=0, label="95 % of new samples"
+    )
+    axes.fill_between(
+        content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
+    )
+    for row in rows:
+        values = vs.sel(content=row.content).to_numpy()
+        label = "one sample" if row is rows[0] else None
+        at = np.full(values.shape, row.content)
+        axes.plot(at, values, ".", color=GREY, alpha=0.6, markersize=3.5, markeredgewidth=0, label=label)
+    axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
+    if published:
+        axes.errorbar(
+            [at for at, _ in published],
+            [row.mean for _, row in published],
+            yerr=[row.standard_deviation for _, row in published],
+            fmt="D",
+            markersize=3.5,
+            color=VERMILION,
+            elinewidth=0.9,
+            capsize=2,
+            zorder=4,
+            label="published mean and standard deviation",
+        )
+
+
+@styled
+def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistribution]) -> Figure:
+    """Draw the distribution of Vs at each content with its normal fit (Fig. 11).
+
+    Parameters
+    ----------
+    vs
+        m/s along (seed, content).
+    distributions
+        Of each content; those without velocities are left out.
+    """
+    rows = [row for row in distributions if row.vs.n]
+    columns = min(HISTOGRAM_COLUMNS, len(rows))
+    lines = math.ceil(len(rows) / columns)
+    figure = new_figure(height=0.45 + 1.35 * lines)
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes, row in zip(panels, rows, strict=False):
+        values = vs.sel(content=row.content).to_numpy()
+        _draw_histogram(axes, values[np.isfinite(values)], row.vs)
+        axes.set_title(f"{row.content:g} %", fontsize=8.5)
+    for axes in panels[len(rows) :]:
+        axes.set_axis_off()
+    figure.supxlabel(VS_LABEL, fontsize=9)
+    figure.supylabel("probability density, each panel on its own scale", fontsize=9)
+    return figure
+
+
+def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) -> None:
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.xaxis.set_major_locator(MaxNLocator(3, min_n_ticks=2))
+    axes.tick_params(labelsize=7)
+    if not row.standard_deviation > 0:
+        axes.axvline(row.mean, color=BLUE, linewidth=4, alpha=0.7)
+        axes.set_xlim(0.9 * row.mean, 1.1 * row.mean)
+        text = "one sample" if row.n == 1 else f"all {row.n} equal"
+        axes.text(0.05, 0.92, text, transform=axes.transAxes, fontsize=7, va="top")
+        return
+    # Freedman and Diaconis make single bars of small samples, so at least Sturges' number is taken.
+    axes.hist(values, bins="auto", density=True, color=SKY, alpha=0.75, edgecolor="white", linewidth=0.5)
+    reach = 3.4 * row.standard_deviation
+    grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
+    axes.plot(grid, row.normal_fit.density(grid), color=VERMILION, linewidth=1.2)
+    axes.plot(values, np.zeros_like(values), "|", color=BLACK, markersize=4, markeredgewidth=0.5, clip_on=False)
+    p_value = row.normality.p_small_sample
+    p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
+    text = f"n = {row.n}\nS = {row.skewness:.2f}\nK = {row.kurtosis:.2f}\n{p_text}"
+    axes.text(
+        0.02,
+        0.98,
+        text,
+        transform=axes.transAxes,
+        fontsize=6,
+        va="top",
+        linespacing=1.25,
+        color=BLACK if p_value >= 0.05 else VERMILION,  # noqa: PLR2004 - the usual level
+    )
+    axes.set_ylim(0, axes.get_ylim()[1] * 1.12)
+
+
+@styled
+def draw_methods(cells: xr.Dataset) -> Figure:
+    """Draw mean Vs by three ways of reading the arrival against content (compare Fig. 6).
+
+    Parameters
+    ----------
+    cells
+        vs_peak, vs_first_arrival and vs_cross_correlation in m/s along (seed, content), NaN where missing.
+    """
+    figure = new_figure(height=4.6)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
+    content = cells["content"].to_numpy()
+    reference = cells["vs_peak"].to_numpy()
+    for name, (label, colour, marker) in METHODS.items():
+        values = cells[f"vs_{name}"].to_numpy()
+        ratio = 100 * (values / reference - 1)
+        for axes, numbers in ((upper, values), (lower, ratio)):
+            known = np.isfinite(numbers).any(axis=0)
+            low, middle, high = np.nanquantile(numbers[:, known], [0.1, 0.5, 0.9], axis=0)
+            axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
+            axes.plot(content[known], middle, color=colour, marker=marker, markersize=4, label=label)
+    upper.set_ylabel(VS_LABEL)
+    upper.legend(loc="upper left")
+    lower.set_ylabel("difference to\npeak to peak (%)")
+    lower.set_xlabel(CONTENT_LABEL)
+    return figure
+
+
+@styled
+def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
+    """Draw how the 95 % intervals narrow with the number of seeds.
+
+    Parameters
+    ----------
+    narrowings
+        For each content in percent, what `planning.narrowing` gives.
+    """
+    figure = new_figure(height=3.1)
+    panels = figure.subplots(1, 3)
+    colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.05, 0.85, len(narrowings)))
+    titles = {"mean": "mean (m/s)", "standard_deviation": "standard deviation (m/s)", "skewness": "skewness"}
+    for axes, (name, title) in zip(panels, titles.items(), strict=True):
+        for (content, forecast), colour in zip(narrowings.items(), colours, strict=True):
+            axes.plot(forecast["count"], forecast[name], color=colour, label=f"{content:g} %")
+            axes.axvline(forecast.attrs["present"], color=GREY, linestyle=":", linewidth=1)
+        axes.set_xscale("log")
+        axes.set_yscale("log" if name != "skewness" else "linear")
+        axes.set_title(title)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_minor_formatter(lambda *_: "")
+            axis.set_major_formatter(ScalarFormatter())
+    panels[0].set_ylabel("half-width of the 95 % interval")
+    figure.supxlabel("number of seeds", fontsize=9)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(narrowings))
+    return figure
+
+

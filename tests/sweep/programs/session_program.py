@@ -1,0 +1,36 @@
+"""Does one thing that concerns all ranks, as told by the first argument."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from calcidem.sweep import Session
+
+
+def main() -> None:
+    """Broadcast, do something once for the node, raise on one rank, or sleep while rank 0 is busy."""
+    with Session() as session:
+        what = sys.argv[1]
+        if what == "broadcast":
+            received = session.broadcast({"big": b"x" * 3_000_000} if session.rank == 0 else None)
+            assert received is not None
+            assert received["big"] == b"x" * 3_000_000
+        elif what == "once":
+            session.once_per_node(lambda: sys.stdout.write("once\n"))
+        elif what == "raise" and session.rank == 1:
+            raise RuntimeError("on order")
+        elif what == "raise":
+            session.broadcast(None)
+            time.sleep(60)
+        elif what == "wait":
+            if session.rank == 0:
+                time.sleep(2.0)
+            start = time.process_time()
+            session.broadcast(1)
+            sys.stdout.write(f"{time.process_time() - start}\n")
+        session.end(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import pytest
+
+from calcidem.sweep import LaunchError, SweepOptions, describe_environment, refuse_singletons
+from calcidem.sweep.environment import fault_tolerance_enabled, launcher
+
+
+def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
+    """`srun python` gives programs that don't know one another: refused with the cure."""
+    with pytest.raises(LaunchError, match=r"SLURM_NTASKS is 8.*use mpirun"):
+        refuse_singletons(1, {"SLURM_NTASKS": "8"})
+
+
+@pytest.mark.parametrize(
+    ("world_size", "variables"),
+    [
+        (1, {}),
+        (1, {"SLURM_NTASKS": "1"}),
+        (8, {"SLURM_NTASKS": "8"}),
+        (1, {"SLURM_NTASKS": "8", "OMPI_COMM_WORLD_SIZE": "1"}),
+    ],
+)
+def test_other_launches_are_accepted(world_size: int, variables: dict[str, str]) -> None:
+    """One task, ranks that know one another, and one rank on purpose are fine."""
+    refuse_singletons(world_size, variables)
+
+
+def test_the_launcher_is_recognised() -> None:
+    """Variables of a launcher say that MPI is to be loaded; without them it is not."""
+    assert launcher({"OMPI_COMM_WORLD_SIZE": "4", "PMIX_RANK": "0"}) == "Open MPI mpirun"
+    assert launcher({"SLURM_JOB_ID": "5"}) is None
+
+
+def test_fault_tolerance_is_what_mpirun_says() -> None:
+    """ULFM is on exactly if mpirun was told so."""
+    assert fault_tolerance_enabled({"OMPI_MCA_mpi_ft_enable": "1"})
+    assert not fault_tolerance_enabled({"OMPI_MCA_mpi_ft_enable": "0"})
+    assert not fault_tolerance_enabled({})
+
+
+def test_the_environment_is_described_with_advice() -> None:
+    """Missing thread limits and missing fault tolerance are named with their cures."""
+    variables = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "4", "SLURM_JOB_ID": "5"}
+    environment = describe_environment(4, variables)
+    assert environment.cores >= 1
+    assert environment.slurm == {"SLURM_JOB_ID": "5"}
+    advice = " ".join(environment.advice())
+    assert "OPENBLAS_NUM_THREADS is 4" in advice
+    assert "NUMBA_NUM_THREADS is not set" in advice
+    assert "OMP_NUM_THREADS is 1" not in advice
+    assert "--with-ft ulfm" in advice
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("time_limit", 0.0), ("hard_limit_factor", 1.0), ("watchdog_margin", -1.0), ("stop_grace", float("nan"))],
+)
+def test_options_refuse_impossible_values(name: str, value: float) -> None:
+    """A value out of range is refused with its name."""
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        SweepOptions(**{name: value})
+
+
+def test_the_guards_of_a_batch_are_nested() -> None:
+    """The hard limit lies behind the time limit, and the watchdog behind both; without a limit there are none."""
+    options = SweepOptions(time_limit=10.0)
+    assert options.time_limit is not None
+    assert options.hard_limit is not None
+    assert options.watchdog_limit is not None
+    assert options.time_limit < options.hard_limit < options.watchdog_limit
+    assert SweepOptions().hard_limit is None
+    assert SweepOptions().watchdog_limit is None
