@@ -16,7 +16,7 @@ from calcidem.dem.pulse import excitation_frequency
 from calcidem.dem.scene import Installation
 from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 
-SILENCE = 1e-5  # received velocity over the amplitude of the pulse that no instrument would see
+SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 ReceivedSignal = Literal["velocity", "force"]

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from calcidem.dem.arrival import record_duration
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
@@ -55,7 +56,7 @@ class WaveRule:
     step_fraction
         Time step as a part of the stability limit.
     slowest
-        Slowest velocity that is waited for, m/s: the longest record is distance / slowest + two periods.
+        Slowest velocity that is waited for, m/s.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
     balance, most_settling_steps
@@ -299,7 +300,7 @@ class Recorder:
 
     def run(self, distance: float, check: Callable[[], None]) -> list[WaveRecord]:
         """Records of all samples, in their order."""
-        longest = distance / self.rule.slowest + 2.0 * self.pulse.duration
+        longest = record_duration(distance, self.rule.slowest, self.pulse.frequency)
         while self.open:
             check()
             self.signals.append(self.chunk())

@@ -24,8 +24,6 @@ from calcidem.sweep.protocol import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from calcidem.sweep.batch import Batch
     from calcidem.sweep.options import SweepOptions
     from calcidem.sweep.sweep_end import SweepEnd
@@ -106,7 +104,7 @@ class Crew(Generic[CellT]):
         worker = self._workers[rank]
         worker.batch = batch
         worker.since = time.monotonic()
-        worker.task = start_send(self._comm, batch, rank, Tag.TASK)
+        worker.task = self._send(batch, rank, Tag.TASK)
 
     def receive(self) -> list[BatchOutcome[CellT, Any]]:
         """Take in what has arrived: note new workers, return the outcomes."""
@@ -131,7 +129,7 @@ class Crew(Generic[CellT]):
     def lost(self) -> dict[int, str]:
         """Return the ranks that are lost, each with the reason; they stay in the crew until `bury`."""
         reasons: dict[int, str] = dict.fromkeys(self._watch.ended(), "its process ended")
-        failed = failed_ranks(self._comm)
+        failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed
             acknowledge_failures(self._comm)
@@ -170,7 +168,8 @@ class Crew(Generic[CellT]):
 
     def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
         """Tell all workers how the sweep ended; return those that don't answer and may still run."""
-        requests = {rank: start_send(self._comm, end, rank, Tag.STOP) for rank in self.expected}
+        sends = {rank: self._send(end, rank, Tag.STOP) for rank in self.expected}
+        requests = {rank: request for rank, request in sends.items() if request is not None}
 
         def all_stopped() -> bool:
             self.receive()  # a worker that joins only now waits to be heard before it listens
@@ -196,7 +195,19 @@ class Crew(Generic[CellT]):
         return reason
 
     def _gone(self) -> set[int]:
-        return self._watch.ended() | failed_ranks(self._comm)
+        return self._watch.ended() | self._failed()
+
+    def _failed(self) -> frozenset[int]:
+        # Without ULFM there are never any, and many an MPI library does not even have the call.
+        return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
+
+    def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
+        """Begin to send; return None if the receiver has just died, which `lost` will tell."""
+        try:
+            return start_send(self._comm, value, rank, tag)
+        except MPI.Exception as error:
+            self._raise_unless_rank_failed(error)
+            return None
 
     @staticmethod
     def _is_over(request: MPI.Request) -> bool:
@@ -209,10 +220,14 @@ class Crew(Generic[CellT]):
         try:
             return start_receive(self._comm, MPI.ANY_SOURCE)
         except MPI.Exception as error:
-            if error.Get_error_class() not in _failure_classes():
-                raise
+            self._raise_unless_rank_failed(error)
             acknowledge_failures(self._comm)
             return None
+
+    def _raise_unless_rank_failed(self, error: MPI.Exception) -> None:
+        classes = (MPI.ERR_PROC_FAILED, MPI.ERR_PROC_FAILED_PENDING)
+        if not self._fault_tolerant or error.Get_error_class() not in classes:
+            raise error
 
     def _join(self, message: Incoming) -> None:
         if message.source not in self.expected:
@@ -235,8 +250,3 @@ class Crew(Generic[CellT]):
             failure = Failure.from_exception(FailureKind.FAILED, error)
             return BatchOutcome(batch, worker.place, time.monotonic() - worker.since, failure=failure)
         return outcome
-
-
-def _failure_classes() -> Iterable[int]:
-    """Return the MPI error classes that mean: a rank has died."""
-    return (MPI.ERR_PROC_FAILED, MPI.ERR_PROC_FAILED_PENDING)

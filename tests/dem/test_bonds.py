@@ -52,16 +52,16 @@ def test_cement_takes_over_the_force_as_its_installation_says(
 
 @pytest.mark.parametrize("cement", [BARE, SOFT_CEMENT])
 def test_preserved_forces_grow_from_where_they_were(cement: Cement) -> None:
-    """Pulling and sliding a preserved contact changes its force by the stiffnesses of bond and linear group."""
-    velocity = np.array([[0.0, 0.0], [1e-3, 2e-3]])
+    """Pressing and sliding a preserved contact changes its force by the stiffnesses of bond and linear group."""
+    velocity = np.array([[0.0, 0.0], [-1e-3, 1e-4]])
     state = advance(cemented(cement, velocity=velocity), 100)
     time = 100 * STEP
     radius = np.array([RADIUS])
     bond, linear = cement.bond_stiffness(radius, radius)[0], cement.linear_stiffness(radius, radius)[0]
     contact = contact_forces(state)
     # The normal turns by 1e-5 on the way, which mixes the two motions at that level.
-    assert contact.normal[0] == pytest.approx(CARRIED - 1e-3 * time * (bond[0] + linear[0]), rel=1e-4)
-    assert contact.shear[0] == pytest.approx(0.3 * CARRIED - 2e-3 * time * (bond[1] + linear[1]), rel=1e-4)
+    assert contact.normal[0] == pytest.approx(CARRIED + 1e-3 * time * (bond[0] + linear[0]), rel=1e-4)
+    assert contact.shear[0] == pytest.approx(0.3 * CARRIED - 1e-4 * time * (bond[1] + linear[1]), rel=1e-4)
 
 
 def strained(cement: Cement, velocity: tuple[float, float], spin: float, strain: float) -> State:

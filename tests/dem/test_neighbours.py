@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import RADIUS, SOFT, jumble, throw
+
+from calcidem.dem import state as state_module
+from calcidem.dem.assembly import assemble, near_pairs
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.readout import contact_forces
+from calcidem.dem.scene import Scene, Wall
+from calcidem.dem.state import State, advance, listed_pairs, start
+
+SEARCHING = Features(damping=True, search=True)
+
+
+@given(st.integers(0, 2**20), st.integers(2, 40), st.floats(0.0, 2.0))
+def test_near_pairs_are_those_that_looking_at_all_pairs_finds(seed: int, count: int, skin: float) -> None:
+    """The tree search lists each pair whose rims are nearer than the skin once, sorted, and no other."""
+    generator = np.random.default_rng(seed)
+    centres = generator.uniform(0.0, 10.0, (count, 2))
+    radius = generator.uniform(0.1, 1.5, count)
+    expected = [
+        [i, j]
+        for i in range(count)
+        for j in range(i + 1, count)
+        if np.hypot(*(centres[j] - centres[i])) - radius[i] - radius[j] < skin
+    ]
+    np.testing.assert_array_equal(near_pairs(centres, radius, skin), np.array(expected).reshape(-1, 2))
+
+
+def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
+    """Row i of the list holds the pairs whose first disk is i; contacts keep the geometry of the scene."""
+    scene = jumble(1, 25)
+    assembly = assemble(scene, np.column_stack([scene.x, scene.y]), 0.1 * RADIUS, 1, "float64")
+    pairs = listed_pairs(assembly)
+    assert np.all(pairs[:, 0] < pairs[:, 1])
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    ends = assembly.order[pairs]
+    apart = np.column_stack([scene.x, scene.y])[ends[:, 1]] - np.column_stack([scene.x, scene.y])[ends[:, 0]]
+    np.testing.assert_allclose(assembly.pairs.geometry[:, :2] * assembly.pairs.geometry[:, 2:3], apart, rtol=1e-12)
+
+
+def colliding(monkeypatch: pytest.MonkeyPatch, skin: float, lanes: int = 1) -> State:
+    """Two heaps that fly into each other and scatter, with pairs listed up to a skin."""
+    monkeypatch.setattr(state_module, "SKIN", skin)
+    left, right = jumble(1, 12, walls=False), jumble(2, 12, walls=False)
+    x = np.concatenate([left.x, np.asarray(right.x) + 9.0 * RADIUS])
+    y, radius = np.concatenate([left.y, right.y]), np.concatenate([left.radius, right.radius])
+    walls = (Wall((0.0, -1.1 * RADIUS), (0.0, 1.0), friction=0.4), Wall((0.0, 8.0 * RADIUS), (0.0, -1.0)))
+    scene = Scene(x, y, radius, SOFT, damping=0.1, walls=walls)
+    velocity, spin = throw(scene, 1, 0.3)
+    velocity[:12, 0] += 1.0
+    velocity[12:, 0] -= 1.0
+    state = start(scene, features=replace(SEARCHING, lanes=lanes), velocity=velocity, spin=spin, time_step=4e-7)
+    state.motion.velocity[:, :2, lanes - 1] *= 1.0 if lanes == 1 else 0.8
+    return advance(state, 12_000)
+
+
+def test_renewing_the_pair_list_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Disks that meet, rub and part again move as with a list of all pairs that is never renewed."""
+    renewed, complete = colliding(monkeypatch, 0.2), colliding(monkeypatch, 60.0)
+    assert len(complete.assembly.pairs.second) == 24 * 23 // 2
+    assert len(renewed.assembly.pairs.second) < 100
+    assert renewed.origin.any()  # the list was renewed on the way
+    assert not complete.origin.any()
+    assert np.hypot(*(renewed.position() - np.column_stack([renewed.scene.x, renewed.scene.y])).T).max() > RADIUS
+    # A pair that does not touch adds zero forces, which change nothing.
+    np.testing.assert_array_equal(renewed.position(), complete.position())
+    np.testing.assert_array_equal(renewed.spin(), complete.spin())
+
+
+def test_lanes_that_go_different_ways_share_a_list_that_serves_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With two samples that drift apart each still moves as with a list of all pairs."""
+    renewed, complete = colliding(monkeypatch, 0.2, lanes=2), colliding(monkeypatch, 60.0, lanes=2)
+    assert np.abs(renewed.position(0) - renewed.position(1)).max() > 0.2 * RADIUS
+    np.testing.assert_array_equal(renewed.motion.displacement, complete.motion.displacement)
+
+
+def test_histories_survive_a_renewal() -> None:
+    """Bonds, shear forces and roots of pairs and walls are the same before and after a new list."""
+    scene = jumble(6, 20, share_bonded=0.5, damping=0.2)
+    velocity, spin = throw(scene, 6, 0.01)
+    features = replace(SEARCHING, bonds=True, linear_group=True, breakage=True)
+    state = advance(start(scene, features=features, velocity=velocity, spin=spin), 200)
+    before, after = contact_forces(state), contact_forces(state_module.with_new_neighbours(state))
+    for name in ("pairs", "overlap", "normal", "shear", "moment", "bonded"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    fresh = state_module.with_new_neighbours(state).assembly.wall_pairs
+    old = state.assembly.wall_pairs
+    assert old.shear.any()
+    assert sorted(fresh.shear[fresh.shear != 0.0]) == sorted(old.shear[old.shear != 0.0])
+
+
+def test_a_wall_finds_disks_that_it_reaches_later() -> None:
+    """A wall that comes from afar pushes disks that lie still."""
+    wall = Wall((0.0, 0.0), (0.0, 1.0), velocity=(1.0, 0.0))
+    scene = Scene(np.zeros(1), np.array([5.0 * RADIUS]), np.array([RADIUS]), SOFT, walls=(wall,))
+    state = advance(start(scene, features=SEARCHING, time_step=1e-6), 6000)
+    # An elastic impact on a heavy wall throws the disk ahead at twice the speed of the wall, the second time too.
+    assert state.velocity()[0, 1] == pytest.approx(2.0, rel=1e-3)
+
+
+def test_far_disks_do_not_make_the_list_long_when_a_wall_travels() -> None:
+    """A wall that has moved far does not widen the list of pairs of disks."""
+    scene = jumble(2, 16, walls=False)
+    far = replace(scene, walls=(Wall((0.0, -1.0), (0.0, 1.0), velocity=(1.0, 0.0)),), damping=0.9)
+    state = advance(start(far, features=SEARCHING), 3000)
+    assert state.wall_origin.any()
+    assert len(state.assembly.pairs.second) < 60

@@ -1,0 +1,51 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+PROGRAM = """
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+sys.path.insert(0, {folder!r})
+from scenes import SOFT_CEMENT, jumble, throw
+
+from calcidem.dem.state import advance, choose_features, start
+
+results = []
+weak = replace(SOFT_CEMENT, tensile_strength=4e5, cohesion=3e5)
+for regime, cement in (("finite", None), ("finite", weak), ("small", weak), ("linear", weak)):
+    options = {{}} if cement is None else {{"share_bonded": 0.6, "cement": cement}}
+    scene = jumble(5, 5, damping=0.3, **options)
+    velocity, spin = throw(scene, 5)
+    features = choose_features(scene, regime, 2, account=regime != "linear")
+    state = advance(start(scene, features=features, velocity=velocity, spin=spin, step_fraction=0.1), 25)
+    results.append(
+        [state.motion.displacement.tolist(), state.motion.velocity.tolist(), state.account.tolist(),
+         state.assembly.pairs.intact.tolist()]
+    )
+print(json.dumps(results))
+"""
+
+
+def results(jit: bool) -> list[list[list[float]]]:
+    """What the program prints with the compiler on or off."""
+    program = PROGRAM.format(folder=str(Path(__file__).parent))
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "0" if jit else "1"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)  # type: ignore[no-any-return]
+
+
+def test_the_kernel_without_the_compiler_computes_the_same() -> None:
+    """With NUMBA_DISABLE_JIT=1 the kernel is plain Python on NumPy arrays and agrees to rounding."""
+    for compiled, plain in zip(results(jit=True), results(jit=False), strict=True):
+        for first, second in zip(compiled, plain, strict=True):
+            scale = np.abs(np.array(second)).max(initial=0.0)
+            # Fused multiplications and additions over 25 steps.
+            np.testing.assert_allclose(np.array(first), np.array(second), atol=1e-11 * scale)
