@@ -98,14 +98,26 @@ class Yade(Engine):
         O.step()
         integrator.dead = False
         normal, shear, bending = (float(value) for value in self.problem["bond_stiffness"])
+        before = self.earlier_overlaps()
         for contact in O.interactions:
             physics = contact.phys
             physics.kn, physics.ks, physics.kr, physics.ktw = normal, shear, bending, bending
             physics.normalAdhesion = physics.shearAdhesion = 1.0e20
             physics.rollingAdhesion = physics.twistingAdhesion = 1.0e20
-            physics.unp = contact.geom.penetrationDepth
+            physics.unp = before[contact.id1, contact.id2]
             physics.shearForce = (0.0, 0.0, 0.0)
-        O.resetTime()
+
+    def earlier_overlaps(self) -> dict:
+        """Overlaps one step before time zero, from where calcidem's bonds begin to count, too."""
+        problem = self.problem
+        x = problem["x"] - O.dt * problem["velocity"][:, 0]
+        y = problem["y"] - O.dt * problem["velocity"][:, 1]
+        overlaps = {}
+        for first, second in problem["bonds"]:
+            distance = math.hypot(x[second] - x[first], y[second] - y[first])
+            depth = problem["radius"][first] + problem["radius"][second] - distance
+            overlaps[first, second] = overlaps[second, first] = depth
+        return overlaps
 
     def run(self, steps: int) -> None:
         """Advance."""

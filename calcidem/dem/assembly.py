@@ -12,6 +12,7 @@ from calcidem.dem.material import require
 from calcidem.dem.scene import Scene
 
 ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
+BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
 SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
 
 
@@ -84,13 +85,13 @@ def assemble(
     scene
         What to assemble.
     centres
-        (N, 2) present centres of the disks, m: where neighbours are looked for.
+        (N, 2, K) present centres of the disks in one or more samples, m: where neighbours are looked for.
     skin
-        Pairs whose rims are closer than this are listed, m.
+        Pairs whose rims are closer than this in any of the samples are listed, m.
     lanes, dtype
         Width and precision.
     wall_moved
-        (W,) present displacement of the walls along their normals, m; zero by default.
+        (W, K) present displacements of the walls along their normals, m; zero by default.
 
     Returns
     -------
@@ -107,9 +108,13 @@ def assemble(
     radius = np.asarray(scene.radius, dtype=float)[order]
     reference = np.column_stack([scene.x, scene.y])[order]
     cemented, bits = cement_bits(scene, rank)
-    found = np.unique(np.concatenate([near_pairs(centres[order], radius, skin), cemented]), axis=0)
-    moved = np.zeros(len(scene.walls)) if wall_moved is None else wall_moved
-    facing = near_walls(scene, reference, centres[order], radius + skin, moved)
+    # A sample that has blown up has no neighbours worth listing, and must not harm the others.
+    samples = np.flatnonzero((np.abs(centres) < BLOWN_UP).all(axis=(0, 1)))
+    near = [near_pairs(centres[order, :, sample], radius, skin) for sample in samples]
+    found = np.unique(np.concatenate([*near, cemented]), axis=0)
+    moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
+    faced = [near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
+    facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
     return Assembly(
         order=order,
         grains=assemble_grains(scene, order, dtype),
@@ -184,7 +189,7 @@ def assemble_pairs(
 
 
 def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
-    """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall, sorted by disk.
+    """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall.
 
     Which of several walls of one side a disk faces is fixed by its reference position.
     """
@@ -195,8 +200,7 @@ def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, 
         near = wall.distance(centres[:, 0], centres[:, 1]) - moved[index] < reach
         disks = np.flatnonzero(facing & near)
         found.append(np.column_stack([disks, np.full(len(disks), index)]))
-    pairs = np.concatenate(found)
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return np.concatenate(found)
 
 
 def assemble_wall_pairs(

@@ -49,6 +49,8 @@ class Experiment:
         Reading that becomes Vs.
     least_quality
         Readings of lower quality are not trusted.
+    early_stop
+        End a record as soon as its reading is settled; it does not change the reading.
     signal
         Received signal that is read.
     frequencies
@@ -67,6 +69,7 @@ class Experiment:
     method: Method = "peak"
     signal: ReceivedSignal = "velocity"
     least_quality: float = 0.1
+    early_stop: bool = True
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
@@ -182,9 +185,8 @@ def measure(
     packing, sand = experiment.stiffened()
 
     def heard_enough(record: WaveRecord) -> bool:
-        return len(record.sent) * record.interval > 1.0 / frequency and arrived(
-            signals_of(record, experiment), experiment.pick
-        )
+        sent_all = len(record.sent) * record.interval > 1.0 / frequency
+        return experiment.early_stop and sent_all and arrived(signals_of(record, experiment), experiment.pick)
 
     records = send_waves(
         packing,

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.state import State, duplicate, listed_pairs, no_recording, run_sweep
+from calcidem.dem.neighbours import listed_pairs
+from calcidem.dem.state import State, duplicate, no_recording, run_sweep
 
 
 @dataclass(frozen=True, slots=True)

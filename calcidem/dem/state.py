@@ -10,6 +10,7 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Motion, Recording, Watch
 from calcidem.dem.kernels.sweep import sweep
 from calcidem.dem.material import require
+from calcidem.dem.neighbours import listed_pairs, renewed
 from calcidem.dem.scene import Regime, Scene
 from calcidem.dem.stability import critical_time_step
 
@@ -169,7 +170,7 @@ def start(
     chosen = features or choose_features(scene, regime)
     dtype = np.dtype(precision)
     skin = 0.0 if not chosen.search else SKIN * float(np.mean(scene.radius))
-    centres = np.column_stack([scene.x, scene.y])
+    centres = np.column_stack([scene.x, scene.y])[:, :, None]
     assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
     step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
@@ -255,13 +256,6 @@ def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floa
     shear = np.zeros(len(listed))
     shear[place[known]] = np.asarray(preload.shear)[known]
     return shear
-
-
-def listed_pairs(assembly: Assembly) -> Integers:
-    """(M, 2) pairs of the list, in memory order."""
-    pairs = assembly.pairs
-    first = np.repeat(np.arange(len(pairs.start) - 1), np.diff(pairs.start))
-    return np.column_stack([first, pairs.second])
 
 
 def advance(state: State, steps: int) -> State:
@@ -359,45 +353,13 @@ def launched(state: State) -> State:
 
 
 def with_new_neighbours(state: State) -> State:
-    """The same state with its pair list made anew; histories of pairs that stay are kept.
-
-    Lanes share one list, so it is made from their mean positions with a skin widened by what they differ.
-    """
-    displacement = state.motion.displacement[:, :2].astype(float)
-    mean = displacement.mean(axis=2)
-    spread = float(np.hypot(*np.moveaxis(displacement - mean[:, :, None], 1, 0)).max())
-    wall_moved = state.assembly.walls.motion[:, 0].astype(float)
-    wall_mean = wall_moved.mean(axis=1)
-    spread = max(spread, float(np.abs(wall_moved - wall_mean[:, None]).max(initial=0.0)))
-    centres = np.column_stack([state.scene.x, state.scene.y]) + state.unsorted(mean)
-    skin = SKIN * float(np.mean(state.scene.radius)) + 2.0 * spread
-    old = state.assembly
-    fresh = assemble(state.scene, centres, skin, state.features.lanes, state.motion.velocity.dtype, wall_mean)
-    new_keys = pair_keys(listed_pairs(fresh), state.scene.count)
-    old_keys = pair_keys(listed_pairs(old), state.scene.count)
-    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("intact", "linear", "shear", "root", "bond_force"):
-        getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
-    carry_wall_histories(fresh, old)
-    assembly = replace(fresh, walls=old.walls)
-    motion = state.motion._replace(force=force_slots(assembly, state.features.lanes))
+    """Return the same state with its pair list made anew."""
+    displacement = state.motion.displacement[:, :2]
+    assembly = renewed(state.scene, state.assembly, displacement, SKIN * float(np.mean(state.scene.radius)))
     return replace(
         state,
         assembly=assembly,
-        motion=motion,
-        origin=aligned_copy(state.motion.displacement[:, :2]),
-        wall_origin=aligned_copy(old.walls.motion[:, 0]),
+        motion=state.motion._replace(force=force_slots(assembly, state.features.lanes)),
+        origin=aligned_copy(displacement),
+        wall_origin=aligned_copy(assembly.walls.motion[:, 0]),
     )
-
-
-def carry_wall_histories(fresh: Assembly, old: Assembly) -> None:
-    """Copy the histories of wall pairs that stay, in place."""
-    walls = max(1, len(old.walls.normal))
-
-    def keys(assembly: Assembly) -> Integers:
-        disk = np.repeat(np.arange(len(assembly.wall_pairs.start) - 1), np.diff(assembly.wall_pairs.start))
-        return disk * walls + assembly.wall_pairs.wall
-
-    _, new_place, old_place = np.intersect1d(keys(fresh), keys(old), assume_unique=True, return_indices=True)
-    for name in ("shear", "root"):
-        getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
+from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
@@ -61,6 +62,8 @@ class WaveRule:
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
     balance, most_settling_steps
         Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
+    keep
+        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`.
     """
 
     amplitude: float = 1.0e-3
@@ -77,6 +80,7 @@ class WaveRule:
     listening_depth: float = 0.01
     balance: float = 1.0e-6
     most_settling_steps: int = 2_000_000
+    keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
@@ -253,11 +257,7 @@ def send_waves(
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
     scene = wave_scene(packing, sand, rule, bonds)
-    # A pulse that moves the grains far less than the skin of the pair list needs no contact search.
-    far = rule.regime == "finite" and bool(
-        LARGEST_MOTION * Pulse(rule.amplitude, frequency).stroke > SKIN * packing.radius.min()
-    )
-    features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=far)
+    features = wave_features(scene, rule, packing, frequency, lanes)
     state = start(
         scene,
         features=features,
@@ -271,6 +271,15 @@ def send_waves(
     listeners = listening_disks(packing, rule)
     recorder = Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)
     return recorder.run(packing.width, check)
+
+
+def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: float, lanes: int) -> Features:
+    """What the wave needs of the kernel, and what the rule keeps all the same."""
+    # A pulse that moves the grains far less than the skin of the pair list needs no contact search.
+    motion = LARGEST_MOTION * Pulse(rule.amplitude, frequency).stroke
+    search = rule.regime == "finite" and motion > SKIN * float(packing.radius.min())
+    features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=search)
+    return replace(features, **dict.fromkeys(rule.keep, True))
 
 
 class Recorder:

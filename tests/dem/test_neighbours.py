@@ -34,7 +34,7 @@ def test_near_pairs_are_those_that_looking_at_all_pairs_finds(seed: int, count: 
 def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
     """Row i of the list holds the pairs whose first disk is i; contacts keep the geometry of the scene."""
     scene = jumble(1, 25)
-    assembly = assemble(scene, np.column_stack([scene.x, scene.y]), 0.1 * RADIUS, 1, "float64")
+    assembly = assemble(scene, np.column_stack([scene.x, scene.y])[:, :, None], 0.1 * RADIUS, 1, "float64")
     pairs = listed_pairs(assembly)
     assert np.all(pairs[:, 0] < pairs[:, 1])
     assert len(np.unique(pairs, axis=0)) == len(pairs)

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
 READABLE_ON_DARK = 0.6
+SAME_RATIO = 0.02
+"""C_d,n of weight ratios further apart than this are different quantities."""
 
 
 def symbol(name: str) -> str:
@@ -146,7 +148,7 @@ def draw_laws(
     vs, contents
         Velocity in m/s and content in percent of each sample, shape (n,).
     published
-        Laws to show beside, by the name of a fitted one; each in its own range.
+        Laws to show beside, each in its own range and only where C_d,n has the same weights.
     """
     figure = new_figure(height=4.1, width=7.4)
     panels = figure.subplots(1, len(laws), squeeze=False, sharey=True)[0]
@@ -160,7 +162,7 @@ def draw_laws(
         )
         axes.plot(grid, fit.predict(grid), color=BLACK, label=law_text(fit.a, fit.b, fit.c))
         for other in published:
-            if other.name == law.name:
+            if abs(other.weights.ratio - law.weights.ratio) < SAME_RATIO:
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
                 axes.plot(
                     span,

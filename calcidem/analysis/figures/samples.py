@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from calcidem.analysis.figures.signals import Arrival
     from calcidem.analysis.packing_graph import PackingGraph
 
+PANEL_WIDTH = 3.7
+"""Width in inches of a panel with a path; its text stands beside."""
+
 SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
 CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
 P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
@@ -123,7 +126,7 @@ def draw_measurement(
         scene.add_patch(
             Rectangle((0, bottom), width, damped_layer * MM, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3)
         )
-        label = "strongly damped layer"
+        label = "strongly\ndamped layer"
         scene.text(width / 2, bottom + damped_layer * MM / 2, label, ha="center", va="center", zorder=4)
     draw_frame(scene, packing)
     draw_bands(scene, packing, transmitter_half_width, receiver_half_width)
@@ -158,7 +161,8 @@ def draw_measurement(
         signal_axes(signals, arrival)
         signals.set_title(f"sample of seed {arrival.seed} at {arrival.content:g} %")
         signals.set_xlabel("time (ms)")
-        signals.legend(loc="upper right")
+        signals.set_box_aspect(1.0)
+        signals.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     return figure
 
 
@@ -178,11 +182,12 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[Sample]) -> F
     margin = 0.012
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
-    figure = new_figure(height=1.05 + len(samples) * 0.55 * 5.2 * (high - low) / packing.width)
+    figure = new_figure(height=0.9 + len(samples) * PANEL_WIDTH * (high - low) / packing.width)
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
-        draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.1)
+        draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
         draw_path(axes, graph, sample.features.path)
+        axes.set_anchor("W")
         features = sample.features
         velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"
         lines = (

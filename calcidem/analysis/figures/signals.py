@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MS = 1e3
+POINTING = 0.14
 METHODS = {
     "peak": ("peak to peak", VERMILION, "v"),
     "first_arrival": ("first arrival", GREEN, "o"),
@@ -87,7 +88,8 @@ def signal_axes(axes: Axes, arrival: Arrival) -> None:
         if method not in arrival.velocities:
             continue
         moment = arrival.arrival_time(method)
-        level = np.interp(moment, arrival.time, arrival.received / largest)
+        # A peak is pointed at from above, so that the other marks do not hide it.
+        level = np.interp(moment, arrival.time, arrival.received / largest) + (POINTING if method == "peak" else 0)
         axes.plot(
             moment * MS,
             level,
@@ -101,7 +103,7 @@ def signal_axes(axes: Axes, arrival: Arrival) -> None:
             label=f"{label}: {arrival.velocities[method]:.0f} m/s",
         )
     axes.set_xlim(0, time[-1])
-    axes.set_ylim(-1.15, 1.25)
+    axes.set_ylim(min(-0.6, 1.1 * float(arrival.received.min()) / largest), 1.35)
     axes.set_ylabel("signal / its peak")
 
 

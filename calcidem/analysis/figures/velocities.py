@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import MaxNLocator
 
 from calcidem.analysis.figures.signals import METHODS
 from calcidem.analysis.figures.style import (
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""
 HISTOGRAM_COLUMNS = 4
+PUBLISHED_ASIDE = 0.012
+"""How far published means stand beside their content, as a part of the range of contents."""
 
 
 @styled
@@ -96,20 +98,22 @@ def _draw_range(
         values = vs.sel(content=row.content).to_numpy()
         label = "one sample" if row is rows[0] else None
         at = np.full(values.shape, row.content)
-        axes.plot(at, values, ".", color=GREY, alpha=0.6, markersize=3.5, markeredgewidth=0, label=label)
+        axes.plot(at, values, "o", color=BLACK, alpha=0.45, markersize=2.6, markeredgewidth=0, label=label)
     axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
     if published:
+        aside = PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
-            [at for at, _ in published],
+            [at + aside for at, _ in published],
             [row.mean for _, row in published],
             yerr=[row.standard_deviation for _, row in published],
             fmt="D",
-            markersize=3.5,
+            markersize=4,
+            markerfacecolor="white",
             color=VERMILION,
             elinewidth=0.9,
             capsize=2,
             zorder=4,
-            label="published mean and standard deviation",
+            label="published mean and standard\ndeviation (set off to the right)",
         )
 
 
@@ -148,7 +152,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     if not row.standard_deviation > 0:
         axes.axvline(row.mean, color=BLUE, linewidth=4, alpha=0.7)
         axes.set_xlim(0.9 * row.mean, 1.1 * row.mean)
-        text = "one sample" if row.n == 1 else f"all {row.n} equal"
+        text = "one sample" if row.n == 1 else f"all {row.n}\nequal"
         axes.text(0.05, 0.92, text, transform=axes.transAxes, fontsize=7, va="top")
         return
     # Freedman and Diaconis make single bars of small samples, so at least Sturges' number is taken.
@@ -159,7 +163,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.plot(values, np.zeros_like(values), "|", color=BLACK, markersize=4, markeredgewidth=0.5, clip_on=False)
     p_value = row.normality.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
-    text = f"n = {row.n}\nS = {row.skewness:.2f}\nK = {row.kurtosis:.2f}\n{p_text}"
+    text = f"n = {row.n}\nS = {row.skewness:.2f}\nK = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
     axes.text(
         0.02,
         0.98,
@@ -213,7 +217,7 @@ def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
     figure = new_figure(height=3.1)
     panels = figure.subplots(1, 3)
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.05, 0.85, len(narrowings)))
-    titles = {"mean": "mean (m/s)", "standard_deviation": "standard deviation (m/s)", "skewness": "skewness"}
+    titles = {"mean": "mean\n(m/s)", "standard_deviation": "standard\ndeviation (m/s)", "skewness": "skewness\n(1)"}
     for axes, (name, title) in zip(panels, titles.items(), strict=True):
         for (content, forecast), colour in zip(narrowings.items(), colours, strict=True):
             axes.plot(forecast["count"], forecast[name], color=colour, label=f"{content:g} %")
@@ -223,7 +227,7 @@ def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
         axes.set_title(title)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_formatter(lambda *_: "")
-            axis.set_major_formatter(ScalarFormatter())
+            axis.set_major_formatter(lambda value, _: f"{value:g}")
     panels[0].set_ylabel("half-width of the 95 % interval")
     figure.supxlabel("number of seeds", fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()

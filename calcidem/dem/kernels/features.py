@@ -68,6 +68,8 @@ class Features:
                 raise ValueError(
                     f"linear = True excludes {', '.join(needless)}: its contacts keep their stiffness; switch one of them off"
                 )
+        if self.search and not self.finite:
+            raise ValueError("search = True needs finite = True: without it the contacts are those of the reference geometry")
         if not self.bonds and (self.linear_group or self.breakage):
             raise ValueError("linear_group and breakage belong to cemented pairs: set bonds = True or switch them off")
 
