@@ -1,1 +1,26 @@
-"""Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand."""
+"""Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand.
+
+`run` computes a campaign in this process, `open_campaign` reads one; `calcidem.dem` simulates scenes of your own.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calcidem.app.campaign import run
+    from calcidem.storage.campaign import Campaign, open_campaign
+
+__all__ = ["Campaign", "open_campaign", "run"]
+
+HOMES = {
+    "Campaign": "calcidem.storage.campaign",
+    "open_campaign": "calcidem.storage.campaign",
+    "run": "calcidem.app.campaign",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import on first use: whoever needs the kernels alone does not wait for the database."""
+    if name not in HOMES:
+        raise AttributeError(f"module 'calcidem' has no attribute '{name}'")
+    return getattr(import_module(HOMES[name]), name)

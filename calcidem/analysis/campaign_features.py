@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from calcidem.storage.campaign import Campaign
-    from calcidem.storage.records import PackingRecord
+    from calcidem.storage.records import CellResult, CementPattern, PackingRecord
 
 NOT_COMPUTED = (CellStatus.PENDING.value, NOT_PLANNED)
 CORRELATION_TIE = 1e-6
@@ -184,8 +184,7 @@ class CampaignAnalysis:
         """Length of the shortest path for all weight ratios, for each of the samples."""
         with available():
             return tuple(
-                path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0)
-                for sample in self.samples
+                path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0) for sample in self.samples
             )
 
     @cached_property
@@ -235,6 +234,22 @@ class CampaignAnalysis:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
 
+    def sample(self, seed: int, content: float) -> Sample:
+        """Give one sample without reading the others.
+
+        Raises
+        ------
+        UnavailableError
+            If its cement pattern is not stored.
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        cell = self.campaign.cell(seed=seed, content=content)
+        if cell.cement is None:
+            raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
+        with available():
+            return self._sample(cell, cell.cement)
+
     def measured_samples(self, content: float) -> list[Sample]:
         """Give the samples of one content that have a velocity, from the slowest to the fastest."""
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
@@ -259,18 +274,20 @@ class CampaignAnalysis:
     def _read_samples(self) -> Iterator[Sample]:
         with available():
             for cell in self.campaign.select(with_arrays=True):
-                if cell.cement is None:
-                    continue
-                graph = self.graphs[cell.packing_index]
-                kinds = graph.kinds(cell.cement)
-                yield Sample(
-                    seed=cell.key.seed,
-                    content=cell.key.content,
-                    vs=math.nan if cell.vs is None else cell.vs,
-                    packing_index=cell.packing_index,
-                    kinds=kinds,
-                    features=graph.features(kinds > 0, cell.features),
-                )
+                if cell.cement is not None:
+                    yield self._sample(cell, cell.cement)
+
+    def _sample(self, cell: CellResult, cement: CementPattern) -> Sample:
+        graph = self.graphs[cell.packing_index]
+        kinds = graph.kinds(cement)
+        return Sample(
+            seed=cell.key.seed,
+            content=cell.key.content,
+            vs=math.nan if cell.vs is None else cell.vs,
+            packing_index=cell.packing_index,
+            kinds=kinds,
+            features=graph.features(kinds > 0, cell.features),
+        )
 
 
 @contextmanager

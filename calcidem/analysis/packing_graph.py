@@ -59,9 +59,7 @@ class PackingGraph:
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds
 
-    def features(
-        self, bonded: NDArray[np.bool_], known: StoredPathFeatures | None = None
-    ) -> PathFeatures:
+    def features(self, bonded: NDArray[np.bool_], known: StoredPathFeatures | None = None) -> PathFeatures:
         """Give the path features of one sample.
 
         Parameters
@@ -98,9 +96,7 @@ class PackingGraph:
         return np.asarray(rows, dtype=np.int64)
 
 
-def packing_graph(
-    packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float
-) -> PackingGraph:
+def packing_graph(packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float) -> PackingGraph:
     """Make the graph of a packing.
 
     Parameters
@@ -121,9 +117,7 @@ def packing_graph(
         grain_count=packing.radius.size,
         pairs=touching_pairs(packing.x, packing.y, packing.radius),
         transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
-        receiver=np.flatnonzero(
-            (packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)
-        ),
+        receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
     )
     return PackingGraph(
         packing=packing,
@@ -133,16 +127,14 @@ def packing_graph(
     )
 
 
-def touching_pairs(
-    x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.int64]:
     """Give the pairs of disks that overlap, shape (m, 2), both columns sorted; positions and radii in m."""
     centres = np.column_stack([x, y])
     near = cKDTree(centres).query_pairs(2 * float(radius.max()), output_type="ndarray")
     pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)
     distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
     pairs = pairs[distance < radius[pairs].sum(axis=1)]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.int64)
 
 
 def features_record(features: PathFeatures) -> StoredPathFeatures:

@@ -129,7 +129,7 @@ def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grai
     free = np.ones(scene.count) if scene.held is None else 1.0 - np.asarray(scene.held, dtype=float)
     load = np.zeros((scene.count, 3)) if scene.load is None else np.asarray(scene.load, dtype=float)
 
-    def sorted_copy(values: Any) -> npt.NDArray[Any]:
+    def sorted_copy(values: npt.ArrayLike) -> npt.NDArray[Any]:
         return aligned_copy(np.asarray(values)[order].astype(dtype))
 
     return Grains(
@@ -161,7 +161,9 @@ def assemble_pairs(
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
     shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
     cemented = np.zeros(count, dtype=np.uint32)
-    bond, linear, strength = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 4))
+    bond: Floats = np.zeros((count, 3))
+    linear: Floats = np.zeros((count, 3))
+    strength: Floats = np.zeros((count, 4))
     if scene.bonds is not None:
         keys = pair_keys(found, scene.count)
         # A pair that is named twice is cemented in the lanes of both.

@@ -38,7 +38,8 @@ class Sand:
     def __post_init__(self) -> None:
         """Refuse what no material can be."""
         require(self.shear_modulus > 0.0, "shear_modulus", self.shear_modulus, "give a positive modulus in Pa")
-        require(-1.0 < self.poisson_ratio < 0.5, "poisson_ratio", self.poisson_ratio, "give a value in (-1, 0.5)")
+        stable = -1.0 < self.poisson_ratio < 0.5  # noqa: PLR2004 - limits of elastic stability
+        require(stable, "poisson_ratio", self.poisson_ratio, "give a value in (-1, 0.5)")
         require(self.density > 0.0, "density", self.density, "give a positive density in kg/m^3")
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
 
@@ -57,7 +58,8 @@ class Sand:
             effective = 2.0 * np.asarray(radius_first)
         else:
             effective = 2.0 / (1.0 / np.asarray(radius_first) + 1.0 / np.asarray(radius_second))
-        return (2.0 / 3.0) * self.shear_modulus / (1.0 - self.poisson_ratio) * np.sqrt(2.0 * effective)
+        coefficient: Floats = np.sqrt(2.0 * effective) * (2.0 / 3.0 * self.shear_modulus / (1.0 - self.poisson_ratio))
+        return coefficient
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +108,7 @@ class Cement:
         bond_radius = np.minimum(radius_first, radius_second)
         per_area = self.bond_modulus / (np.asarray(radius_first) + np.asarray(radius_second))
         normal = per_area * 2.0 * bond_radius
-        return np.stack(
-            [normal, normal / self.bond_stiffness_ratio, per_area * 2.0 * bond_radius**3 / 3.0], axis=-1
-        )
+        return np.stack([normal, normal / self.bond_stiffness_ratio, per_area * 2.0 * bond_radius**3 / 3.0], axis=-1)
 
     def linear_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Stiffness of the linear group: (M, 2) normal and shear, N/m; ``k_n = 2 E R_min / (R1 + R2)``."""

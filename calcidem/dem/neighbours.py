@@ -39,8 +39,8 @@ def renewed(scene: Scene, old: Assembly, displacement: Floats, skin: float) -> A
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
     for name in ("intact", "linear", "shear", "root", "bond_force"):
         getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
-    new_keys, old_keys = (wall_keys(assembly) for assembly in (fresh, old))
-    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
+    new_walls, old_walls = (wall_keys(assembly) for assembly in (fresh, old))
+    _, new_place, old_place = np.intersect1d(new_walls, old_walls, assume_unique=True, return_indices=True)
     for name in ("shear", "root"):
         getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
     return replace(fresh, walls=old.walls)

@@ -68,12 +68,23 @@ class PackingRule:
         require(self.height > 0.0, "height", self.height, "give a positive height in m")
         smallest, largest = self.diameter
         require(0.0 < smallest <= largest, "diameter", self.diameter, "give (smallest, largest) in m, both positive")
-        require(largest < min(self.width, self.height) / 4.0, "diameter", self.diameter, "at least 4 disks have to fit across the box")
-        require(0.1 <= self.porosity <= 0.5, "porosity", self.porosity, "two-dimensional packings lie between 0.1 and 0.5")  # noqa: PLR2004 - crystal and gas
+        require(
+            largest < min(self.width, self.height) / 4.0,
+            "diameter",
+            self.diameter,
+            "at least 4 disks have to fit across the box",
+        )
+        possible = 0.1 <= self.porosity <= 0.5  # noqa: PLR2004 - crystal and gas
+        require(possible, "porosity", self.porosity, "two-dimensional packings lie between 0.1 and 0.5")
         require(1 <= self.expansion_steps <= 100, "expansion_steps", self.expansion_steps, "choose 1 to 100")  # noqa: PLR2004 - as said
         require(self.friction_preparation >= 0.0, "friction_preparation", self.friction_preparation, "give 0 or more")
         require(self.stress > 0.0, "stress", self.stress, "give a positive stress in Pa")
-        require(0.0 < self.damping < 1.0, "damping", self.damping, "give a factor in (0, 1): without it nothing comes to rest")
+        require(
+            0.0 < self.damping < 1.0,
+            "damping",
+            self.damping,
+            "give a factor in (0, 1): without it nothing comes to rest",
+        )
         require(0.0 < self.balance <= 1e-3, "balance", self.balance, "give a ratio in (0, 1e-3]")  # noqa: PLR2004 - above it is no equilibrium
         require(self.most_steps > 0, "most_steps", self.most_steps, "give a positive number")
 
@@ -180,21 +191,20 @@ def make_packing(rule: PackingRule, sand: Sand, generator: np.random.Generator) 
         x, y = state.position().T
         preload = preload_of(state)
     lid_force = rule.stress * rule.width
-    scene = Scene(
-        x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping
-    )
+    scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
     state = relax(scene, preload, rule, cost, filling=False)
     return finished(state, rule, cost)
 
 
 def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
-    """Radii whose disks fill the box to the porosity; the last ones are scaled to make the area exact."""
+    """Radii whose disks fill the box to the porosity; all are scaled a little to make the area exact."""
     area = (1.0 - rule.porosity) * rule.width * rule.height
     low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
     mean_area = np.pi * (low * low + low * high + high * high) / 3.0
     radius = generator.uniform(low, high, round(area / mean_area))
     # The scale differs from 1 by about 1e-3: the sampling error of the summed area.
-    return radius * np.sqrt(area / (np.pi * np.sum(radius**2)))
+    scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
+    return scale * radius
 
 
 def loosest_factor(rule: PackingRule, radius: Floats) -> float:

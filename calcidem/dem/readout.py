@@ -45,8 +45,8 @@ class Energies:
     """Energies of one lane, J per metre of thickness; the balance is ``supplied = stored + lost``.
 
     ``kinetic`` uses the mean of the two half-step velocities. The last four are sums since half a step after the start
-    and are kept only if the state was started with the ``account`` feature. ``wall_work`` is that of moving walls and of
-    held disks that move; ``contact_loss`` is friction, shear energy that vanishes with changing stiffness, and what
+    and are kept only if the state was started with the ``account`` feature. ``wall_work`` is that of moving walls and
+    of held disks that move; ``contact_loss`` is friction, shear energy that vanishes with changing stiffness, and what
     broken bonds take with them.
     """
 
@@ -60,9 +60,7 @@ class Energies:
     @property
     def imbalance(self) -> float:
         """Kinetic and elastic energy and losses, less the work supplied; constant in an exact solution."""
-        return (
-            self.kinetic + self.elastic + self.contact_loss + self.damping_loss - self.wall_work - self.load_work
-        )
+        return self.kinetic + self.elastic + self.contact_loss + self.damping_loss - self.wall_work - self.load_work
 
 
 def looked_ahead(state: State) -> State:
@@ -86,11 +84,12 @@ def overlaps(state: State) -> Floats:
     apart = displacement[ends[:, 1]] - displacement[ends[:, 0]]
     n, distance = pairs.geometry[:, :2].astype(float), pairs.geometry[:, 2].astype(float)[:, None]
     along = n[:, :1] * apart[:, 0] + n[:, 1:] * apart[:, 1]
-    reference = pairs.geometry[:, 3].astype(float)[:, None]
-    if not state.features.finite:
-        return reference - along
-    now = np.hypot(n[:, :1] * distance + apart[:, 0], n[:, 1:] * distance + apart[:, 1])
-    return reference - (2.0 * distance * along + np.sum(apart**2, axis=1)) / (now + distance)
+    further: Floats = along
+    if state.features.finite:
+        now = np.hypot(n[:, :1] * distance + apart[:, 0], n[:, 1:] * distance + apart[:, 1])
+        further = (2.0 * distance * along + np.sum(apart**2, axis=1)) / (now + distance)
+    reference: Floats = pairs.geometry[:, 3:].astype(float)
+    return reference - further
 
 
 def wall_overlaps(state: State) -> Floats:
@@ -100,7 +99,8 @@ def wall_overlaps(state: State) -> Floats:
     normal = walls.normal[wall_pairs.wall].astype(float)
     moved = state.motion.displacement[disk, :2].astype(float)
     away = normal[:, :1] * moved[:, 0] + normal[:, 1:] * moved[:, 1]
-    return wall_pairs.overlap.astype(float)[:, None] + walls.motion[wall_pairs.wall, 0] - away
+    closer: Floats = walls.motion[wall_pairs.wall, 0] - away
+    return wall_pairs.overlap.astype(float)[:, None] + closer
 
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
@@ -155,7 +155,7 @@ def net_forces(state: State, lane: int = 0) -> Floats:
 
 
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
-    """Sum of the net forces on the disks over the sum of the magnitudes of their contact forces (PFC 'mech-ratio-average')."""
+    """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
     net = net_forces(state, lane)
     contacts = contact_forces(state, lane)
     magnitude = 2.0 * float(np.hypot(contacts.normal, contacts.shear).sum())

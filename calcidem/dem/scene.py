@@ -1,7 +1,7 @@
 """A scene: disks, walls, bonds and how they are damped. Built from plain arrays, checked once."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,11 @@ class Wall:
         require(abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1")  # noqa: PLR2004 - rounding of a hand-typed unit vector
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
         require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
+        for name in ("point", "velocity"):
+            values = getattr(self, name)
+            require(bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers")  # noqa: PLR2004 - a plane
+        if self.servo_force is not None:
+            require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
         require(self.servo_speed > 0.0, "servo_speed", self.servo_speed, "give a positive speed in m/s")
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -85,10 +90,24 @@ class Bonds:
         """Refuse malformed pairs and an installation without its spring."""
         pairs = np.asarray(self.pairs)
         require(pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)")  # noqa: PLR2004 - two ends
-        require(bool(np.all(pairs[:, 0] != pairs[:, 1])), "bonds.pairs", "a disk with itself", "bond two different disks")
+        require(
+            bool(np.all(pairs[:, 0] != pairs[:, 1])), "bonds.pairs", "a disk with itself", "bond two different disks"
+        )
+        if self.lanes is not None:
+            require(
+                np.shape(self.lanes) == (len(pairs),),
+                "bonds.lanes",
+                np.shape(self.lanes),
+                f"give shape ({len(pairs)},)",
+            )
+        known = ("preserve", "zero", "pfc_absolute")
+        require(self.installation in known, "installation", self.installation, f"choose one of {', '.join(known)}")
         if self.installation == "pfc_absolute":
             require(
-                self.cement.linear_modulus > 0.0, "installation", "pfc_absolute", "needs linear_modulus > 0: it is the linear group that jumps"
+                self.cement.linear_modulus > 0.0,
+                "installation",
+                "pfc_absolute",
+                "needs linear_modulus > 0: it is the linear group that jumps",
             )
 
     @property
@@ -153,6 +172,7 @@ class Scene:
             require(np.shape(self.held) == (count,), "held", np.shape(self.held), f"give shape ({count},)")
         if self.load is not None:
             require(np.shape(self.load) == (count, 3), "load", np.shape(self.load), f"give shape ({count}, 3)")
+            require(bool(np.all(np.isfinite(self.load))), "load", "NaN or infinite", "give finite forces and moments")
         if self.bonds is not None and len(self.bonds.pairs):
             indices = np.asarray(self.bonds.pairs)
             inside = bool(indices.min() >= 0 and indices.max() < count)
@@ -173,6 +193,6 @@ class Scene:
         """(N,) moment of inertia per metre of thickness, m R^2 / 2, kg m."""
         return self.mass * np.asarray(self.radius) ** 2 / 2.0
 
-    def per_disk(self, value: Any) -> Floats:
+    def per_disk(self, value: npt.ArrayLike) -> Floats:
         """One number spread over the disks, or the (N,) array as it is."""
         return np.broadcast_to(np.asarray(value, dtype=float), (self.count,)).copy()

@@ -4,7 +4,7 @@ import numpy as np
 
 from calcidem.dem.assembly import Assembly
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.scene import Scene
 
 
@@ -61,7 +61,8 @@ def no_contact_step(scene: Scene) -> float:
 
 def hertz_tangent(coefficient: Floats, overlap: Floats) -> Floats:
     """Normal stiffness of Hertz contacts, 3/2 h_n sqrt(overlap), N/m; zero where nothing overlaps."""
-    return 1.5 * coefficient.astype(float)[:, None] * np.sqrt(np.maximum(overlap.astype(float), 0.0))
+    pressed: Floats = np.maximum(overlap, 0.0).astype(float)
+    return 1.5 * coefficient.astype(float)[:, None] * np.sqrt(pressed)
 
 
 def pair_stiffness(
@@ -85,7 +86,7 @@ def pair_stiffness(
 
 
 def add_contacts(
-    matrices: Floats, disk: Floats, n: Floats, side: float, normal: Floats, shear: Floats, twist: Floats
+    matrices: Floats, disk: Integers, n: Floats, side: float, normal: Floats, shear: Floats, twist: Floats
 ) -> None:
     """Add the contacts' matrices to those of their disks, in place."""
     s = np.column_stack([-side * n[:, 1], side * n[:, 0], np.full(len(n), -np.sqrt(2.0))])

@@ -17,7 +17,7 @@ from calcidem.dem.stability import critical_time_step
 Precision = Literal["float64", "float32"]
 SAFETY = 0.8  # default step as a part of the stability limit
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
-REACH = 0.45  # part of the skin a disk may move before the list is renewed; below 1/2 because the step that crosses it is finished
+REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,22 +173,27 @@ def start(
     centres = np.column_stack([scene.x, scene.y])[:, :, None]
     assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
-    step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
-    require(bool(np.all(step > 0.0)), "time_step", step, "give a positive number of seconds")
+    step = (
+        step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
+    )
+    require(bool(np.all(step > 0.0)), "time_step", step.tolist(), "give a positive number of seconds")
     require(
-        bool(np.all(step <= limit)), "time_step", step.tolist(), f"above the stability limit of {limit.tolist()} s: choose a smaller one"
+        bool(np.all(step <= limit)),
+        "time_step",
+        step.tolist(),
+        f"above the stability limit of {limit.tolist()} s: choose a smaller one",
     )
     motion = Motion(
         displacement=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
         velocity=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
         force=force_slots(assembly, chosen.lanes),
     )
-    if velocity is not None:
-        require(np.shape(velocity) == (scene.count, 2), "velocity", np.shape(velocity), f"give ({scene.count}, 2)")
-        motion.velocity[:, :2] = np.asarray(velocity)[assembly.order, :, None]
-    if spin is not None:
-        require(np.shape(spin) == (scene.count,), "spin", np.shape(spin), f"give ({scene.count},)")
-        motion.velocity[:, 2] = np.asarray(spin)[assembly.order, None]
+    for name, values, components in (("velocity", velocity, slice(2)), ("spin", spin, 2)):
+        if values is not None:
+            shape = (scene.count, 2) if name == "velocity" else (scene.count,)
+            require(np.shape(values) == shape, name, np.shape(values), f"give an array of shape {shape}")
+            require(bool(np.all(np.isfinite(values))), name, "NaN or infinite", "give finite numbers")
+            motion.velocity[:, components] = np.asarray(values)[assembly.order][..., None]
     return State(
         scene=scene,
         features=chosen,
@@ -245,16 +250,25 @@ def install(scene: Scene, assembly: Assembly, features: Features, preload: Prelo
 
 def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
     """Preloaded shear force of every listed pair, zero where there is none."""
+    given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
+    require(
+        given.shape == (len(forces), 2),
+        "preload.pairs",
+        given.shape,
+        f"give shape ({len(forces)}, 2), as many as forces",
+    )
+    inside = not given.size or (given.min() >= 0 and given.max() < scene.count)
+    require(bool(inside), "preload.pairs", given.tolist(), f"use indices 0 to {scene.count - 1}")
     rank = np.empty_like(assembly.order)
     rank[assembly.order] = np.arange(scene.count)
-    ends = rank[np.asarray(preload.pairs)]
+    ends = rank[given.astype(np.int64)]
     # Swapping the two ends turns both n and the relative motion, so the number stays the same.
     keys = pair_keys(np.sort(ends, axis=1), scene.count)
     listed = pair_keys(listed_pairs(assembly), scene.count)
     place = np.searchsorted(listed, keys)
     known = (place < len(listed)) & (listed[np.minimum(place, len(listed) - 1)] == keys)
     shear = np.zeros(len(listed))
-    shear[place[known]] = np.asarray(preload.shear)[known]
+    shear[place[known]] = forces[known]
     return shear
 
 
@@ -280,7 +294,7 @@ def run_sweep(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
     dtype = state.motion.velocity.dtype
     reach = REACH * SKIN * float(np.mean(state.scene.radius))
-    return sweep(  # type: ignore[no-any-return]
+    return sweep(
         state.features,
         steps,
         state.time_step.astype(dtype).reshape(1, -1),

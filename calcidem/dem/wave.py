@@ -27,7 +27,7 @@ from calcidem.dem.state import SKIN, Precision, State, carried_on, choose_featur
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
 LEFT_BELOW, TRANSMITTER, LEFT_ABOVE, RIGHT_BELOW, RECEIVER, RIGHT_ABOVE, FLOOR, LID = range(8)
-SAMPLES_PER_PERIOD = 100  # at least; a parabola through the peak is then good to 1e-5 of the period
+FEWEST_SAMPLES = 10  # in a period of the pulse
 SAMPLES_PER_CHUNK = 50  # between two looks at the signal
 NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
@@ -56,6 +56,8 @@ class WaveRule:
         Of the kernel's arrays.
     step_fraction
         Time step as a part of the stability limit.
+    samples_per_period
+        Least number of samples in a period of the pulse. With 100 a parabola through a peak is good to 1e-5 of it.
     slowest
         Slowest velocity that is waited for, m/s.
     listening_depth
@@ -76,6 +78,7 @@ class WaveRule:
     regime: Regime = "linear"
     precision: Precision = "float64"
     step_fraction: float = 0.8
+    samples_per_period: int = 100
     slowest: float = 60.0
     listening_depth: float = 0.01
     balance: float = 1.0e-6
@@ -105,6 +108,12 @@ class WaveRule:
             "boundary_thickness",
             self.boundary_thickness,
             "give 0 or more, in m",
+        )
+        require(
+            self.samples_per_period >= FEWEST_SAMPLES,
+            "samples_per_period",
+            self.samples_per_period,
+            f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more",
         )
         require(
             0.0 < self.step_fraction <= 1.0,
@@ -213,7 +222,7 @@ def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | 
     every = None if bonds is None else replace(bonds, pairs=packing.pairs, lanes=None)
     scene = wave_scene(packing, sand, rule, every)
     limit = start(scene, features=choose_features(scene, rule.regime), preload=packing.preload).limit[0]
-    return max(1, int(1.0 / (frequency * SAMPLES_PER_PERIOD * rule.step_fraction * limit)))
+    return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
 def send_waves(

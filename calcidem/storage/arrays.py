@@ -37,9 +37,7 @@ def _same(first: object, second: object) -> bool:
     return bool(first == second)
 
 
-def frozen_array(
-    owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]
-) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
+def frozen_array(owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
     """Return `values` as a contiguous read-only copy, checked.
 
     Parameters
@@ -58,9 +56,7 @@ def frozen_array(
     """
     given = np.asarray(values)
     array = np.array(given, dtype=dtype, order="C", copy=True)
-    fits = array.ndim == len(shape) and all(
-        want in (None, have) for have, want in zip(array.shape, shape, strict=True)
-    )
+    fits = array.ndim == len(shape) and all(want in (None, have) for have, want in zip(array.shape, shape, strict=True))
     if not fits:
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise ValueError(f"{owner}.{name} has shape {array.shape}; give an array of shape {wanted}.")
@@ -89,9 +85,7 @@ def plain_finite_numbers(record: object) -> None:
             object.__setattr__(record, field.name, value)
         if isinstance(value, float) and not math.isfinite(value):
             owner = type(record).__name__
-            raise ValueError(
-                f"{owner}.{field.name} is {value}; a missing number is None, never NaN or infinity."
-            )
+            raise ValueError(f"{owner}.{field.name} is {value}; a missing number is None, never NaN or infinity.")
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:

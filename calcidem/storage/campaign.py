@@ -221,9 +221,7 @@ class Campaign:
         """
         found = self.store.load_packing(index)
         if found is None:
-            raise UnknownCellError(
-                f"Packing {index} is not stored.", f"Stored are: {self.store.packing_indices()}."
-            )
+            raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.store.packing_indices()}.")
         return found
 
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:

@@ -106,8 +106,7 @@ def append_packing(file: Group, packing: PackingRecord) -> None:
         "state_byte_count": ("1", "bytes of the complete state", np.array([state.size], dtype=np.int64)),
     }
     numbers = {
-        name: (unit, meaning, np.array([getattr(packing, name)]))
-        for name, (unit, meaning) in PACKING_NUMBERS.items()
+        name: (unit, meaning, np.array([getattr(packing, name)])) for name, (unit, meaning) in PACKING_NUMBERS.items()
     }
     append(group, "packing", columns | numbers)
     grains = {

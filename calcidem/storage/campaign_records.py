@@ -75,9 +75,7 @@ class PackingRecord(ComparedByValue):
             raise ValueError("PackingRecord.radius must hold positive radii of at least one grain.")
         for wall, stress in self.wall_stress.items():
             if not math.isfinite(stress):
-                raise ValueError(
-                    f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa."
-                )
+                raise ValueError(f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from datetime import datetime
 from enum import StrEnum
 
 from calcidem.storage.arrays import plain_finite_numbers
-from calcidem.storage.sample_records import CementPattern, PathFeatures, Signal
+from calcidem.storage.sample_records import CementPattern, GraphSummary, PathFeatures, Signal
 
 __all__ = [
     "CONTENT_DECIMALS",
@@ -126,8 +126,9 @@ class CellResult:
         Number of the attempt, counted from 1 over all runs: part of the outcome's identity (see `Store`).
     packing_index : int
         Which of the campaign's packings.
-    features, signal, cement
-        Path features, signals and cement pattern where they were kept, and where the query asked for them.
+    features, graph, signal, cement
+        Path features, summary of the contact graph, signals and cement pattern where they were kept, and where the
+        query asked for them.
 
     Raises
     ------
@@ -164,15 +165,14 @@ class CellResult:
     features: PathFeatures | None = None
     signal: Signal | None = None
     cement: CementPattern | None = None
+    graph: GraphSummary | None = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         object.__setattr__(self, "status", CellStatus(self.status))
         plain_finite_numbers(self)
         if self.status not in STORED_STATUSES:
-            raise ValueError(
-                f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}."
-            )
+            raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
         if self.attempt < 1 or self.packing_index < 0:
             raise ValueError(
                 f"CellResult.attempt is {self.attempt} and packing_index {self.packing_index}; "
@@ -181,9 +181,7 @@ class CellResult:
         for name in POSITIVE_COLUMNS:
             value = getattr(self, name)
             if value is not None and value <= 0.0:
-                raise ValueError(
-                    f"CellResult.{name} is {value}; give a positive number, or None if there is none."
-                )
+                raise ValueError(f"CellResult.{name} is {value}; give a positive number, or None if there is none.")
         for name in COUNT_COLUMNS:
             value = getattr(self, name)
             if value is not None and value < 0:
@@ -199,13 +197,9 @@ class CellResult:
                 )
             return
         if self.vs is not None:
-            raise ValueError(
-                f"CellResult.vs is {self.vs} but the status is {self.status}; only a done cell has a vs."
-            )
+            raise ValueError(f"CellResult.vs is {self.vs} but the status is {self.status}; only a done cell has a vs.")
         if not self.reason:
-            raise ValueError(
-                f"CellResult.reason is empty but the status is {self.status}; say why in a sentence."
-            )
+            raise ValueError(f"CellResult.reason is empty but the status is {self.status}; say why in a sentence.")
 
 
 POSITIVE_COLUMNS = (

@@ -58,9 +58,7 @@ def campaign_dataset(store: Store, campaign: CampaignRecord) -> xr.Dataset:
     """
     columns = store.table([quantity.name for quantity in QUANTITIES])
     if columns["seed"].size == 0:
-        raise UnknownCampaignError(
-            f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first."
-        )
+        raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
     seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
     contents, column = np.unique(columns["content"], return_inverse=True)
     variables: dict[str, tuple[Sequence[str], NDArray[Any], dict[str, Any]]] = {}
@@ -125,9 +123,7 @@ def _global_attributes(campaign: CampaignRecord, runs: Sequence[tuple[int, RunRe
 
 def _run_as_json(number: int, run: RunRecord) -> dict[str, Any]:
     values = {name: getattr(run, name) for name in RunRecord.__slots__}
-    plain = {
-        name: value.isoformat() if isinstance(value, datetime) else value for name, value in values.items()
-    }
+    plain = {name: value.isoformat() if isinstance(value, datetime) else value for name, value in values.items()}
     return {"number": number, **plain, "versions": dict(run.versions)}
 
 

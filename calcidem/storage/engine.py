@@ -63,9 +63,7 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
     if url.get_backend_name() != "sqlite":
         return Address(url, None)
     if not url.database or url.database == ":memory:":
-        raise StoreUnavailableError(
-            f"'{text}' names no file.", "Give a file name; a store in memory would be lost."
-        )
+        raise StoreUnavailableError(f"'{text}' names no file.", "Give a file name; a store in memory would be lost.")
     return parse_address(url.database)
 
 
@@ -96,11 +94,7 @@ def make_engine(address: Address, *, read_only: bool) -> Engine:
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     query: dict[str, str] = {"uri": "true", "mode": "ro" if read_only else "rwc"}
-    if (
-        read_only
-        and not os.access(path.parent, os.W_OK, effective_ids=True)
-        and not Path(f"{path}-wal").exists()
-    ):
+    if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)

@@ -96,9 +96,7 @@ def replaced_atomically(target: Path) -> Iterator[Path]:
         If the folder doesn't exist.
     """
     if not target.parent.is_dir():
-        raise FileNotFoundError(
-            f"The folder {target.parent} does not exist; create it, or give another file name."
-        )
+        raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         yield temporary

@@ -112,9 +112,7 @@ def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseG
         session.delete(former)
         session.flush()
     token = uuid.uuid4().hex
-    session.add(
-        Lease(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now)
-    )
+    session.add(Lease(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
     return LeaseGrant(token, taken_over_from)
 
 
@@ -125,9 +123,7 @@ def held_error(holder: Lease | None) -> LeaseHeldError:
     else:
         who = f"process {holder.pid} on {holder.host} (last heard of at {holder.heartbeat:%H:%M:%S} UTC)"
         free = holder.heartbeat + STALE_AFTER
-        cure = (
-            f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
-        )
+        cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 

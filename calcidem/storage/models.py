@@ -1,7 +1,7 @@
 """Database schema as SQLAlchemy 2 typed models; rules that can be stated as constraints are.
 
 One row of `Cell` for each planned (campaign, seed, content); its outcome, if it has one, is the `Result` of
-the same id, with `SignalRow`, `CementRow` and `PathRow` beside it. `Attempt` keeps the history. The absence
+the same id, with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `Attempt` keeps the history. The absence
 of a `Result` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes
 (`calcidem.storage.arrays`).
 """
@@ -35,6 +35,7 @@ __all__ = [
     "Campaign",
     "Cell",
     "CementRow",
+    "GraphRow",
     "Lease",
     "Packing",
     "PathRow",
@@ -44,9 +45,7 @@ __all__ = [
 ]
 
 LOST = "lost"
-LARGEST = (
-    1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
-)
+LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -166,10 +165,7 @@ class Packing(Base):
         not_negative("number"),
         positive("width"),
         positive("height"),
-        *(
-            not_negative(c)
-            for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")
-        ),
+        *(not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
         *(not_negative(c) for c in ("mean_overlap", "largest_overlap", "unbalanced_ratio", "seconds")),
     )
 
@@ -313,3 +309,21 @@ class PathRow(Base):
     connectivity: Mapped[float]
     normalized_connectivity: Mapped[float | None]
     path: Mapped[list[int]]
+
+
+class GraphRow(Base):
+    """Contact graph of a cell as a whole (`GraphSummary`)."""
+
+    __tablename__ = "graph_summary"
+    __table_args__ = (
+        CheckConstraint("bonded_contacts >= 0 AND bonded_contacts <= contacts", name="bonded_are_contacts"),
+        *(not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
+    )
+
+    cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
+    contacts: Mapped[int]
+    bonded_contacts: Mapped[int]
+    coordination_number: Mapped[float]
+    components: Mapped[int]
+    largest_component: Mapped[int]
+    gap_contacts: Mapped[int | None]

@@ -16,8 +16,16 @@ from calcidem.storage.campaign_groups import read_attempts, read_packings
 from calcidem.storage.dataset import FORMAT_VERSION, NOT_PLANNED, STATUS_CODES
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
 from calcidem.storage.groups import Group
-from calcidem.storage.quantities import PATH_PREFIX, QUANTITY_BY_NAME
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, PathFeatures, RunRecord
+from calcidem.storage.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
+from calcidem.storage.records import (
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    GraphSummary,
+    PathFeatures,
+    RunRecord,
+)
 from calcidem.storage.sample_groups import cement_reader, path_reader, signal_reader
 from calcidem.storage.store import Store
 
@@ -26,6 +34,7 @@ __all__ = ["import_netcdf"]
 SEEDS_IN_MEMORY = 500
 VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
 PATH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(PATH_PREFIX))
+GRAPH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(GRAPH_PREFIX))
 STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
 
 
@@ -67,9 +76,7 @@ def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
         )
         store.begin_campaign(campaign)
         status = _plan(file, store)
-        run_numbers = {
-            run.pop("number"): store.begin_run(_run(run)) for run in json.loads(file.calcidem_runs)
-        }
+        run_numbers = {run.pop("number"): store.begin_run(_run(run)) for run in json.loads(file.calcidem_runs)}
         for packing in read_packings(file):
             store.save_packing(packing)
         store.restore_attempts(read_attempts(file, run_numbers))
@@ -81,18 +88,14 @@ def _open(path: Path) -> Group:
     try:
         file = netCDF4.Dataset(path, "r")
     except OSError as error:
-        raise StoreUnavailableError(
-            f"{path} can't be read as NetCDF ({error}).", "Check the name."
-        ) from error
+        raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
     layout = getattr(file, "calcidem_format", None)
     if layout == FORMAT_VERSION:
         return file
     file.close()
     if layout is None:
-        raise ForeignDatabaseError(
-            f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'."
-        )
+        raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
     raise NewerSchemaError(
         f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION}.",
         "Use the calcidem that wrote it, or a later one.",
@@ -125,11 +128,14 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     without_outcome = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
     for start in range(0, len(seeds), SEEDS_IN_MEMORY):
         rows = slice(start, start + SEEDS_IN_MEMORY)
-        columns = {name: file[name][rows] for name in VALUE_NAMES}
+        # Files of earlier versions lack the quantities that were added since.
+        columns = {name: file[name][rows] for name in VALUE_NAMES if name in file.variables}
         for i, j in np.argwhere(~np.isin(status[rows], without_outcome)).tolist():
             key = CellKey(seeds[start + i], contents[j])
-            values = {name: _plain(name, columns[name][i, j]) for name in VALUE_NAMES}
+            values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
+            values |= {name: _plain(name, column[i, j]) for name, column in columns.items()}
             of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in PATH_NAMES}
+            of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in GRAPH_NAMES}
             features = None
             if of_path["contacts"] is not None:
                 features = PathFeatures(**of_path, path=paths.get(key) or ())
@@ -137,6 +143,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
                 key,
                 CellStatus(STATUS_NAMES[int(status[start + i, j])]),
                 features=features,
+                graph=GraphSummary(**of_graph) if of_graph["contacts"] is not None else None,
                 signal=signals.get(key),
                 cement=cement.get(key),
                 **values,

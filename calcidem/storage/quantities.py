@@ -8,12 +8,13 @@ from typing import Any, Literal
 
 from sqlalchemy import SQLColumnExpression, func, literal_column
 
-from calcidem.storage.models import Attempt, Cell, PathRow, Result
+from calcidem.storage.models import Attempt, Cell, GraphRow, PathRow, Result
 from calcidem.storage.records import CellStatus
 
-__all__ = ["PATH_PREFIX", "QUANTITIES", "QUANTITY_BY_NAME", "Quantity"]
+__all__ = ["GRAPH_PREFIX", "PATH_PREFIX", "QUANTITIES", "QUANTITY_BY_NAME", "Quantity"]
 
 PATH_PREFIX = "path_"
+GRAPH_PREFIX = "graph_"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +54,7 @@ QUANTITIES = (
     Quantity("reason", "text", "", "why the outcome is what it is", Attempt.reason),
     Quantity("vs", "real", "m s-1", "shear-wave velocity", Result.vs),
     Quantity("vs_peak", "real", "m s-1", "shear-wave velocity from peak to peak", Result.vs_peak),
-    Quantity(
-        "vs_first_arrival", "real", "m s-1", "shear-wave velocity by first arrival", Result.vs_first_arrival
-    ),
+    Quantity("vs_first_arrival", "real", "m s-1", "shear-wave velocity by first arrival", Result.vs_first_arrival),
     Quantity(
         "vs_cross_correlation",
         "real",
@@ -82,15 +81,9 @@ QUANTITIES = (
     Quantity("time_step", "real", "s", "time step", Result.time_step),
     Quantity("stability_limit", "real", "s", "largest stable time step", Result.stability_limit),
     Quantity("steps", "whole", "1", "number of time steps", Result.steps),
-    Quantity(
-        "energy_error", "real", "1", "largest relative error of the energy balance", Result.energy_error
-    ),
-    Quantity(
-        "error_estimate", "real", "1", "estimated relative numerical error of vs", Result.error_estimate
-    ),
-    Quantity(
-        "content_reached", "real", "percent", "calcite content of the cement placed", Result.content_reached
-    ),
+    Quantity("energy_error", "real", "1", "largest relative error of the energy balance", Result.energy_error),
+    Quantity("error_estimate", "real", "1", "estimated relative numerical error of vs", Result.error_estimate),
+    Quantity("content_reached", "real", "percent", "calcite content of the cement placed", Result.content_reached),
     Quantity("p_contacts", "whole", "1", "number of P contacts", Result.p_contacts),
     Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", Result.c_contacts),
     Quantity("clusters", "whole", "1", "number of C clusters", Result.clusters),
@@ -103,9 +96,7 @@ QUANTITIES = (
     Quantity("path_contacts", "whole", "1", "contacts on the preferential path", PathRow.contacts),
     Quantity("path_hertz_contacts", "whole", "1", "uncemented contacts on it", PathRow.hertz_contacts),
     Quantity("path_bonded_contacts", "whole", "1", "cemented contacts on it", PathRow.bonded_contacts),
-    Quantity(
-        "path_bonded_fraction", "real", "1", "share of cemented contacts on it (LP)", PathRow.bonded_fraction
-    ),
+    Quantity("path_bonded_fraction", "real", "1", "share of cemented contacts on it (LP)", PathRow.bonded_fraction),
     Quantity(
         "path_longest_bonded_run_fraction",
         "real",
@@ -127,6 +118,18 @@ QUANTITIES = (
         "1",
         "normalized connectivity per unit distance (C_d,n)",
         PathRow.normalized_connectivity,
+    ),
+    Quantity("graph_contacts", "whole", "1", "contacts between grains", GraphRow.contacts),
+    Quantity("graph_bonded_contacts", "whole", "1", "cemented contacts between grains", GraphRow.bonded_contacts),
+    Quantity("graph_coordination_number", "real", "1", "contacts of a grain, on average", GraphRow.coordination_number),
+    Quantity("graph_components", "whole", "1", "groups of grains joined by cement", GraphRow.components),
+    Quantity("graph_largest_component", "whole", "1", "grains in the largest of them", GraphRow.largest_component),
+    Quantity(
+        "graph_gap_contacts",
+        "whole",
+        "1",
+        "fewest uncemented contacts on a way from transmitter to receiver",
+        GraphRow.gap_contacts,
     ),
 )
 

@@ -5,12 +5,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Select, and_, case, func, select, tuple_
+from sqlalchemy import ColumnElement, Select, UnaryExpression, and_, case, func, select, tuple_
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage import rows
 from calcidem.storage.errors import QueryError
-from calcidem.storage.models import LOST, Attempt, Campaign, Cell, CementRow, PathRow, Result, SignalRow
+from calcidem.storage.models import LOST, Attempt, Campaign, Cell, CementRow, GraphRow, PathRow, Result, SignalRow
 from calcidem.storage.quantities import QUANTITY_BY_NAME, STATUS
 from calcidem.storage.records import (
     AttemptCount,
@@ -38,6 +38,9 @@ __all__ = [
 
 T = TypeVar("T")
 
+LARGEST_LIMIT = 2**63 - 1
+"""Largest whole number that databases know."""
+
 CHUNK = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
 
@@ -49,12 +52,13 @@ def chunks(items: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
 
 
 def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
-    """Join a planned cell with its outcome, the attempt it came from and its path, where there are any."""
+    """Join a planned cell with its outcome, the attempt it came from, its path and its graph, where there are any."""
     return (
         statement.select_from(Cell)
         .outerjoin(Result, Result.cell_id == Cell.id)
         .outerjoin(Attempt, and_(Attempt.cell_id == Cell.id, Attempt.number == Result.attempt))
         .outerjoin(PathRow, PathRow.cell_id == Cell.id)
+        .outerjoin(GraphRow, GraphRow.cell_id == Cell.id)
     )
 
 
@@ -89,16 +93,22 @@ def selected_cells(session: Session, campaign_id: int, selection: Selection) -> 
 
 
 def table(
-    session: Session, campaign_id: int, names: Sequence[str], selection: Selection
+    session: Session,
+    campaign_id: int,
+    names: Sequence[str],
+    selection: Selection,
+    sort: Sequence[str] = (),
+    limit: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """See `Store.table`."""
-    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
-    if unknown:
+    check_names([*names, *(name.removeprefix("-") for name in sort)])
+    if not names or (limit is not None and not 0 <= limit <= LARGEST_LIMIT):
         raise QueryError(
-            f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}."
+            f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
     statement = with_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
-    statement = statement.where(*conditions(campaign_id, selection)).order_by(Cell.seed, Cell.content)
+    statement = statement.where(*conditions(campaign_id, selection))
+    statement = statement.order_by(*map(_sorted_by, sort), Cell.seed, Cell.content).limit(limit)
     found = session.execute(statement).all()
     columns = zip(*found, strict=True) if found else [()] * len(names)
     kinds = {"real": np.float64, "whole": np.float64, "text": np.object_}
@@ -108,23 +118,37 @@ def table(
     }
 
 
+def check_names(names: Iterable[str]) -> None:
+    """Refuse names that are not in the catalogue of quantities.
+
+    Raises
+    ------
+    QueryError
+        Naming them.
+    """
+    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
+    if unknown:
+        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
+
+
+def _sorted_by(name: str) -> UnaryExpression[Any]:
+    expression = QUANTITY_BY_NAME[name.removeprefix("-")].expression
+    return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
+
+
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
     listed = Cell.id.in_(cell_ids)
     statement = with_results(select(Cell.id, Cell.seed, Cell.content, *rows.RESULT_COLUMNS))
-    found = session.execute(
-        statement.where(listed, Result.status.is_not(None)).order_by(Cell.seed, Cell.content)
-    )
+    found = session.execute(statement.where(listed, Result.status.is_not(None)).order_by(Cell.seed, Cell.content))
     signals: dict[int, SignalRow] = {}
     cements: dict[int, CementRow] = {}
     if with_arrays:
         signals = {
-            row.cell_id: row
-            for row in session.scalars(select(SignalRow).where(SignalRow.cell_id.in_(cell_ids)))
+            row.cell_id: row for row in session.scalars(select(SignalRow).where(SignalRow.cell_id.in_(cell_ids)))
         }
         cements = {
-            row.cell_id: row
-            for row in session.scalars(select(CementRow).where(CementRow.cell_id.in_(cell_ids)))
+            row.cell_id: row for row in session.scalars(select(CementRow).where(CementRow.cell_id.in_(cell_ids)))
         }
     for row in found:
         signal, cement = signals.get(row.id), cements.get(row.id)
@@ -142,9 +166,7 @@ def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRe
     yield from (rows.attempt_record(row) for row in session.execute(statement))
 
 
-def attempt_counts(
-    session: Session, campaign_id: int, keys: Sequence[CellKey] | None
-) -> dict[CellKey, AttemptCount]:
+def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
     losses = func.sum(case((and_(Attempt.outcome == LOST, Attempt.forgiven.is_(False)), 1), else_=0))
     statement = (

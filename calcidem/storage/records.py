@@ -14,7 +14,7 @@ from calcidem.storage.cell_records import (
     CellStatus,
     canonical_content,
 )
-from calcidem.storage.sample_records import CementPattern, PathFeatures, Signal
+from calcidem.storage.sample_records import CementPattern, GraphSummary, PathFeatures, Signal
 
 __all__ = [
     "STORED_STATUSES",
@@ -25,6 +25,7 @@ __all__ = [
     "CellResult",
     "CellStatus",
     "CementPattern",
+    "GraphSummary",
     "PackingRecord",
     "PathFeatures",
     "RunRecord",

@@ -7,13 +7,14 @@ from typing import Any
 from sqlalchemy import Row
 
 from calcidem.storage.arrays import pack_arrays, unpack_arrays
-from calcidem.storage.models import Attempt, CementRow, Packing, PathRow, Result, Run, SignalRow
-from calcidem.storage.quantities import PATH_PREFIX
+from calcidem.storage.models import Attempt, CementRow, GraphRow, Packing, PathRow, Result, Run, SignalRow
+from calcidem.storage.quantities import GRAPH_PREFIX, PATH_PREFIX
 from calcidem.storage.records import (
     AttemptRecord,
     CellKey,
     CellResult,
     CementPattern,
+    GraphSummary,
     PackingRecord,
     PathFeatures,
     RunRecord,
@@ -28,6 +29,7 @@ __all__ = [
     "cell_result",
     "cement_pattern",
     "cement_values",
+    "graph_values",
     "packing_record",
     "packing_row",
     "path_values",
@@ -41,6 +43,7 @@ __all__ = [
 RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in Result.__table__.columns)
 ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
 PATH_FIELDS = tuple(f.name for f in fields(PathFeatures))
+GRAPH_FIELDS = tuple(f.name for f in fields(GraphSummary))
 RUN_FIELDS = tuple(f.name for f in fields(RunRecord))
 PACKING_ARRAYS = ("x", "y", "radius")
 PACKING_FIELDS = tuple(f.name for f in fields(PackingRecord) if f.name not in (*PACKING_ARRAYS, "index"))
@@ -51,6 +54,7 @@ RESULT_COLUMNS = (
     *(getattr(Result, name) for name in RESULT_FIELDS),
     *(getattr(Attempt, name) for name in ATTEMPT_FIELDS),
     *(getattr(PathRow, name).label(PATH_PREFIX + name) for name in PATH_FIELDS),
+    *(getattr(GraphRow, name).label(GRAPH_PREFIX + name) for name in GRAPH_FIELDS),
 )
 """Columns that `cell_result` needs besides seed and content."""
 
@@ -63,9 +67,13 @@ def cell_result(
     features = None
     if values[PATH_PREFIX + "contacts"] is not None:
         features = PathFeatures(**{name: values[PATH_PREFIX + name] for name in PATH_FIELDS})
+    graph = None
+    if values[GRAPH_PREFIX + "contacts"] is not None:
+        graph = GraphSummary(**{name: values[GRAPH_PREFIX + name] for name in GRAPH_FIELDS})
     return CellResult(
         key=CellKey(row.seed, row.content),
         features=features,
+        graph=graph,
         signal=signal,
         cement=cement,
         **{name: values[name] for name in (*RESULT_FIELDS, *ATTEMPT_FIELDS)},
@@ -77,9 +85,7 @@ def result_values(cell_id: int, result: CellResult) -> dict[str, Any]:
     return {"cell_id": cell_id} | {name: getattr(result, name) for name in RESULT_FIELDS}
 
 
-def attempt_values(
-    cell_id: int, result: CellResult, run_id: int | None, recorded: datetime
-) -> dict[str, Any]:
+def attempt_values(cell_id: int, result: CellResult, run_id: int | None, recorded: datetime) -> dict[str, Any]:
     """Columns of the `Attempt` that ended with a result."""
     return {
         "cell_id": cell_id,
@@ -95,6 +101,11 @@ def path_values(cell_id: int, features: PathFeatures) -> dict[str, Any]:
     """Columns of a `PathRow`."""
     values = {name: getattr(features, name) for name in PATH_FIELDS}
     return values | {"cell_id": cell_id, "path": list(features.path)}
+
+
+def graph_values(cell_id: int, graph: GraphSummary) -> dict[str, Any]:
+    """Columns of a `GraphRow`."""
+    return {"cell_id": cell_id} | {name: getattr(graph, name) for name in GRAPH_FIELDS}
 
 
 def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:

@@ -54,9 +54,7 @@ def _append_cement(file: Group, patterns: Sequence[tuple[CellKey, CementPattern]
         return
     group = file.createGroup("cement")
     columns = _keys(patterns) | _count("contact", [len(pattern.contacts) for _, pattern in patterns])
-    append(
-        group, "cell", columns | _count("cluster", [len(pattern.cluster_centres) for _, pattern in patterns])
-    )
+    append(group, "cell", columns | _count("cluster", [len(pattern.cluster_centres) for _, pattern in patterns]))
     contacts = np.concatenate([pattern.contacts for _, pattern in patterns])
     kinds = np.concatenate([pattern.kind for _, pattern in patterns])
     of_contacts = {
@@ -81,9 +79,7 @@ def _keys(items: Sequence[tuple[CellKey, Any]]) -> dict[str, Column]:
 
 
 def _count(dimension: str, counts: list[int]) -> dict[str, Column]:
-    return {
-        f"{dimension}_count": ("1", f"number of elements of {dimension}", np.array(counts, dtype=np.int64))
-    }
+    return {f"{dimension}_count": ("1", f"number of elements of {dimension}", np.array(counts, dtype=np.int64))}
 
 
 class CellArrays(Generic[T]):
@@ -135,9 +131,7 @@ def path_reader(file: Group) -> CellArrays[tuple[int, ...]]:
 
 def signal_reader(file: Group) -> CellArrays[Signal]:
     """Access the signals of a file."""
-    return CellArrays(
-        file, "signals", ("sample",), lambda cell, arrays: Signal(float(cell["time_step"]), **arrays)
-    )
+    return CellArrays(file, "signals", ("sample",), lambda cell, arrays: Signal(float(cell["time_step"]), **arrays))
 
 
 def cement_reader(file: Group) -> CellArrays[CementPattern]:

@@ -1,13 +1,13 @@
-"""Frozen records of a sample beyond single numbers: signals, cement pattern, preferential path."""
+"""Frozen records of a sample beyond single numbers: signals, cement pattern, path, graph."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.arrays import ComparedByValue, frozen_array, plain_finite_numbers
 
-__all__ = ["CementPattern", "PathFeatures", "Signal"]
+__all__ = ["CementPattern", "GraphSummary", "PathFeatures", "Signal"]
 
 P_CONTACT = 1
 C_CONTACT = 2
@@ -72,9 +72,7 @@ class CementPattern(ComparedByValue):
         """Check and normalise the fields."""
         contacts = frozen_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
         kind = frozen_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
-        centres = frozen_array(
-            "CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2)
-        )
+        centres = frozen_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
         if not np.isin(kind, (P_CONTACT, C_CONTACT)).all():
             raise ValueError("CementPattern.kind holds other values than 1 (P) and 2 (C); use these two.")
         object.__setattr__(self, "contacts", contacts)
@@ -127,3 +125,48 @@ class PathFeatures:
                 f"are not the {self.contacts} of the path; the two must add up."
             )
         object.__setattr__(self, "path", tuple(int(grain) for grain in self.path))
+
+
+@dataclass(frozen=True, slots=True)
+class GraphSummary:
+    """What the contact graph of a cell is like as a whole.
+
+    Parameters
+    ----------
+    contacts, bonded_contacts : int
+        All contacts between grains, and the cemented ones among them.
+    coordination_number : float
+        2 contacts / grains, grains without contact included.
+    components : int
+        Groups of two or more grains that cement joins into one piece.
+    largest_component : int
+        Grains in the largest of them; 0 where there is no cement.
+    gap_contacts : int or None
+        Fewest uncemented contacts that any way from the transmitter to the receiver has; 0 where cement alone
+        joins them, None where nothing does.
+
+    Raises
+    ------
+    ValueError
+        If a number is negative, or there are more cemented contacts than contacts.
+    """
+
+    contacts: int
+    bonded_contacts: int
+    coordination_number: float
+    components: int
+    largest_component: int
+    gap_contacts: int | None
+
+    def __post_init__(self) -> None:
+        """Check and normalise the fields."""
+        plain_finite_numbers(self)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and value < 0:
+                raise ValueError(f"GraphSummary.{field.name} is {value}; give a number of 0 or more.")
+        if self.bonded_contacts > self.contacts:
+            raise ValueError(
+                f"GraphSummary.bonded_contacts is {self.bonded_contacts} of {self.contacts} contacts; "
+                "cemented contacts are a part of all contacts."
+            )

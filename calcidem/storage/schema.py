@@ -52,9 +52,7 @@ def require_current_schema(connection: Connection, address: Address) -> None:
     """
     revision = stored_revision(connection, address)
     if revision is None:
-        raise ForeignDatabaseError(
-            f"{address} is empty.", "Give the database of a campaign that has been started."
-        )
+        raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
     if revision != _head():
         raise OlderSchemaError(
             f"{address} was written by an earlier calcidem (schema {revision}, this one reads {_head()}).",
@@ -88,9 +86,7 @@ def stored_revision(connection: Connection, address: Address) -> str | None:
             f"{address} is a database of another program (its tables: {', '.join(sorted(tables)[:5])}).",
             "Choose another name; it was left as it is.",
         )
-    revision = MigrationContext.configure(
-        connection, opts={"version_table": VERSION_TABLE}
-    ).get_current_revision()
+    revision = MigrationContext.configure(connection, opts={"version_table": VERSION_TABLE}).get_current_revision()
     known = {script.revision for script in ScriptDirectory.from_config(_configuration()).walk_revisions()}
     if revision not in known:
         raise NewerSchemaError(

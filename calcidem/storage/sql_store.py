@@ -99,9 +99,7 @@ class SqlStore(Store):
     @property
     def _campaign(self) -> int:
         if self._campaign_id is None:
-            raise UnknownCampaignError(
-                "No campaign was chosen.", "Call begin_campaign or use_campaign first."
-            )
+            raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
         return self._campaign_id
 
     # Campaigns and runs
@@ -129,9 +127,7 @@ class SqlStore(Store):
             if len(chosen) != 1:
                 names = ", ".join(f"'{row.name}'" for row in found) or "none"
                 wanted = f"no campaign '{name}'" if name is not None else f"{len(found)} campaigns"
-                raise UnknownCampaignError(
-                    f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}."
-                )
+                raise UnknownCampaignError(f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}.")
             self._campaign_id = chosen[0].id
             return reading.campaign_record(session, chosen[0])
 
@@ -212,9 +208,7 @@ class SqlStore(Store):
     @override
     def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
         with self._writing() as session:
-            return writing.record_results(
-                session, self._campaign, self._run_id, results, replace_done=replace_done
-            )
+            return writing.record_results(session, self._campaign, self._run_id, results, replace_done=replace_done)
 
     @override
     def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
@@ -227,13 +221,9 @@ class SqlStore(Store):
     ) -> tuple[CellKey, ...]:
         wrong = NEVER_RETRIED & set(statuses)
         if wrong:
-            raise ValueError(
-                f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses."
-            )
+            raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
         with self._writing() as session:
-            return writing.make_pending(
-                session, self._campaign, statuses, None if keys is None else list(keys)
-            )
+            return writing.make_pending(session, self._campaign, statuses, None if keys is None else list(keys))
 
     @override
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
@@ -308,9 +298,16 @@ class SqlStore(Store):
             return None if row is None else rows.signal(row)
 
     @override
-    def table(self, names: Sequence[str], selection: Selection = ALL_CELLS) -> dict[str, NDArray[Any]]:
+    def table(
+        self,
+        names: Sequence[str],
+        selection: Selection = ALL_CELLS,
+        *,
+        sort: Sequence[str] = (),
+        limit: int | None = None,
+    ) -> dict[str, NDArray[Any]]:
         with self._reading() as session:
-            return reading.table(session, self._campaign, names, selection)
+            return reading.table(session, self._campaign, names, selection, sort, limit)
 
     # Life
 
@@ -330,13 +327,9 @@ def _check_file(address: Address, *, read_only: bool) -> None:
     if path.is_dir():
         raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
     if read_only and not path.exists():
-        raise StoreUnavailableError(
-            f"{path} does not exist.", "Check the name; 'calcidem run' creates a database."
-        )
+        raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     if not path.parent.is_dir():
-        raise StoreUnavailableError(
-            f"The folder {path.parent} does not exist.", "Create it, or give another name."
-        )
+        raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
 
 
 def _look_before_writing(address: Address) -> None:

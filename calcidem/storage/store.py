@@ -313,20 +313,37 @@ class Store(ABC):
         """Return the signals of a cell, None if none were kept."""
 
     @abstractmethod
-    def table(self, names: Sequence[str], selection: Selection = ALL_CELLS) -> dict[str, NDArray[Any]]:
-        """Return columns of the selected planned cells, by seed, then content, in one query.
+    def table(
+        self,
+        names: Sequence[str],
+        selection: Selection = ALL_CELLS,
+        *,
+        sort: Sequence[str] = (),
+        limit: int | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Return columns of the selected planned cells in one query.
 
         Parameters
         ----------
         names : sequence of str
             From `calcidem.storage.quantities.QUANTITIES`.
         selection : Selection
+        sort : sequence of str
+            Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
+            in the order of seed, then content.
+        limit : int, optional
+            Give the first so many cells only.
 
         Returns
         -------
         dict of str to array
             All of the same length: object arrays for texts (None where missing), float64 for numbers (NaN
             where missing).
+
+        Raises
+        ------
+        QueryError
+            For an unknown quantity, a filter that can't be understood, or a negative limit.
         """
 
     def vs_matrix(self) -> VsMatrix:

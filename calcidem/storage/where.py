@@ -7,7 +7,9 @@ accepted, so nothing of it ever reaches the database as SQL.
 import ast
 import difflib
 import io
+import math
 import operator
+import sys
 import tokenize
 from collections.abc import Callable
 from typing import Any
@@ -28,6 +30,10 @@ COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 
+LONGEST = 10_000
+LARGEST_WHOLE = 2**63 - 1
+"""Whole numbers beyond it are compared as real ones."""
+
 EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
@@ -45,11 +51,14 @@ def parse_where(text: str) -> ColumnElement[bool]:
     QueryError
         If the text is anything else or names an unknown quantity.
     """
+    if len(text) > LONGEST:
+        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {LONGEST}.")
     try:
         tree = ast.parse(_python_equality(text), mode="eval")
-    except (SyntaxError, ValueError, tokenize.TokenError) as error:
-        raise QueryError(f"The filter '{text}' can't be read.", EXAMPLE) from error
-    return _condition(tree.body, text)
+        return _condition(tree.body, text)
+    # Deep nesting ends Python's parser with errors of its own.
+    except (SyntaxError, ValueError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise QueryError(f"The filter {text!r} can't be read.", EXAMPLE) from error
 
 
 def _python_equality(text: str) -> str:
@@ -94,10 +103,17 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
     except ValueError:
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise QueryError(
-            f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", EXAMPLE
-        )
+        raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", EXAMPLE)
+    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        value = float(value) if abs(value) < sys.float_info.max else math.copysign(math.inf, value)
+    if isinstance(value, str) and not _storable(value):
+        raise QueryError(f"{value!r} in the filter can't be in a database.", "Write plain characters.")
     return literal(value)
+
+
+def _storable(word: str) -> bool:
+    """Whether databases accept a text: no zero byte, no half of a surrogate pair."""
+    return "\0" not in word and not any("\ud800" <= character <= "\udfff" for character in word)
 
 
 def _quantity(name: str, text: str) -> SQLColumnExpression[Any]:

@@ -17,6 +17,7 @@ from calcidem.storage.models import (
     Campaign,
     Cell,
     CementRow,
+    GraphRow,
     Packing,
     PathRow,
     Result,
@@ -57,9 +58,7 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
         return row
     namesake = session.scalar(select(Campaign).where(Campaign.name == campaign.name))
     if namesake is not None:
-        differences = config_difference(namesake.config, campaign.config) or [
-            "(none in the configuration's text)"
-        ]
+        differences = config_difference(namesake.config, campaign.config) or ["(none in the configuration's text)"]
         raise CampaignMismatchError(
             f"The stored campaign '{campaign.name}' has another configuration (stored -> given):\n  "
             + "\n  ".join(differences)
@@ -185,14 +184,14 @@ def _replace(
     if outdated:
         session.execute(delete(Attempt).where(numbered.in_(outdated)))
     if new:
-        session.execute(
-            insert(Attempt), [rows.attempt_values(i, result, run_id, recorded) for i, result in new]
-        )
+        session.execute(insert(Attempt), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
     session.execute(insert(Result), [rows.result_values(i, result) for i, result in accepted])
     paths = [rows.path_values(i, result.features) for i, result in accepted if result.features is not None]
+    graphs = [rows.graph_values(i, result.graph) for i, result in accepted if result.graph is not None]
     signals = [rows.signal_values(i, result.signal) for i, result in accepted if result.signal is not None]
     cements = [rows.cement_values(i, result.cement) for i, result in accepted if result.cement is not None]
-    for model, values in ((PathRow, paths), (SignalRow, signals), (CementRow, cements)):
+    tables = ((PathRow, paths), (GraphRow, graphs), (SignalRow, signals), (CementRow, cements))
+    for model, values in tables:
         if values:
             session.execute(insert(model), values)
 

@@ -2,12 +2,21 @@
 
 import numpy as np
 
+from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand
 from calcidem.dem.scene import Bonds, Scene, Wall
 
 RADIUS = 1.0e-3
 SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see
+
+# Each combination of features is compiled once, some seconds each, so tests share a few.
+HERTZ = Features(search=True)
+ACCOUNT = Features(search=True, account=True)
+BONDED = Features(bonds=True, breakage=True, search=True)
+GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True)
+LINEAR = Features(finite=False, linear=True, bonds=True, linear_group=True, slip=False, rescaling=False)
+
 SOFT_CEMENT = Cement(bond_modulus=2.0e8, linear_modulus=1.0e8, bond_stiffness_ratio=2.0, linear_stiffness_ratio=1.5)
 
 

@@ -2,13 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT, SOFT_CEMENT, pair_scene
+from scenes import BONDED, GROUPED, RADIUS, SOFT, SOFT_CEMENT, pair_scene
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.material import Cement
 from calcidem.dem.readout import contact_forces
 from calcidem.dem.scene import Bonds, Installation
-from calcidem.dem.state import Preload, State, advance, choose_features, start
+from calcidem.dem.state import Preload, State, advance, start
 
 PAIRS = np.array([[0, 1]])
 BARE = replace(SOFT_CEMENT, linear_modulus=0.0)
@@ -25,7 +24,7 @@ def cemented(cement: Cement, installation: Installation = "preserve", **options:
     """Overlapping pair whose contact carried normal and shear force when the cement came."""
     bonds = Bonds(PAIRS, cement, installation=installation)
     scene = pair_scene(gap=-OVERLAP, sand=SOFT, bonds=bonds, held=HELD)
-    features = choose_features(scene, "finite")
+    features = GROUPED if cement.linear_modulus > 0.0 else BONDED
     return start(scene, features=features, preload=PRELOAD, time_step=STEP, **options)  # type: ignore[arg-type]
 
 
@@ -68,12 +67,9 @@ def strained(cement: Cement, velocity: tuple[float, float], spin: float, strain:
     """Bonded pair, the second disk moved and both turned against each other, in 1000 steps."""
     bonds = Bonds(PAIRS, cement)
     scene = pair_scene(sand=SOFT, bonds=bonds, held=HELD)
-    features = Features(
-        finite=False, bonds=True, linear_group=cement.linear_modulus > 0.0, breakage=True, damping=False, search=False
-    )
     speed = np.array([[0.0, 0.0], velocity]) * strain / (1000 * STEP)
     turns = np.array([-spin, spin]) / 2.0 * strain / (1000 * STEP)
-    return advance(start(scene, features=features, time_step=STEP, velocity=speed, spin=turns), 1001)
+    return advance(start(scene, features=BONDED, time_step=STEP, velocity=speed, spin=turns), 1001)
 
 
 RADII = np.array([RADIUS])
@@ -133,8 +129,7 @@ def test_a_broken_bond_leaves_the_linear_group() -> None:
 def test_bonds_break_in_the_lanes_that_are_strained() -> None:
     """Each lane has its own bonds: pulling one lane apart leaves the other whole."""
     scene = pair_scene(sand=SOFT, bonds=Bonds(PAIRS, WEAK), held=HELD)
-    features = replace(choose_features(scene, "small", 2), search=False)
-    state = start(scene, features=features, time_step=STEP)
+    state = start(scene, features=replace(BONDED, lanes=2), time_step=STEP)
     state.motion.velocity[1, 0] = np.array([0.5, 1.5]) * CASES[0][3] / (1000 * STEP)
     assert advance(state, 1001).assembly.pairs.intact[0] == 0b01
 
@@ -144,12 +139,13 @@ def test_a_spinning_bonded_pair_is_not_strained_by_its_rotation() -> None:
     scene = pair_scene(sand=SOFT, bonds=Bonds(PAIRS, BARE))
     omega, steps = 100.0, 20_000
     velocity = omega * RADIUS * np.array([[0.0, -1.0], [0.0, 1.0]])
-    state = start(scene, velocity=velocity, spin=np.full(2, omega), time_step=2.0 * np.pi / omega / steps)
+    turn = 2.0 * np.pi / omega
+    state = start(scene, features=BONDED, velocity=velocity, spin=np.full(2, omega), time_step=turn / steps)
     state = advance(state, steps)
     contact = contact_forces(state)
     tension = scene.mass[0] * omega**2 * RADIUS
-    # Let go unstretched, the pair swings between zero and twice the tension that circular motion takes. The error of one
-    # step's turn delta is of the order of delta^3 of the distance: 2 pi delta^2 / 6 = 1e-7 of it in all.
+    # Let go unstretched, the pair swings between zero and twice the tension that circular motion takes. The error of
+    # one step's turn delta is of the order of delta^3 of the distance: 2 pi delta^2 / 6 = 1e-7 of it in all.
     assert -2.05 * tension < contact.normal[0] < 0.05 * tension
     assert abs(contact.shear[0]) < 0.05 * tension
     assert abs(contact.moment[0]) < 1e-3 * tension * RADIUS

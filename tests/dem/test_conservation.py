@@ -1,14 +1,12 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import SOFT_CEMENT, jumble, throw
+from scenes import GROUPED, SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.state import State, advance, start
 
-FEATURES = Features(bonds=True, linear_group=True, damping=False, search=True)
 STEPS = 200
 SEEDS = st.integers(0, 2**20)
 FEW = settings(max_examples=10, deadline=None)
@@ -22,7 +20,7 @@ def cluster(seed: int) -> tuple[Scene, Floats, Floats]:
 
 def flown(scene: Scene, velocity: Floats, spin: Floats, dt: float = 2e-7) -> State:
     """The scene some steps later."""
-    return advance(start(scene, features=FEATURES, velocity=velocity, spin=spin, time_step=dt), STEPS)
+    return advance(start(scene, features=GROUPED, velocity=velocity, spin=spin, time_step=dt), STEPS)
 
 
 def momenta(state: State) -> Floats:

@@ -2,15 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
+from scenes import ACCOUNT, RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
 
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.material import Sand
 from calcidem.dem.readout import energies
 from calcidem.dem.scene import Scene, Wall
 from calcidem.dem.state import State, advance, start
-
-ACCOUNT = Features(damping=True, search=True, account=True)
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:
@@ -44,7 +42,7 @@ def test_energy_balances_in_a_heap_with_friction_damping_and_moving_walls() -> N
 def test_energy_balances_with_bonds_to_second_order() -> None:
     """In a bonded heap without sliding contacts the imbalance falls with the square of the step."""
     scene = jumble(4, 16, share_bonded=1.0, walls=False, cement=replace(SOFT_CEMENT, linear_modulus=0.0))
-    features = Features(finite=False, bonds=True, slip=False, rescaling=False, damping=False, account=True)
+    features = Features(finite=False, bonds=True, slip=False, rescaling=False, account=True)
     order, rest = order_of_balance(scene, features)
     assert order > 1.8
     assert rest < 1e-3
@@ -52,9 +50,10 @@ def test_energy_balances_with_bonds_to_second_order() -> None:
 
 def pressed_pair(rescaling: bool) -> State:
     """Two held disks about to be pressed together, slid, taken apart and slid back by whoever holds them."""
-    scene = pair_scene(gap=-1e-6, sand=Sand(SOFT.shear_modulus, friction=20.0), held=np.ones(2, dtype=bool), rescaling=rescaling)
-    features = replace(ACCOUNT, finite=False, search=False, damping=False, rescaling=rescaling)
-    return start(scene, features=features, time_step=1e-7)
+    scene = pair_scene(
+        gap=-1e-6, sand=Sand(SOFT.shear_modulus, friction=20.0), held=np.ones(2, dtype=bool), rescaling=rescaling
+    )
+    return start(scene, features=replace(ACCOUNT, rescaling=rescaling), time_step=1e-7)
 
 
 def cycle(rescaling: bool) -> tuple[State, float]:
@@ -66,7 +65,9 @@ def cycle(rescaling: bool) -> tuple[State, float]:
         state = advance(replace(state, steps=max(1, state.steps)), steps)  # held disks need no half kick
     state.motion.velocity[...] = 0.0
     radius = np.array([RADIUS])
-    stiffness = SOFT.shear_ratio * 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt([depth + 1e-6, 1e-6])
+    stiffness = (
+        SOFT.shear_ratio * 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt([depth + 1e-6, 1e-6])
+    )
     return state, 0.5 * float(stiffness[0] - stiffness[1]) * slid**2
 
 
@@ -95,7 +96,9 @@ def test_the_account_knows_the_energy_that_mode_0_creates() -> None:
 def test_a_rattling_disk_on_a_rough_floor_never_gains_energy() -> None:
     """A disk that bounces and rolls on a rough floor under its weight only loses energy, mode 1."""
     wall = Wall((0.0, 0.0), (0.0, 1.0), friction=0.5)
-    scene = Scene(np.zeros(1), np.array([RADIUS]), np.array([RADIUS]), SOFT, walls=(wall,), load=np.array([[0.0, -0.5, 0.0]]))
+    scene = Scene(
+        np.zeros(1), np.array([RADIUS]), np.array([RADIUS]), SOFT, walls=(wall,), load=np.array([[0.0, -0.5, 0.0]])
+    )
     state = start(scene, features=ACCOUNT, velocity=np.array([[0.2, -0.1]]), spin=np.array([300.0]), time_step=2e-7)
     total = []
     for _ in range(40):

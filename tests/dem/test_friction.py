@@ -1,15 +1,13 @@
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT
+from scenes import HERTZ, RADIUS, SOFT
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.readout import wall_reactions
 from calcidem.dem.scene import Scene, Wall
 from calcidem.dem.state import State, advance, start
 
 FRICTION = 0.4
 WEIGHT = 1.0
-FEATURES = Features(damping=False, search=True)
 STEPS = 4000
 
 
@@ -23,7 +21,7 @@ def disk_on_floor(pull: float, slope: float = 0.0) -> State:
     place = (RADIUS - depth) * n
     load = np.append(pull * t - WEIGHT * n, 0.0)
     scene = Scene(place[:1], place[1:], np.array([RADIUS]), SOFT, walls=(floor,), load=load[None])
-    return start(scene, features=FEATURES, step_fraction=0.3)
+    return start(scene, features=HERTZ, step_fraction=0.3)
 
 
 def along(state: State, slope: float = 0.0) -> float:

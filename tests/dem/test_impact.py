@@ -1,15 +1,13 @@
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT
+from scenes import HERTZ, RADIUS, SOFT
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.readout import overlaps, wall_overlaps
 from calcidem.dem.scene import Scene, Wall
 from calcidem.dem.state import advance, start
 
 SPEED = 0.1
-FEATURES = Features(bonds=False, damping=False, search=True)
 DURATION = 2.9432750  # of a Hertz impact, times largest overlap over speed (Landau and Lifshitz, Elasticity, section 9)
 
 
@@ -30,7 +28,7 @@ def measured_impact(ratio: float | None, steps: int) -> tuple[float, float, floa
     scene, velocity, reduced, coefficient = impact_scene(ratio)
     deepest = (5.0 * reduced * SPEED**2 / (4.0 * coefficient)) ** 0.4
     duration = DURATION * deepest / SPEED
-    state = start(scene, features=FEATURES, velocity=velocity, time_step=duration / steps)
+    state = start(scene, features=HERTZ, velocity=velocity, time_step=duration / steps)
     history = []
     for _ in range(2 * steps):
         state = advance(state, 1)
@@ -60,7 +58,7 @@ def test_impact_converges_to_hertz_with_the_square_of_the_step(ratio: float | No
 def test_unequal_disks_share_the_momentum_of_an_elastic_impact() -> None:
     """After an elastic impact on a resting disk the velocities are (m1 - m2) and 2 m1 over the summed mass."""
     scene, velocity, *_ = impact_scene(2.0)
-    state = start(scene, features=FEATURES, velocity=velocity, time_step=5e-7)
+    state = start(scene, features=HERTZ, velocity=velocity, time_step=5e-7)
     state = advance(state, 3000)
     first, second = scene.mass
     expected = SPEED * np.array([first - second, 2.0 * first]) / (first + second)

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import jumble, throw
+from scenes import GROUPED, jumble, throw
 
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers
@@ -10,7 +10,7 @@ from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.state import Precision, State, advance, start
 
 WIDTH = 8
-EIGHT = Features(lanes=WIDTH, bonds=True, linear_group=True, breakage=True, damping=True, search=True)
+EIGHT = replace(GROUPED, lanes=WIDTH)
 STEPS = 150
 STEP = 2e-7
 
@@ -23,7 +23,9 @@ def scene_of(bits: Integers | None = None) -> Scene:
     return replace(scene, bonds=Bonds(scene.bonds.pairs, scene.bonds.cement, lanes))
 
 
-def run(scene: Scene, velocities: dict[int, Floats], features: Features = EIGHT, precision: Precision = "float64") -> State:
+def run(
+    scene: Scene, velocities: dict[int, Floats], features: Features = EIGHT, precision: Precision = "float64"
+) -> State:
     """The scene some steps later; lanes without a velocity begin at rest."""
     state = start(scene, features=features, time_step=STEP, precision=precision)
     for lane, velocity in velocities.items():
@@ -40,7 +42,13 @@ def thrown(scene: Scene, seed: int) -> Floats:
 def lane_bytes(state: State, lane: int) -> list[bytes]:
     """Everything the kernel changes in one lane, bit by bit."""
     pairs = state.assembly.pairs
-    arrays = [state.motion.displacement, state.motion.velocity, pairs.bond_force, pairs.shear, state.assembly.walls.reaction]
+    arrays = [
+        state.motion.displacement,
+        state.motion.velocity,
+        pairs.bond_force,
+        pairs.shear,
+        state.assembly.walls.reaction,
+    ]
     intact = pairs.intact >> np.uint32(lane) & 1
     return [np.ascontiguousarray(array[..., lane]).tobytes() for array in arrays] + [intact.tobytes()]
 
@@ -76,7 +84,7 @@ def test_one_lane_gives_what_eight_give() -> None:
     scene = scene_of()
     mine = thrown(scene, 1)
     wide = run(scene, {0: mine})
-    narrow = run(scene, {0: mine}, replace(EIGHT, lanes=1))
+    narrow = run(scene, {0: mine}, GROUPED)
     # The compiler may fuse other multiplications with additions; 150 steps of collisions stretch that a hundredfold.
     np.testing.assert_allclose(narrow.velocity(), wide.velocity(), atol=1e-11 * np.abs(mine[:, :2]).max())
 

@@ -2,15 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT, hexagonal
+from scenes import LINEAR, RADIUS, SOFT, hexagonal
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.scene import Scene
 from calcidem.dem.state import State, advance, no_recording, run_sweep, start
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
-FEATURES = Features(lanes=4, finite=False, linear=True, slip=False, rescaling=False, damping=False)
+EIGHT = replace(LINEAR, lanes=8)  # four of them are used
 WAVELENGTH = 20.0 * SPACING
 LANES = ((0, 0), (0, 1), (1, 1), (1, 0))  # direction of travel and of motion: P and S along x, P and S along y
 
@@ -29,18 +28,20 @@ def standing_waves(x: Floats, y: Floats, wavelength: float) -> Floats:
     from the edges arrives there.
     """
     scene = Scene(x, y, np.full(len(x), RADIUS), SOFT)
-    state = start(scene, features=FEATURES, step_fraction=0.2)
+    state = start(scene, features=EIGHT, step_fraction=0.2)
     at = state.assembly.order
     middle = int(np.argmin(np.hypot(x - x.mean(), y - y.mean())))
     for lane, (travel, motion) in enumerate(LANES):
         along = (x, y)[travel]
-        state.motion.displacement[:, motion, lane] = 1e-6 * np.cos(2.0 * np.pi / wavelength * (along - along[middle]))[at]
+        state.motion.displacement[:, motion, lane] = (
+            1e-6 * np.cos(2.0 * np.pi / wavelength * (along - along[middle]))[at]
+        )
     watched = int(np.flatnonzero(at == middle)[0])
     history = signals(state, watched, quarter_period(wavelength))
     crossing = np.argmax(history < 0.0, axis=0)
     rows, lanes = crossing - 1, np.arange(len(LANES))
     before, after = history[rows, lanes], history[crossing, lanes]
-    quarter = (rows + before / (before - after)) * state.time_step
+    quarter = (rows + before / (before - after)) * state.time_step[0]
     return wavelength / (4.0 * quarter)
 
 
@@ -94,7 +95,7 @@ def test_a_chain_has_the_dispersion_of_the_leapfrog_grid(mode: int) -> None:
     q = np.pi * mode / (bays * SPACING)
     shape = np.sin(q * np.asarray(scene.x))
     shape[[0, -1]] = 0.0
-    state = start(scene, features=replace(FEATURES, lanes=1), velocity=np.column_stack([shape, 0.0 * shape]))
+    state = start(scene, features=LINEAR, velocity=np.column_stack([shape, 0.0 * shape]))
     dt = state.time_step[0]
     state.motion.displacement[:, 0, 0] = dt * state.motion.velocity[:, 0, 0]  # no force acts at time zero
     place = np.empty((steps, bays + 1))

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import RADIUS, SOFT, jumble, throw
+from scenes import GROUPED, HERTZ, RADIUS, SOFT, jumble, throw
 
 from calcidem.dem import state as state_module
 from calcidem.dem.assembly import assemble, near_pairs
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.readout import contact_forces
 from calcidem.dem.scene import Scene, Wall
 from calcidem.dem.state import State, advance, listed_pairs, start
-
-SEARCHING = Features(damping=True, search=True)
 
 
 @given(st.integers(0, 2**20), st.integers(2, 40), st.floats(0.0, 2.0))
@@ -54,7 +51,7 @@ def colliding(monkeypatch: pytest.MonkeyPatch, skin: float, lanes: int = 1) -> S
     velocity, spin = throw(scene, 1, 0.3)
     velocity[:12, 0] += 1.0
     velocity[12:, 0] -= 1.0
-    state = start(scene, features=replace(SEARCHING, lanes=lanes), velocity=velocity, spin=spin, time_step=4e-7)
+    state = start(scene, features=replace(HERTZ, lanes=lanes), velocity=velocity, spin=spin, time_step=4e-7)
     state.motion.velocity[:, :2, lanes - 1] *= 1.0 if lanes == 1 else 0.8
     return advance(state, 12_000)
 
@@ -83,8 +80,7 @@ def test_histories_survive_a_renewal() -> None:
     """Bonds, shear forces and roots of pairs and walls are the same before and after a new list."""
     scene = jumble(6, 20, share_bonded=0.5, damping=0.2)
     velocity, spin = throw(scene, 6, 0.01)
-    features = replace(SEARCHING, bonds=True, linear_group=True, breakage=True)
-    state = advance(start(scene, features=features, velocity=velocity, spin=spin), 200)
+    state = advance(start(scene, features=GROUPED, velocity=velocity, spin=spin), 200)
     before, after = contact_forces(state), contact_forces(state_module.with_new_neighbours(state))
     for name in ("pairs", "overlap", "normal", "shear", "moment", "bonded"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
@@ -98,7 +94,7 @@ def test_a_wall_finds_disks_that_it_reaches_later() -> None:
     """A wall that comes from afar pushes disks that lie still."""
     wall = Wall((0.0, 0.0), (0.0, 1.0), velocity=(1.0, 0.0))
     scene = Scene(np.zeros(1), np.array([5.0 * RADIUS]), np.array([RADIUS]), SOFT, walls=(wall,))
-    state = advance(start(scene, features=SEARCHING, time_step=1e-6), 6000)
+    state = advance(start(scene, features=HERTZ, time_step=1e-6), 6000)
     # An elastic impact on a heavy wall throws the disk ahead at twice the speed of the wall, the second time too.
     assert state.velocity()[0, 1] == pytest.approx(2.0, rel=1e-3)
 
@@ -107,6 +103,6 @@ def test_far_disks_do_not_make_the_list_long_when_a_wall_travels() -> None:
     """A wall that has moved far does not widen the list of pairs of disks."""
     scene = jumble(2, 16, walls=False)
     far = replace(scene, walls=(Wall((0.0, -1.0), (0.0, 1.0), velocity=(1.0, 0.0)),), damping=0.9)
-    state = advance(start(far, features=SEARCHING), 3000)
+    state = advance(start(far, features=HERTZ), 3000)
     assert state.wall_origin.any()
     assert len(state.assembly.pairs.second) < 60

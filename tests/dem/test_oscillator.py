@@ -2,18 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT_CEMENT, pair_scene
+from scenes import LINEAR, RADIUS, SOFT_CEMENT, pair_scene
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.scene import Bonds
-from calcidem.dem.state import State, advance, run_sweep, no_recording, start
+from calcidem.dem.state import State, advance, no_recording, run_sweep, start
 
 PAIR = Bonds(np.array([[0, 1]]), SOFT_CEMENT)
 HELD = np.array([True, False])
-LINEAR = Features(
-    finite=False, linear=True, bonds=True, linear_group=True, slip=False, rescaling=False, damping=True, search=False
-)
 SPEED = 1e-3
 
 
@@ -66,8 +62,8 @@ def test_a_linear_oscillator_has_the_frequency_of_the_leapfrog_grid(fraction: fl
 def test_local_damping_shrinks_each_half_cycle_by_a_known_factor(alpha: float) -> None:
     """Successive extremes of an oscillator have the ratio sqrt((1 - alpha) / (1 + alpha)).
 
-    On the way in the spring pulls with (1 - alpha) of its force, on the way out with (1 + alpha): the speed v at the middle
-    obeys v^2 = omega^2 (1 - alpha) A^2 = omega^2 (1 + alpha) A'^2.
+    On the way in the spring pulls with (1 - alpha) of its force, on the way out with (1 + alpha): the speed v at the
+    middle obeys v^2 = omega^2 (1 - alpha) A^2 = omega^2 (1 + alpha) A'^2.
     """
     state, omega = oscillator(0.001, damping=alpha)
     half_period = 0.5 * np.pi / omega * (1.0 / np.sqrt(1.0 - alpha) + 1.0 / np.sqrt(1.0 + alpha))

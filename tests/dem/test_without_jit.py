@@ -14,17 +14,16 @@ from dataclasses import replace
 import numpy as np
 
 sys.path.insert(0, {folder!r})
-from scenes import SOFT_CEMENT, jumble, throw
+from scenes import ACCOUNT, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.state import advance, choose_features, start
+from calcidem.dem.state import advance, start
 
 results = []
 weak = replace(SOFT_CEMENT, tensile_strength=4e5, cohesion=3e5)
-for regime, cement in (("finite", None), ("finite", weak), ("small", weak), ("linear", weak)):
-    options = {{}} if cement is None else {{"share_bonded": 0.6, "cement": cement}}
-    scene = jumble(5, 5, damping=0.3, **options)
+cases = (ACCOUNT, 0.0), (GROUPED, 0.6), (replace(GROUPED, finite=False, search=False), 0.6), (LINEAR, 0.6)
+for features, bonded in cases:
+    scene = jumble(5, 5, damping=0.3, share_bonded=bonded, **({{"cement": weak}} if bonded else {{}}))
     velocity, spin = throw(scene, 5)
-    features = choose_features(scene, regime, 2, account=regime != "linear")
     state = advance(start(scene, features=features, velocity=velocity, spin=spin, step_fraction=0.1), 25)
     results.append(
         [state.motion.displacement.tolist(), state.motion.velocity.tolist(), state.account.tolist(),

@@ -23,6 +23,7 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
+    GraphSummary,
     PackingRecord,
     PathFeatures,
     RunRecord,
@@ -117,7 +118,15 @@ class Records:
         cement = CementPattern(
             pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0
         )
-        return self.done(seed, content, features=features, signal=signal, cement=cement)
+        graph = GraphSummary(
+            contacts=90 + seed,
+            bonded_contacts=contacts,
+            coordination_number=3.6,
+            components=4,
+            largest_component=12,
+            gap_contacts=None if seed == 0 else 2,
+        )
+        return self.done(seed, content, features=features, signal=signal, cement=cement, graph=graph)
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401
         """Build a packing of 50 grains."""

@@ -98,11 +98,13 @@ def test_newer_schema_is_refused(database: Path) -> None:
             open_store(database, read_only=read_only)
 
 
-def test_reader_asks_for_an_upgrade(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader refuses an older schema and says how to upgrade it."""
-    monkeypatch.setattr("calcidem.storage.schema._head", lambda: "0002")
+def test_reader_asks_for_an_upgrade(tmp_path: Path) -> None:
+    """A reader refuses an older schema, says how to upgrade it, and leaves the file as it is."""
+    asset = Path(__file__).parent / "assets" / "schema_0001.db"
+    path = Path(shutil.copy(asset, tmp_path))
     with pytest.raises(OlderSchemaError, match="upgrades it"):
-        open_campaign(database)
+        open_campaign(path)
+    assert path.read_bytes() == asset.read_bytes()
 
 
 def test_damage_is_recognised(database: Path) -> None:

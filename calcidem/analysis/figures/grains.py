@@ -126,9 +126,7 @@ def draw_path(axes: Axes, sample: PackingGraph, path: PreferentialPath, width: f
     )
 
 
-def _draw_contacts(
-    axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64], colour: str, width: float
-) -> None:
+def _draw_contacts(axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64], colour: str, width: float) -> None:
     """Draw a stroke around each contact point, half as long as the distance of the two centres."""
     first, second = (np.column_stack([packing.x[ends], packing.y[ends]]) for ends in pairs.T)
     strokes = np.stack([0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second], axis=1) * MM

@@ -173,7 +173,9 @@ def _methods(analysis: CampaignAnalysis) -> Figure:
 
 def _paths(analysis: CampaignAnalysis) -> Figure:
     contents = _measured_contents(analysis, SAMPLES_OF_A_CONTENT)
-    spread = [row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0]
+    spread = [
+        row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0
+    ]
     if not spread:
         raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
     ordered = analysis.measured_samples(min(spread, key=lambda content: abs(content - PATHS_CONTENT)))

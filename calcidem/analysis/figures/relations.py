@@ -62,15 +62,13 @@ def draw_correlations(correlations: Correlations) -> Figure:
     figure = new_figure(height=3.95, width=7.4)
     panels = figure.subplots(1, 2)
     titles = ("over all contents", "within one content")
-    for axes, matrices, title in zip(
-        panels, (correlations.overall, correlations.within), titles, strict=True
-    ):
+    for axes, matrices, title in zip(panels, (correlations.overall, correlations.within), titles, strict=True):
         image = _draw_matrix(axes, matrices)
         axes.set_title(f"{title} (n = {int(matrices['n'])})", pad=18)
     panels[1].tick_params(labelleft=False)
     colour_bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.03)
     colour_bar.set_label("below the diagonal Pearson's coefficient, above it Spearman's")
-    colour_bar.outline.set_visible(False)  # type: ignore[operator] - a spine, not a method
+    colour_bar.outline.set_edgecolor("none")
     return figure
 
 
@@ -122,9 +120,7 @@ def draw_ratio_scan(scan: RatioScan, best_ratio: float, published_ratio: float |
         label=f"best: {best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})",
     )
     if published_ratio is not None:
-        axes.axvline(
-            published_ratio, color=VERMILION, linestyle="--", label=f"published best: {published_ratio:g}"
-        )
+        axes.axvline(published_ratio, color=VERMILION, linestyle="--", label=f"published best: {published_ratio:g}")
     axes.set_xlim(0, 1)
     axes.set_xlabel(r"weight ratio $\omega_{LPB}\,/\,\omega_h$")
     axes.set_ylabel("correlation of $C_{d,n}$ with $V_s$")
@@ -181,7 +177,7 @@ def draw_laws(
         mpl.cm.ScalarMappable(norm=points.norm, cmap=points.cmap), ax=panels, pad=0.01, aspect=35
     )
     colour_bar.set_label("calcite content (%)")
-    colour_bar.outline.set_visible(False)  # type: ignore[operator] - a spine, not a method
+    colour_bar.outline.set_edgecolor("none")
     return figure
 
 
@@ -189,5 +185,3 @@ def law_text(a: float, b: float, c: float) -> str:
     """Give a law as mathematical text."""
     sign = "\N{MINUS SIGN}" if c < 0 else "+"
     return f"$V_s = {a:.0f}\\,C_{{d,n}}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"
-
-

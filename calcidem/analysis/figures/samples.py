@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from calcidem.analysis.figures.signals import Arrival
     from calcidem.analysis.packing_graph import PackingGraph
 
-PANEL_WIDTH = 3.7
+PANEL_WIDTH = 3.4
 """Width in inches of a panel with a path; its text stands beside."""
 
 SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
@@ -119,7 +119,7 @@ def draw_measurement(
     """
     packing = graph.packing
     width, height = packing.width * MM, packing.height * MM
-    figure = new_figure(height=5.4)
+    figure = new_figure(height=4.4)
     scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
     draw_grains(scene, graph)
     for bottom in (0.0, height - damped_layer * MM):
@@ -133,9 +133,7 @@ def draw_measurement(
     scene.set_xlim(-0.32 * width, 1.32 * width)
     arrow = {"arrowstyle": "<->", "color": VERMILION, "linewidth": 1.6}
     reach = max(transmitter_half_width * MM * 2.2, 0.07 * height)
-    scene.annotate(
-        "", (-0.08 * width, height / 2 + reach), (-0.08 * width, height / 2 - reach), arrowprops=arrow
-    )
+    scene.annotate("", (-0.08 * width, height / 2 + reach), (-0.08 * width, height / 2 - reach), arrowprops=arrow)
     scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
     scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
     scene.annotate(

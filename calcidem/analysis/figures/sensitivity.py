@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -16,11 +17,14 @@ from calcidem.analysis.figures.style import (
     SEQUENCE,
     VS_LABEL,
     WIDTH,
+    from_zero,
     new_figure,
     styled,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import xarray as xr
     from matplotlib.figure import Figure
 
@@ -37,7 +41,8 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     Parameters
     ----------
     study
-        What `calcidem.analysis.studies.frequency_study` gives.
+        What `calcidem.analysis.studies.frequency_study` gives. Marks are hollow where transmitter and receiver
+        are less than a wavelength apart.
     """
     contents = study["content"].to_numpy()
     lines = math.ceil(len(contents) / 2)
@@ -52,8 +57,19 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
             known = np.isfinite(values).any(axis=0)
             mean = np.nanmean(values[:, known], axis=0)
             axes.plot(frequency[known], mean, color=colour, marker=marker, markersize=4, label=label)
+            near = study.attrs["distance"] * frequency[known] / KHZ < mean
+            axes.plot(
+                frequency[known][near],
+                mean[near],
+                linestyle="none",
+                color=colour,
+                marker=marker,
+                markersize=4,
+                markerfacecolor="white",
+                zorder=3,
+            )
         axes.set_title(f"{content:g} %")
-        axes.set_ylim(bottom=0)
+        from_zero(axes)
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
     panels[0].legend(loc="lower right")
@@ -87,7 +103,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
         right.axvline(used, color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
     for axes in (left, right):
         axes.set_xlabel(FREQUENCY_LABEL)
-        axes.set_ylim(bottom=0)
+        from_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)
     left.legend(loc="upper left")
@@ -108,9 +124,9 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
     figure = new_figure(height=0.7 + 2.9 * len(contents), width=WIDTH + 0.4)
     panels = figure.subplots(len(contents), 2, squeeze=False, width_ratios=[2.2, 1.0])
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.0, 0.9, len(factors)))
-    time = study["time"].to_numpy() * MS
     for (signals, velocities), content in zip(panels, contents, strict=True):
         chosen = study.sel(content=content)
+        time = chosen["time"].to_numpy() * MS
         largest = float(np.abs(chosen["received"]).max())
         step = 0.75
         for place, (factor, colour) in enumerate(zip(factors, colours, strict=True)):
@@ -132,7 +148,62 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
         signals.set_title(f"{content:g} %")
         velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
         velocities.set_ylabel(VS_LABEL)
-        velocities.set_ylim(bottom=0)
+        from_zero(velocities)
+        velocities.set_xlim(0, 1.08 * factors[-1])
     panels[-1, 0].set_xlabel("time (ms)")
     panels[-1, 1].set_xlabel("damping factor")
     return figure
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFigure:
+    """A figure of a sensitivity study.
+
+    Parameters
+    ----------
+    study
+        "frequency" or "damping": which study it shows.
+    name
+        File name without ending.
+    title
+        In a few words.
+    caption
+        What is to be seen, in sentences.
+    draw
+        Draws it from the study's result.
+    """
+
+    study: str
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[xr.Dataset], Figure]
+
+
+STUDY_FIGURES = (
+    StudyFigure(
+        "frequency",
+        "study_reading",
+        "Peak to peak against first arrival",
+        "Vs of the same samples by two ways of reading, over excitation frequency; thin lines are samples. Marks "
+        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
+        "spoil the reading.",
+        draw_reading_study,
+    ),
+    StudyFigure(
+        "frequency",
+        "study_frequency",
+        "Excitation frequency",
+        "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
+        "the sent one, with the range over samples; dashed where the campaign sends.",
+        draw_frequency_study,
+    ),
+    StudyFigure(
+        "damping",
+        "study_damping",
+        "Local damping",
+        "Signals received in one sample with several local damping factors, and the Vs read from them where one "
+        "could be trusted.",
+        draw_damping_study,
+    ),
+)

@@ -7,6 +7,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import matplotlib as mpl
+from cycler import cycler
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ WIDTH = 6.2
 CONTENT_LABEL = "calcite content (% of sand mass)"
 VS_LABEL = "shear-wave velocity $V_s$ (m/s)"
 
-STYLE: dict[str, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -57,7 +58,7 @@ STYLE: dict[str, Any] = {
     "axes.labelcolor": BLACK,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.prop_cycle": mpl.cycler(color=SEQUENCE),
+    "axes.prop_cycle": cycler(color=SEQUENCE),
     "grid.color": "#e6e8ea",
     "grid.linewidth": 0.6,
     "xtick.color": "#50565b",
@@ -93,6 +94,11 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 def new_figure(height: float, width: float = WIDTH) -> Figure:
     """Give an empty figure of a size in inches; it belongs to nobody's window."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def from_zero(axes: Axes) -> None:
+    """Let a vertical axis begin at zero, with some room above what is drawn."""
+    axes.set_ylim(0, 1.06 * axes.get_ylim()[1])
 
 
 def bare(axes: Axes) -> None:

@@ -61,12 +61,13 @@ def draw_range(
     rows = [row for row in distributions if row.vs.n]
     figure = new_figure(height=4.6)
     axes = figure.subplots()
-    _draw_range(axes, vs, rows, published)
+    low = [row for row in rows if row.content <= LOW_CONTENT]
+    enlarged = len(low) > 2 and rows[-1].content > 4 * LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
+    _draw_range(axes, vs, rows, [row for row in published if not enlarged or row[0] > LOW_CONTENT])
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
     axes.legend(loc="lower right")
-    low = [row for row in rows if row.content <= LOW_CONTENT]
-    if len(low) > 2 and rows[-1].content > 4 * LOW_CONTENT:  # noqa: PLR2004 - fewer need no second picture
+    if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
         _draw_range(inset, vs, low, [row for row in published if row[0] <= LOW_CONTENT])
         inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
@@ -233,5 +234,3 @@ def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(narrowings))
     return figure
-
-

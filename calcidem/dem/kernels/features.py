@@ -66,10 +66,10 @@ class Features:
             ]
             if needless:
                 raise ValueError(
-                    f"linear = True excludes {', '.join(needless)}: its contacts keep their stiffness; switch one of them off"
+                    f"linear = True excludes {', '.join(needless)}: its contacts keep their stiffness; switch them off"
                 )
         if self.search and not self.finite:
-            raise ValueError("search = True needs finite = True: without it the contacts are those of the reference geometry")
+            raise ValueError("search = True needs finite = True: other regimes keep their contacts")
         if not self.bonds and (self.linear_group or self.breakage):
             raise ValueError("linear_group and breakage belong to cemented pairs: set bonds = True or switch them off")
 

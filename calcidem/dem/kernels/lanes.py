@@ -13,380 +13,85 @@ Arithmetic may be contracted (multiply-add) but never re-associated: a lane's bi
 what the other lanes hold.
 """
 
-import operator
-import platform
+# ruff: noqa: ARG005, PLW0108 - numba wants two levels: the outer function sees types, the inner one is compiled
+# mypy: disable-error-code="call-arg, no-untyped-call"
+# Intrinsics are called without the first argument they name.
+
 from typing import Any, TypeAlias
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.core.imputils import lower_builtin, lower_cast
-from numba.core.typeconv import Conversion
-from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, models, overload, register_model
-from numba.np.arrayobj import make_array
+from numba.extending import overload
 
-CONTRACT = ("contract",)
-ON_X86 = platform.machine().lower() in {"x86_64", "amd64"}
-FLUSH_BITS = 0x8040  # of MXCSR: flush results to zero, take operands as zero
+from calcidem.dem.kernels.vectors import (
+    absolute_vector,
+    bits_to_mask,
+    flush_tiny,
+    load_vector,
+    mask_to_bits,
+    select_lanes,
+    spread_scalar,
+    sqrt_vector,
+    store_vector,
+    write_control_word,
+)
 
 Vector: TypeAlias = Any
 """A lane vector, its mask, or a number that stands for all lanes: Python has no one type for the three."""
 
 
-class LaneType(types.Type):
-    """Numba type of ``width`` floating-point numbers in one vector."""
-
-    def __init__(self, dtype: Any, width: int) -> None:
-        self.dtype = dtype
-        self.width = width
-        super().__init__(name=f"Lane({dtype}, {width})")
-
-    @property
-    def key(self) -> tuple[Any, int]:
-        """What makes two lane types the same."""
-        return self.dtype, self.width
-
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """Let a number be spread over all lanes where a lane vector is expected."""
-        del typingctx
-        return Conversion.safe if isinstance(other, types.Number) else None
-
-
-class MaskType(types.Type):
-    """Numba type of one truth value for each lane."""
-
-    def __init__(self, width: int) -> None:
-        self.width = width
-        super().__init__(name=f"Mask({width})")
-
-    @property
-    def key(self) -> int:
-        """What makes two mask types the same."""
-        return self.width
-
-
-@register_model(LaneType)
-class LaneModel(models.PrimitiveModel):
-    """A lane vector is an LLVM vector of floats."""
-
-    def __init__(self, manager: Any, lane: LaneType) -> None:
-        element = manager.lookup(lane.dtype).get_value_type()
-        super().__init__(manager, lane, ir.VectorType(element, lane.width))
-
-
-@register_model(MaskType)
-class MaskModel(models.PrimitiveModel):
-    """A mask is an LLVM vector of bits, which AVX-512 keeps in a mask register."""
-
-    def __init__(self, manager: Any, mask: MaskType) -> None:
-        super().__init__(manager, mask, ir.VectorType(ir.IntType(1), mask.width))
-
-
-def splat(builder: Any, scalar: Any, width: int) -> Any:
-    """Spread one LLVM scalar over ``width`` lanes."""
-    single = builder.insert_element(
-        ir.Constant(ir.VectorType(scalar.type, width), ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
-    )
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
-    return builder.shuffle_vector(single, single, zeros)
-
-
-@lower_cast(types.Number, LaneType)
-def cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: LaneType, value: Any) -> Any:
-    """Spread a number over the lanes, in the precision of the lanes."""
-    return splat(builder, context.cast(builder, value, from_type, to_type.dtype), to_type.width)
-
-
-def widest_lane(args: tuple[Any, ...]) -> LaneType | None:
-    """Lane type among the arguments, if one of them is a lane vector and the others fit it."""
-    lanes = [arg for arg in args if isinstance(arg, LaneType)]
-    if not lanes or not all(arg == lanes[0] or isinstance(arg, types.Number) for arg in args):
-        return None
-    return lanes[0]
-
-
-def register_arithmetic(function: Any, instruction: str) -> None:
-    """Teach numba one arithmetic operator on lane vectors."""
-
-    @infer_global(function)
-    class Arithmetic(AbstractTemplate):
-        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
-            del kws
-            lane = widest_lane(args)
-            return None if lane is None else signature(lane, *[lane] * len(args))
-
-    @lower_builtin(function, *[LaneType] * (1 if instruction == "fneg" else 2))
-    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        return getattr(builder, instruction)(*args, flags=CONTRACT)
-
-
-def register_comparison(function: Any, symbol: str) -> None:
-    """Teach numba one comparison of lane vectors; comparisons with NaN are false."""
-
-    @infer_global(function)
-    class Comparison(AbstractTemplate):
-        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
-            del kws
-            lane = widest_lane(args)
-            return None if lane is None else signature(MaskType(lane.width), lane, lane)
-
-    @lower_builtin(function, LaneType, LaneType)
-    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        return builder.fcmp_ordered(symbol, *args)
-
-
-def register_logic(function: Any, instruction: str) -> None:
-    """Teach numba one logical operator on masks."""
-
-    @infer_global(function)
-    class Logic(AbstractTemplate):
-        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
-            del kws
-            if all(isinstance(arg, MaskType) for arg in args):
-                return signature(args[0], *args)
-            return None
-
-    @lower_builtin(function, *[MaskType] * (1 if instruction == "not_" else 2))
-    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        return getattr(builder, instruction)(*args)
-
-
-for _function, _instruction in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-    (operator.neg, "fneg"),
-):
-    register_arithmetic(_function, _instruction)
-for _function, _symbol in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
-    register_comparison(_function, _symbol)
-for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), (operator.invert, "not_")):
-    register_logic(_function, _instruction)
-
-
-def element_pointer(context: Any, builder: Any, array_type: Any, array: Any, index_type: Any, index: Any) -> Any:
-    """Pointer to the first lane of row ``index`` of a C-contiguous array whose last axis is the lane."""
-    view = make_array(array_type)(context, builder, array)
-    indices = [
-        context.cast(builder, value, kind, types.intp)
-        for value, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
-    ]
-    return cgutils.get_item_pointer(context, builder, array_type, view, [*indices, ir.Constant(ir.IntType(64), 0)])
-
-
-@intrinsic(prefer_literal=True)
-def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
-    """Compiled side of `load`."""
-    del typingctx
-    lane = LaneType(array.dtype, width.literal_value)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
-        vector = context.get_value_type(lane)
-        pointer = builder.bitcast(pointer, vector.as_pointer())
-        return builder.load(pointer, align=array.dtype.bitwidth // 8)
-
-    return lane(array, index, width), codegen
-
-
-@intrinsic
-def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """Compiled side of `store`."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
-        pointer = builder.bitcast(pointer, args[2].type.as_pointer())
-        builder.store(args[2], pointer, align=array.dtype.bitwidth // 8)
-        return context.get_dummy_value()
-
-    return types.void(array, index, value), codegen
-
-
-@intrinsic(prefer_literal=True)
-def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
-    """Compiled side of `spread`."""
-    del typingctx
-    lane = LaneType(number, width.literal_value)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        return splat(builder, args[0], lane.width)
-
-    return lane(number, width), codegen
-
-
-@intrinsic(prefer_literal=True)
-def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
-    """Compiled side of `mask_of_bits`."""
-    del typingctx
-    mask = MaskType(width.literal_value)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        narrow = args[0]
-        if narrow.type.width > mask.width:
-            narrow = builder.trunc(narrow, ir.IntType(mask.width))
-        return builder.bitcast(narrow, ir.VectorType(ir.IntType(1), mask.width))
-
-    return mask(bits, width), codegen
-
-
-@intrinsic
-def mask_to_bits(typingctx: Any, mask: Any) -> Any:
-    """Compiled side of `bits_of_mask`."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig
-        narrow = builder.bitcast(args[0], ir.IntType(mask.width))
-        return builder.zext(narrow, ir.IntType(64)) if mask.width < 64 else narrow  # noqa: PLR2004 - bits of uint64
-
-    return types.uint64(mask), codegen
-
-
-@intrinsic
-def select_lanes(typingctx: Any, mask: Any, if_true: Any, if_false: Any) -> Any:
-    """Compiled side of `select`."""
-    del typingctx
-    lane = widest_lane((if_true, if_false))
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        values = [context.cast(builder, value, kind, lane) for value, kind in zip(args[1:], sig.args[1:], strict=True)]
-        return builder.select(args[0], *values)
-
-    return lane(mask, if_true, if_false), codegen
-
-
-def unary_intrinsic(name: str) -> Any:
-    """Make an intrinsic of one LLVM vector function such as ``llvm.sqrt``."""
-
-    @intrinsic
-    def call(typingctx: Any, value: Any) -> Any:
-        del typingctx
-
-        def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-            del context, sig
-            vector = args[0].type
-            # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.
-            mangled = f"{name}.v{value.width}f{value.dtype.bitwidth}"
-            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector]), mangled)
-            return builder.call(function, args)
-
-        return value(value), codegen
-
-    return call
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def read_control_word(typingctx: Any) -> Any:
-    """Control word MXCSR of the vector unit; 0 on other processors."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig, args
-        place = cgutils.alloca_once_value(builder, ir.Constant(ir.IntType(32), 0))
-        call_with_pointer(builder, "llvm.x86.sse.stmxcsr", place)
-        return builder.load(place)
-
-    return types.uint32(), codegen
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def write_control_word(typingctx: Any, word: Any) -> Any:
-    """Set the control word MXCSR; nothing on other processors."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del sig
-        call_with_pointer(builder, "llvm.x86.sse.ldmxcsr", cgutils.alloca_once_value(builder, args[0]))
-        return context.get_dummy_value()
-
-    return types.void(word), codegen
-
-
-def call_with_pointer(builder: Any, name: str, place: Any) -> None:
-    """Call an x86 instruction that takes the address of a 32-bit word."""
-    if not ON_X86:
-        return
-    byte_pointer = ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [byte_pointer])
-    function = cgutils.get_or_insert_function(builder.module, kind, name)
-    builder.call(function, [builder.bitcast(place, byte_pointer)])
-
-
-def _flush() -> Any:
-    word = read_control_word()
-    write_control_word(np.uint32(word | np.uint32(FLUSH_BITS)))
-    return word
-
-
-sqrt_vector = unary_intrinsic("llvm.sqrt")
-absolute_vector = unary_intrinsic("llvm.fabs")
-
-
-# --- what kernels call; the Python bodies are the meaning, the overloads the machine code -----------
-
-
-def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
+def load(array: Vector, index: tuple[Vector, ...], width: int) -> Vector:
     """Lane vector in row ``index`` of an array whose last axis is the lane."""
     del width
     return array[index].copy()
 
 
-def store(array: Any, index: tuple[Any, ...], value: Any) -> None:
+def store(array: Vector, index: tuple[Vector, ...], value: Vector) -> None:
     """Write a lane vector into row ``index`` of an array whose last axis is the lane."""
     array[index] = value
 
 
-def spread(number: Any, width: int) -> Any:
+def spread(number: Vector, width: int) -> Vector:
     """Lane vector with ``number`` in every lane."""
     return np.full(width, number)
 
 
-def mask_of_bits(bits: Any, width: int) -> Any:
+def mask_of_bits(bits: Vector, width: int) -> Vector:
     """Mask whose lane ``l`` is bit ``l`` of an unsigned integer."""
     return (np.uint64(bits) >> np.arange(width, dtype=np.uint64)) & np.uint64(1) == 1
 
 
-def bits_of_mask(mask: Any) -> Any:
+def bits_of_mask(mask: Vector) -> Vector:
     """Unsigned integer whose bit ``l`` is lane ``l`` of the mask."""
     return np.uint64(sum(1 << lane for lane, truth in enumerate(mask) if truth))
 
 
-def select(mask: Any, if_true: Any, if_false: Any) -> Any:
+def select(mask: Vector, if_true: Vector, if_false: Vector) -> Vector:
     """``if_true`` in the lanes where the mask holds, ``if_false`` in the others."""
     return np.where(mask, if_true, if_false)
 
 
-def square_root(value: Any) -> Any:
+def square_root(value: Vector) -> Vector:
     """Square root lane by lane; NaN, without a warning, where the value is negative."""
     with np.errstate(invalid="ignore"):
         return np.sqrt(value)
 
 
-def magnitude(value: Any) -> Any:
+def magnitude(value: Vector) -> Vector:
     """Absolute value lane by lane."""
     return np.abs(value)
 
 
-def larger(a: Any, b: Any) -> Any:
+def larger(a: Vector, b: Vector) -> Vector:
     """Larger of two values lane by lane (the second where they compare false, as with NaN)."""
     return np.where(a > b, a, b)
 
 
-def smaller(a: Any, b: Any) -> Any:
+def smaller(a: Vector, b: Vector) -> Vector:
     """Smaller of two values lane by lane (the second where they compare false, as with NaN)."""
     return np.where(a < b, a, b)
 
 
-def flush_tiny_numbers() -> Any:
+def flush_tiny_numbers() -> Vector:
     """Let the processor take denormal numbers (below 2e-308, or 1e-38 in single precision) for zero.
 
     Ahead of a wave front amplitudes fall off without end, and each operation on a denormal costs a hundred ordinary
@@ -396,12 +101,12 @@ def flush_tiny_numbers() -> Any:
     return np.uint32(0)
 
 
-def restore_control_word(word: Any) -> None:
+def restore_control_word(word: Vector) -> None:
     """Undo `flush_tiny_numbers`."""
     del word
 
 
-# numba wants two levels: the outer function sees types, the inner one is compiled.
+# The Python bodies above are the meaning, the overloads the machine code.
 overload(load, prefer_literal=True)(
     lambda array, index, width: lambda array, index, width: load_vector(array, index, width)
 )
@@ -409,12 +114,10 @@ overload(store)(lambda array, index, value: lambda array, index, value: store_ve
 overload(spread, prefer_literal=True)(lambda number, width: lambda number, width: spread_scalar(number, width))
 overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, width: bits_to_mask(bits, width))
 overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))
-overload(select)(
-    lambda mask, if_true, if_false: lambda mask, if_true, if_false: select_lanes(mask, if_true, if_false)
-)
+overload(select)(lambda mask, if_true, if_false: lambda mask, if_true, if_false: select_lanes(mask, if_true, if_false))
 overload(square_root)(lambda value: lambda value: sqrt_vector(value))
 overload(magnitude)(lambda value: lambda value: absolute_vector(value))
 overload(larger)(lambda a, b: lambda a, b: select_lanes(a > b, a, b))
 overload(smaller)(lambda a, b: lambda a, b: select_lanes(a < b, a, b))
-overload(flush_tiny_numbers)(lambda: _flush)
+overload(flush_tiny_numbers)(lambda: flush_tiny)
 overload(restore_control_word)(lambda word: lambda word: write_control_word(np.uint32(word)))

@@ -153,7 +153,6 @@ def general_law(
     watch: Watch,
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment from overlap, histories and the increments of the last step."""
-    lanes = features.lanes
     speed, spin = slide_and_twist(features, first, second, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:

@@ -71,7 +71,7 @@ def sweep(
 
 
 @inlined
-def sweep_steps(
+def sweep_steps(  # noqa: C901 - the branches are compile-time switches
     features: Features,
     steps: int,
     time_step: Floats,
@@ -109,7 +109,7 @@ def sweep_steps(
             done = recording.offset + step + 1
             if done % recording.stride == 0:
                 write_sample(features, done // recording.stride - 1, motion, walls, recording)
-        if features.search:
+        if features.search:  # noqa: SIM102 - known to the compiler, unlike the condition within
             if bits_of_mask(far) != 0:
                 return step + 1
     return steps
@@ -130,7 +130,13 @@ def taken_force(features: Features, grain: int, grains: Grains, motion: Motion) 
 
 @inlined
 def integrate(
-    features: Features, grain: int, dt: Vector, grains: Grains, motion: Motion, watch: Watch, force: tuple[Vector, Vector, Vector]
+    features: Features,
+    grain: int,
+    dt: Vector,
+    grains: Grains,
+    motion: Motion,
+    watch: Watch,
+    force: tuple[Vector, Vector, Vector],
 ) -> Vector:
     """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
     lanes = features.lanes
@@ -190,9 +196,7 @@ def kick(
 
 
 @inlined
-def write_sample(
-    features: Features, sample: int, motion: Motion, walls: Walls, recording: Recording
-) -> None:
+def write_sample(features: Features, sample: int, motion: Motion, walls: Walls, recording: Recording) -> None:
     """Record the shear force on the receiving wall and the mean velocity of the listening disks."""
     lanes = features.lanes
     store(recording.samples, (sample, 0), load(walls.reaction, (recording.receiver, 1), lanes))

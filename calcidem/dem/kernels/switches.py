@@ -4,6 +4,10 @@ The values are part of the argument's *type*, so ``if features.slip:`` costs not
 combination is compiled and cached once, and with the JIT off the same code reads the plain dataclass.
 """
 
+# ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
+# numba describes only a part of itself:
+# mypy: disable-error-code="no-untyped-call, untyped-decorator, override"
+
 from hashlib import sha256
 from pathlib import Path
 from typing import Any

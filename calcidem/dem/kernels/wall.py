@@ -43,9 +43,7 @@ def wall_forces(
     else:
         slide = wall_slide(features, grain, wall, arm, motion.velocity, walls, 3) * dt
         friction = min(walls.friction[wall], grains.friction[grain])
-        normal, stiffness, shear = wall_law(
-            features, pair, shear_ratio, friction, depth, slide, wall_pairs, watch
-        )
+        normal, stiffness, shear = wall_law(features, pair, shear_ratio, friction, depth, slide, wall_pairs, watch)
     add_reaction(features, wall, normal, -shear, stiffness, walls)
     turning = force[2]
     if features.rotation:
@@ -121,10 +119,10 @@ def move_wall(
     lanes = features.lanes
     before_normal, before_tangent = load(walls.motion, (wall, 2), lanes), load(walls.motion, (wall, 3), lanes)
     along_normal, along_tangent = before_normal, before_tangent
-    if features.recording:
+    if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
         if wall == recording.driven:
             along_tangent = load(recording.drive, (step,), lanes)
-    if features.servo:
+    if features.servo:  # noqa: SIM102 - as above
         if walls.servo[wall, 0] > 0.0:
             along_normal = servo_speed(features, wall, dt, walls)
     store(walls.motion, (wall, 2), along_normal)

@@ -84,18 +84,14 @@ def upgrade() -> None:
             "mean_overlap >= 0 AND mean_overlap < 1e+300", name=op.f("ck_packing_mean_overlap_not_negative")
         ),
         sa.CheckConstraint("number >= 0 AND number < 1e+300", name=op.f("ck_packing_number_not_negative")),
-        sa.CheckConstraint(
-            "porosity >= 0 AND porosity < 1e+300", name=op.f("ck_packing_porosity_not_negative")
-        ),
+        sa.CheckConstraint("porosity >= 0 AND porosity < 1e+300", name=op.f("ck_packing_porosity_not_negative")),
         sa.CheckConstraint("seconds >= 0 AND seconds < 1e+300", name=op.f("ck_packing_seconds_not_negative")),
         sa.CheckConstraint(
             "unbalanced_ratio >= 0 AND unbalanced_ratio < 1e+300",
             name=op.f("ck_packing_unbalanced_ratio_not_negative"),
         ),
         sa.CheckConstraint("width > 0 AND width < 1e+300", name=op.f("ck_packing_width_positive")),
-        sa.ForeignKeyConstraint(
-            ["campaign_id"], ["campaign.id"], name=op.f("fk_packing_campaign_id_campaign")
-        ),
+        sa.ForeignKeyConstraint(["campaign_id"], ["campaign.id"], name=op.f("fk_packing_campaign_id_campaign")),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_packing")),
         sa.UniqueConstraint("campaign_id", "number", name=op.f("uq_packing_campaign_id_number")),
     )
@@ -166,9 +162,7 @@ def upgrade() -> None:
         sa.Column("c_contacts", sa.Integer(), nullable=True),
         sa.Column("clusters", sa.Integer(), nullable=True),
         sa.Column("bonded_contacts", sa.Integer(), nullable=True),
-        sa.CheckConstraint(
-            "(status = 'done') = (vs IS NOT NULL)", name=op.f("ck_result_vs_if_and_only_if_done")
-        ),
+        sa.CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name=op.f("ck_result_vs_if_and_only_if_done")),
         sa.CheckConstraint(
             "status <> 'done' OR (vs IS NOT NULL AND frequency IS NOT NULL"
             " AND time_step IS NOT NULL AND stability_limit IS NOT NULL AND steps IS NOT NULL)",
@@ -182,12 +176,8 @@ def upgrade() -> None:
             "bonded_contacts >= 0 AND bonded_contacts < 1e+300",
             name=op.f("ck_result_bonded_contacts_not_negative"),
         ),
-        sa.CheckConstraint(
-            "c_contacts >= 0 AND c_contacts < 1e+300", name=op.f("ck_result_c_contacts_not_negative")
-        ),
-        sa.CheckConstraint(
-            "clusters >= 0 AND clusters < 1e+300", name=op.f("ck_result_clusters_not_negative")
-        ),
+        sa.CheckConstraint("c_contacts >= 0 AND c_contacts < 1e+300", name=op.f("ck_result_c_contacts_not_negative")),
+        sa.CheckConstraint("clusters >= 0 AND clusters < 1e+300", name=op.f("ck_result_clusters_not_negative")),
         sa.CheckConstraint(
             "content_reached >= 0 AND content_reached < 1e+300",
             name=op.f("ck_result_content_reached_not_negative"),
@@ -200,9 +190,7 @@ def upgrade() -> None:
             name=op.f("ck_result_error_estimate_finite"),
         ),
         sa.CheckConstraint("frequency > 0 AND frequency < 1e+300", name=op.f("ck_result_frequency_positive")),
-        sa.CheckConstraint(
-            "p_contacts >= 0 AND p_contacts < 1e+300", name=op.f("ck_result_p_contacts_not_negative")
-        ),
+        sa.CheckConstraint("p_contacts >= 0 AND p_contacts < 1e+300", name=op.f("ck_result_p_contacts_not_negative")),
         sa.CheckConstraint(
             "quality_cross_correlation > -1e+300 AND quality_cross_correlation < 1e+300",
             name=op.f("ck_result_quality_cross_correlation_finite"),

@@ -1,0 +1,209 @@
+"""Contact-steps per CPU second of calcidem, LAMMPS and YADE on one packing, one core, in turns.
+
+    python benchmarks/peers/run.py [--rounds N] [--json FILE] [--core C] [--seconds S]
+
+Start-up, set-up and compilation are not counted. A contact is a pair of disks that overlap, whatever a program has in
+its lists; a contact-step is one contact of one sample advanced by one step.
+"""
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from agreement import check_agreement
+from programs import HOW_TO, Programs, Worker, find_programs
+from scenes import packing_problem, touching_pairs
+
+WARM_UP_STEPS = 20
+
+
+@dataclass
+class Case:
+    """One program in one mode on one scene, and what was measured."""
+
+    name: str
+    program: str
+    scene: str
+    arguments: tuple[str, ...] = ()
+    lanes: int = 1
+    nanoseconds: list[float] = field(default_factory=list)
+    contacts: int = 0
+    steps: int = 0
+
+    @property
+    def typical(self) -> float:
+        """Median nanoseconds of a contact-step."""
+        return median(self.nanoseconds)
+
+
+def calcidem_case(name: str, scene: str, regime: str, lanes: int, precision: str = "float64") -> Case:
+    """Case of calcidem with the shear rescaling of its campaigns."""
+    return Case(name, "calcidem", scene, (regime, str(lanes), precision, "1", "centred"), lanes)
+
+
+def all_cases(programs: Programs) -> list[Case]:
+    """Cases of all installed programs."""
+    cases = []
+    for scene in ("hertz", "bonded"):
+        cases += [
+            calcidem_case(f"{scene} finite", scene, "finite", 8),
+            calcidem_case(f"{scene} small", scene, "small", 8),
+            calcidem_case(f"{scene} linear", scene, "linear", 8),
+            calcidem_case(f"{scene} finite, 1 lane", scene, "finite", 1),
+            calcidem_case(f"{scene} finite, 16 lanes float32", scene, "finite", 16, "float32"),
+            calcidem_case(f"{scene} linear, 16 lanes float32", scene, "linear", 16, "float32"),
+        ]
+    if programs.lammps:
+        cases.append(Case("hertz LAMMPS", "lammps", "hertz"))
+        cases.append(Case("hertz LAMMPS, OPENMP package", "lammps", "hertz", ("omp",)))
+        cases.append(Case("bonded LAMMPS", "lammps", "bonded"))
+    if programs.yade:
+        cases.append(Case("hertz YADE", "yade", "hertz"))
+        cases.append(Case("bonded YADE", "yade", "bonded"))
+    return cases
+
+
+def measure(cases: list[Case], programs: Programs, rounds: int, seconds: float) -> None:
+    """Let the programs run in turns; every round starts from the same scene."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        problems = {name: packing_problem(bonded=name == "bonded") for name in ("hertz", "bonded")}
+        scenes = {name: problem.save(folder / f"{name}.npz") for name, problem in problems.items()}
+        workers = []
+        for case in cases:
+            worker = stack.enter_context(Worker(programs, case.program, scenes[case.scene], case.arguments))
+            worker.run(WARM_UP_STEPS)
+            case.steps = max(20, round(WARM_UP_STEPS * seconds / worker.run(WARM_UP_STEPS)))
+            workers.append(worker)
+        for turn in range(rounds):
+            order = range(len(cases)) if turn % 2 == 0 else range(len(cases) - 1, -1, -1)
+            for index in order:
+                measure_once(cases[index], workers[index], problems[cases[index].scene].radius)
+            print(f"  round {turn + 1} of {rounds} done", flush=True)
+
+
+def measure_once(case: Case, worker: Worker, radius: "np.ndarray[Any, Any]") -> None:
+    """One timed run of one case."""
+    worker.reset()
+    before = contact_count(worker, radius)
+    worker.run(WARM_UP_STEPS)
+    spent = worker.run(case.steps)
+    case.contacts = round((before + contact_count(worker, radius)) / 2)
+    case.nanoseconds.append(1e9 * spent / (case.steps * case.lanes * case.contacts))
+
+
+def contact_count(worker: Worker, radius: "np.ndarray[Any, Any]") -> int:
+    """Pairs of disks that overlap, counted from positions for every program alike."""
+    state = worker.state()
+    return len(touching_pairs(state[:, 0], state[:, 1], radius))
+
+
+def ratio(slow: list[Case], fast: Case) -> float:
+    """How many times faster; of several ways to run the peer the fastest one counts."""
+    best = min(slow, key=lambda case: case.typical)
+    return median(s / f for s, f in zip(best.nanoseconds, fast.nanoseconds, strict=True))
+
+
+def all_ratios(cases: list[Case]) -> dict[str, float]:
+    """Ratios against the installed peers; the plain names are finite displacement, double precision, 8 lanes."""
+    named = {case.name: case for case in cases}
+    ratios = {}
+    for peer, label in (("lammps", "LAMMPS"), ("yade", "YADE")):
+        for scene in ("hertz", "bonded"):
+            theirs = [case for name, case in named.items() if name.startswith(f"{scene} {label}")]
+            if not theirs:
+                continue
+            ratios[f"{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite"])
+            for mode in ("small", "linear"):
+                ratios[f"{mode}_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} {mode}"])
+            ratios[f"single_lane_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite, 1 lane"])
+            ratios[f"float32_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite, 16 lanes float32"])
+    return ratios
+
+
+def environment(core: int) -> dict[str, Any]:
+    """Machine and versions."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    flags = next((line for line in lines if line.startswith("flags")), "")
+    return {
+        "processor": model,
+        "avx512": "avx512f" in flags,
+        "core": core,
+        "load_average": os.getloadavg(),
+        "python": platform.python_version(),
+        "numba": version("numba"),
+        "numpy": version("numpy"),
+    }
+
+
+def print_table(cases: list[Case], ratios: dict[str, float]) -> None:
+    """Medians with their range, then ratios."""
+    print(f"\n{'case':40s} {'contacts':>8s} {'ns a contact-step':>18s} {'range':>15s} {'million/s':>10s}")
+    for case in cases:
+        low, high = min(case.nanoseconds), max(case.nanoseconds)
+        print(f"{case.name:40s} {case.contacts:8d} {case.typical:18.2f} {low:7.2f}-{high:7.2f} {1e3 / case.typical:10.1f}")
+    print()
+    for name, value in ratios.items():
+        print(f"{name:32s} {value:8.1f}")
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5, help="turns of each program (default 5)")
+    parser.add_argument("--seconds", type=float, default=0.5, help="CPU seconds of one turn (default 0.5)")
+    parser.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)")
+    parser.add_argument("--json", type=Path, default=None, help="write everything to this file, too")
+    parser.add_argument("--skip-agreement", action="store_true", help="leave out the check that all compute the same thing")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Run the comparison; 0 if it is valid, 1 if the programs do not agree."""
+    options = parse_arguments()
+    programs = find_programs(options.core)
+    for name in programs.missing:
+        print(HOW_TO[name] + "\nGoing on without it.\n")
+    agreement = []
+    if not options.skip_agreement:
+        print("Do they compute the same thing? Relative difference of displacements:")
+        agreement = check_agreement(programs)
+    cases = all_cases(programs)
+    print(f"\n{len(cases)} cases on core {options.core}")
+    measure(cases, programs, options.rounds, options.seconds)
+    ratios = all_ratios(cases)
+    print_table(cases, ratios)
+    agrees = all(row["agrees"] for row in agreement)
+    if not agrees:
+        print("\nThe programs do not compute the same thing, so the ratios mean nothing. See the lines marked DIFFERS.")
+    if options.json:
+        content = {
+            "ratios": ratios,
+            "medians": {case.name: case.typical for case in cases},
+            "rounds": {case.name: case.nanoseconds for case in cases},
+            "contacts": {case.name: case.contacts for case in cases},
+            "agreement": agreement,
+            "valid": agrees,
+            "environment": environment(options.core),
+        }
+        options.json.write_text(json.dumps(content, indent=2) + "\n")
+        print(f"\nwritten: {options.json}")
+    return 0 if agrees else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

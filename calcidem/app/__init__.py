@@ -1,0 +1,1 @@
+"""Configuration, command line and report: the part of calcidem that knows all the others."""

@@ -1,0 +1,260 @@
+"""One campaign from its configuration to its database: the same in one process and on many ranks."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any, Self
+
+from calcidem.app.cell_computation import cell_computation, expected_effort
+from calcidem.app.configuration import Configuration
+from calcidem.app.configuration_errors import ConfigurationError, Problem, shown
+from calcidem.app.configuration_file import load_configuration
+from calcidem.app.packing_record import packing_record
+from calcidem.app.packing_source import Tell, provide_packing
+from calcidem.app.provenance import run_record
+from calcidem.app.store_sink import Heartbeat, StoreSink
+from calcidem.dem.packing import Packing
+from calcidem.dem.wave import listening_disks, wave_scene
+from calcidem.storage.campaign import Campaign, open_campaign
+from calcidem.storage.canonical import canonical_json
+from calcidem.storage.engine import parse_address
+from calcidem.storage.records import CampaignRecord
+from calcidem.storage.sql_store import open_store
+from calcidem.storage.store import Store
+from calcidem.sweep import (
+    Batch,
+    BatchOutcome,
+    Place,
+    Progress,
+    StopRequest,
+    SweepEnd,
+    SweepOptions,
+    plan_batches,
+    run_sweep,
+)
+
+
+def run(
+    configuration: Configuration | str | os.PathLike[str],
+    *,
+    db: str | os.PathLike[str] | None = None,
+    output: str | os.PathLike[str] | None = None,
+) -> Campaign:
+    """Compute a campaign, or what is left of it, in this process.
+
+    Parameters
+    ----------
+    configuration
+        Or the TOML file that it is in.
+    db
+        SQLite file or database URL, instead of that of the configuration.
+    output
+        Folder for the results, instead of that of the configuration.
+
+    Returns
+    -------
+    Campaign
+        Open for reading; to be closed.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong with the configuration.
+    StoreError
+        If the database cannot be used.
+    PackingError
+        If the packing does not come to rest.
+
+    Examples
+    --------
+    >>> with calcidem.run("quick.toml", db="quick.db") as campaign:  # doctest: +SKIP
+    ...     print(campaign.vs().mean("seed"))
+    """
+    database, folder = (None if path is None else os.fspath(path) for path in (db, output))
+    if isinstance(configuration, Configuration):
+        own = configuration.run
+        options = replace(own, database=database or own.database, output=folder or own.output)
+        configuration = replace(configuration, run=options)
+    else:
+        configuration = load_configuration(configuration, {"database": database, "output": folder})
+    with CampaignRun(configuration, ranks=1, tell=lambda _: None) as work:
+        compute = cell_computation(configuration, work.packing, work.heartbeat)
+        # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
+        work.end = run_sweep(
+            None, work.batches, compute, work.sink, options=sweep_options(configuration), stop_request=StopRequest()
+        )
+    return open_campaign(configuration.database, configuration.campaign.name)
+
+
+def sweep_options(configuration: Configuration) -> SweepOptions:
+    """Limits of the sweep as the configuration has them."""
+    return SweepOptions(time_limit=configuration.run.time_limit)
+
+
+class CampaignRun:
+    """What rank 0 holds while a campaign is computed: its database, its packing and what is left to do.
+
+    As a context manager it closes the database and notes how the run ended. A database that is there is looked at
+    before the packing is made, so that one of another campaign is refused at once; a new one is made after the packing,
+    so that a configuration that the packing cannot fulfil leaves none behind.
+
+    Parameters
+    ----------
+    configuration
+        What to compute.
+    ranks
+        Number of MPI ranks that do.
+    tell
+        Takes sentences for the user.
+
+    Attributes
+    ----------
+    packing, store, record
+        Of the campaign.
+    batches
+        What is left to compute, in order.
+    sink
+        Takes the outcomes.
+    heartbeat
+        To be called often while cells are computed.
+    end
+        To be set to the end of the sweep.
+    """
+
+    def __init__(self, configuration: Configuration, ranks: int, tell: Tell) -> None:
+        self.configuration = configuration
+        self.end: SweepEnd | None = None
+        store = self._master(tell) if exists(configuration.database) else None
+        try:
+            self.packing = provide_packing(configuration, store, tell)
+            check_against_packing(configuration, self.packing)
+            store = store or self._master(tell)
+            self.store: Store = store
+            self._begin(ranks)
+        except BaseException:
+            if store is not None:
+                store.close()
+            raise
+
+    def _master(self, tell: Tell) -> Store:
+        """Open the database and become the only one that writes this campaign."""
+        configuration = self.configuration
+        path = parse_address(configuration.database).path
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        store = open_store(configuration.database)
+        try:
+            store.begin_campaign(
+                CampaignRecord(
+                    hash=configuration.hash,
+                    name=configuration.campaign.name,
+                    config=canonical_json(configuration.physics),
+                    contents=(),
+                    seeds=(),
+                    created=datetime.now(UTC),
+                )
+            )
+            former = store.acquire_lease().taken_over_from
+        except BaseException:
+            store.close()
+            raise
+        if former is not None:
+            tell(f"Taken over from {former}, which ended without saying so.")
+        return store
+
+    def _begin(self, ranks: int) -> None:
+        """Plan the cells and the batches."""
+        plan, run = self.configuration.campaign, self.configuration.run
+        record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
+        self.store.save_packing(record)
+        self.store.extend(plan.seed_numbers, plan.contents)
+        self.record = self.store.use_campaign(plan.name)
+        pending = self.store.pending(plan.seed_numbers, plan.contents)
+        self.sink = StoreSink(self.store, pending)
+        self.heartbeat = Heartbeat(self.store)
+        self.batches = plan_batches(
+            [(key.seed, key.content) for key in pending],
+            run.lanes,
+            lambda content: expected_effort(self.configuration, content),
+            self.sink.losses,
+        )
+        self.store.begin_run(run_record(ranks))
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Note how it ended and close the database."""
+        try:
+            if self.end is not None:
+                detail = f": {self.end.detail}" if self.end.detail else ""
+                self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
+        finally:
+            self.store.close()
+
+
+def exists(database: str) -> bool:
+    """Whether a database may be there already; a server always is."""
+    path = parse_address(database).path
+    return path is None or path.exists()
+
+
+def check_against_packing(configuration: Configuration, packing: Packing) -> None:
+    """Refuse what the packing that was made cannot hold.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong.
+    """
+    problems = []
+    experiment, plan = configuration.experiment(packing), configuration.campaign
+    try:
+        wave_scene(packing, configuration.sand, configuration.wave, None)
+    except ValueError as error:
+        problems.append(Problem(f"wave.{error}"))
+    if not len(listening_disks(packing, configuration.wave)):
+        problem = f"wave.listening_depth = {configuration.wave.listening_depth}: holds no disk at the receiver"
+        problems.append(Problem(f"{problem}; make it or wave.receiver_half_width larger"))
+    largest = max(plan.contents)
+    room = {seed: experiment.ordering(seed).maximum_content for seed in plan.seed_numbers}
+    tightest = min(room, key=lambda seed: room[seed])
+    if largest > room[tightest]:
+        limit = f"the packing holds at most {room[tightest]:.4g} % of calcite (seed {tightest})"
+        problems.append(Problem(f"campaign.contents = {shown(plan.contents)}: {limit}; leave larger contents out"))
+    if problems:
+        raise ConfigurationError("configuration", problems)
+
+
+@dataclass(frozen=True, slots=True)
+class TellingHeartbeat:
+    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps."""
+
+    shown: Progress
+    heartbeat: Heartbeat
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Pass on."""
+        self.shown.started(batches, workers)
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Pass on."""
+        self.shown.settled(outcome)
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Pass on."""
+        self.shown.lost(place, reason)
+
+    def tick(self, workers: int, running: int) -> None:
+        """Give a sign of life and pass on."""
+        self.heartbeat()
+        self.shown.tick(workers, running)
+
+    def ended(self, end: SweepEnd) -> None:
+        """Pass on."""
+        self.shown.ended(end)

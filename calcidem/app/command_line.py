@@ -1,0 +1,133 @@
+"""The command `calcidem`."""
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# The commands import what they need: numerical libraries take seconds to load, and `--help` should not.
+# ruff: noqa: PLC0415
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+DEFAULT_CONFIGURATION = Path("calcidem.toml")
+
+app = typer.Typer(
+    help="How much does the shear-wave velocity of sand vary because calcite cements its grains at random places?",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ConfigurationFile = Annotated[Path, typer.Argument(metavar="[CONFIG]", help="TOML file of the campaign.")]
+Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
+CampaignName = Annotated[str | None, typer.Option("--campaign", help="Which one, if the database has several.")]
+
+
+class Preset(StrEnum):
+    """Example configurations that come with calcidem."""
+
+    QUICK = "quick"
+    PAPER = "paper"
+
+
+@app.command()
+def init(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="File to write.")] = DEFAULT_CONFIGURATION,
+    preset: Annotated[Preset, typer.Option(help="quick: 6 contents x 4 seeds; paper: all 17 x 116.")] = Preset.QUICK,
+) -> None:
+    """Write an example configuration to start from."""
+    from calcidem.app.presets import preset_text
+
+    with file.open("x", encoding="utf-8") as target:
+        target.write(preset_text(preset))
+    typer.echo(f"Wrote {file}. Change it as you like, then: calcidem run {file}")
+
+
+@app.command()
+def run(
+    configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
+    database: Annotated[
+        str | None, typer.Option("--db", metavar="FILE", help="Database: file or URL, instead of the configuration's.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the results, instead of the configuration's.")
+    ] = None,
+    ranks: Annotated[
+        int | None,
+        typer.Option(min=0, help="Start so many MPI ranks, of which the first coordinates; 0: all cores and one more."),
+    ] = None,
+) -> None:
+    """Compute a campaign, or go on with it: the same command continues after a stop."""
+    if ranks is not None and ranks != 1:
+        from calcidem.app.launch import default_ranks, launch
+
+        arguments = ["run", str(configuration)]
+        arguments += ["--db", database] if database is not None else []
+        arguments += ["--output", str(output)] if output is not None else []
+        raise typer.Exit(launch(arguments, ranks or default_ranks()))
+    from calcidem.app.run_command import run_campaign
+
+    run_campaign(configuration, {"database": database, "output": None if output is None else str(output)})
+
+
+@app.command()
+def packing(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
+    """Make the packing of a campaign, keep it in the cache, and report on it."""
+    from calcidem.app.configuration_file import load_configuration
+    from calcidem.app.packing_source import provide_packing
+    from calcidem.app.summary import packing_lines
+
+    made = provide_packing(load_configuration(configuration), None, typer.echo)
+    for line in packing_lines(made):
+        typer.echo(line)
+
+
+@app.command()
+def status(database: Database, campaign: CampaignName = None) -> None:
+    """Show how far a campaign is, also while it runs."""
+    from calcidem.app.run_command import make_console
+    from calcidem.app.summary import campaign_lines, velocity_table
+    from calcidem.storage.campaign import open_campaign
+    from calcidem.storage.store import Selection
+
+    with open_campaign(database, campaign) as opened:
+        for line in campaign_lines(opened):
+            typer.echo(line)
+        make_console().print(velocity_table(opened.store, Selection()))
+
+
+@app.command()
+def export(
+    database: Database,
+    netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
+    campaign: CampaignName = None,
+) -> None:
+    """Write a campaign into a NetCDF file."""
+    from calcidem.storage.campaign import open_campaign
+    from calcidem.storage.export import export_netcdf
+
+    with open_campaign(database, campaign) as opened:
+        typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf)}")
+
+
+def main() -> None:
+    """Entry point: run a command, and tell errors that are the user's to cure in one message."""
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
+    try:
+        app()
+    except Exception as error:
+        from calcidem.app.user_errors import USER_ERRORS, exit_code_of
+
+        if not isinstance(error, USER_ERRORS):
+            raise
+        sys.stderr.write(f"Error: {error}\n")
+        sys.exit(exit_code_of(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What is wrong with a configuration, in words that name section, field, value and cure."""
+
+import json
+from dataclasses import dataclass
+
+from pydantic_core import ErrorDetails
+
+CURES = {
+    "float_type": "is not a number; write for example 0.5",
+    "int_type": "is not a whole number; write for example 4",
+    "bool_type": "is neither true nor false; write one of the two, without quotes",
+    "string_type": 'is not a text; put it in quotes "..."',
+    "tuple_type": "is not a list; write for example [1.0, 2.0]",
+    "finite_number": "is not finite; give a number",
+}
+"""Problem and cure for each kind of error that pydantic tells apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong.
+
+    Attributes
+    ----------
+    message
+        ``section.field = value: what is wrong; cure``.
+    fields
+        The fields that it is about, as ``section.field``.
+    """
+
+    message: str
+    fields: tuple[str, ...] = ()
+
+
+class ConfigurationError(ValueError):
+    """A configuration that cannot be computed; says everything that is wrong with it at once.
+
+    Parameters
+    ----------
+    source
+        Where the configuration is from: a file name.
+    problems
+        At least one.
+    """
+
+    def __init__(self, source: str, problems: list[Problem]) -> None:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        lines = "".join(f"\n  {problem.message}" for problem in problems)
+        super().__init__(f"{source}: {count}, nothing was computed{lines}")
+        self.source = source
+        self.problems = problems
+
+    def __reduce__(self) -> tuple[type["ConfigurationError"], tuple[str, list[Problem]]]:
+        """Pickle with both arguments."""
+        return type(self), (self.source, self.problems)
+
+
+def shown(value: object) -> str:
+    """Value as it would stand in the file."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(shown(item) for item in value)}]"
+    if isinstance(value, str | bool):
+        return json.dumps(value, ensure_ascii=False)
+    return repr(value)
+
+
+def in_words(error: ErrorDetails) -> str:
+    """Problem and cure of one error of pydantic.
+
+    Parameters
+    ----------
+    error
+        An entry of ``ValidationError.errors()``.
+    """
+    kind = error["type"]
+    if kind == "literal_error":
+        choices = error["ctx"]["expected"].replace("'", '"')
+        return f"is not one of the choices; choose {choices}"
+    if kind in {"missing", "too_long"}:
+        return "has the wrong number of entries"
+    where = f"entry {error['loc'][0] + 1} " if error["loc"] and isinstance(error["loc"][0], int) else ""
+    return where + CURES.get(kind, error["msg"])

@@ -1,0 +1,79 @@
+"""Tables that hold the campaign beside the published study, and the study beside itself."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.published_check import check_study, check_verdicts
+from calcidem.app.report.wording import ABSENT, Table, number, probability, with_bounds
+
+if TYPE_CHECKING:
+    from calcidem.analysis.campaign_features import CampaignAnalysis
+
+SIGNIFICANCE = 0.05
+
+
+def published_table(analysis: CampaignAnalysis) -> Table | None:
+    """Mean, deviation and normality beside the published ones; None where contents do not match."""
+    published = published_velocities(analysis)
+    if not published:
+        return None
+    here = {round(row.content, 6): row.vs for row in analysis.distributions}
+    verdicts = {check.content: check for check in check_verdicts()}
+    rows: list[tuple[str, ...]] = []
+    marked: set[int] = set()
+    for content, row in published:
+        vs, verdict = here[round(content, 6)], verdicts[content]
+        p_value = vs.normality.p_small_sample
+        if vs.mean_interval.low > row.mean or vs.mean_interval.high < row.mean:
+            marked.add(len(rows))
+        rows.append(
+            (
+                f"{content:g}",
+                with_bounds(vs.mean, vs.mean_interval),
+                number(row.mean),
+                f"{number(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
+                with_bounds(vs.standard_deviation, vs.standard_deviation_interval_bootstrap),
+                number(row.standard_deviation),
+                _normal(None if math.isnan(p_value) else p_value >= SIGNIFICANCE),
+                _normal(row.normal),
+                f"{_normal(verdict.computed_normal)} (p {probability(verdict.test.p_asymptotic)})",
+            )
+        )
+    return Table(
+        "This campaign and the published one. Marked: the published mean lies outside the 95 % interval of the "
+        "mean here (the published mean has an error of its own). Normal: not rejected by the Jarque-Bera test at "
+        "5 %. The last column tests the printed skewness and kurtosis; where it differs from the verdict "
+        "printed beside them, the published table disagrees with itself.",
+        (
+            "content (%)",
+            "mean (m/s)",
+            "published",
+            "difference",
+            "standard deviation (m/s)",
+            "published",
+            "normal here",
+            "printed as normal",
+            "normal by printed moments",
+        ),
+        tuple(rows),
+        frozenset(marked),
+    )
+
+
+def disagreement_table() -> Table:
+    """What in the published study does not agree with its own numbers."""
+    findings = [finding for finding in check_study() if not finding.agrees]
+    rows = tuple((finding.place, finding.printed, finding.computed) for finding in findings)
+    return Table(
+        f"{len(findings)} of {len(check_study())} checked statements of the published study do not follow from "
+        "its own printed numbers. Nothing is corrected here.",
+        ("place", "printed", "computed from what is printed"),
+        rows,
+    )
+
+
+def _normal(verdict: bool | None) -> str:
+    return ABSENT if verdict is None else "yes" if verdict else "no"

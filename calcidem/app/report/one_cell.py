@@ -1,0 +1,89 @@
+"""A closer look at one sample: outcome, cement, path and signals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.figures.registry import read_arrival
+from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.signals import draw_signals
+from calcidem.analysis.figures.style import save
+from calcidem.app.report.wording import ABSENT, Table, number, significant
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.quantities import QUANTITIES, Quantity
+from calcidem.storage.store import Selection
+
+if TYPE_CHECKING:
+    import os
+
+
+def show_cell(
+    database: str | os.PathLike[str],
+    seed: int,
+    content: float,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    campaign_name: str | None = None,
+) -> tuple[Table, list[Path]]:
+    """Describe one cell, and draw it if a folder is given.
+
+    Parameters
+    ----------
+    database
+        SQLite file or database URL.
+    seed, content
+        Which cell; content in percent.
+    out
+        Folder for the figures cement, path and signals, as far as the cell has what they need.
+    campaign_name
+        Which campaign, where the database has several.
+
+    Returns
+    -------
+    tuple
+        All quantities of the cell as a table, and the files written.
+
+    Raises
+    ------
+    UnknownCellError
+        If the cell has no outcome.
+    StoreError
+        If the database can't be read.
+    """
+    with open_campaign(database, campaign_name) as campaign:
+        campaign.cell(seed=seed, content=content)  # says what is wrong if there is none
+        analysis = CampaignAnalysis(campaign)
+        values = campaign.store.table(
+            [quantity.name for quantity in QUANTITIES], Selection(seeds=(seed,), contents=(content,))
+        )
+        rows = [(quantity.meaning, _text(quantity, values[quantity.name][0])) for quantity in QUANTITIES]
+        shown = tuple(row for row in rows if row[1] not in {"", ABSENT})
+        files = [] if out is None else _draw(analysis, seed, content, Path(out))
+    return Table(f"Seed {seed} at {content:g} %.", ("quantity", "value"), shown), files
+
+
+def _text(quantity: Quantity, value: str | float | None) -> str:
+    if quantity.kind == "text" or isinstance(value, str):
+        return str(value or "")
+    text = number(value) if quantity.kind == "whole" else significant(value, 6)
+    return text if quantity.unit == "1" or text == ABSENT else f"{text} {quantity.unit}"
+
+
+def _draw(analysis: CampaignAnalysis, seed: int, content: float, folder: Path) -> list[Path]:
+    name = f"seed{seed}_content{content:g}"
+    files: list[Path] = []
+    try:
+        sample = analysis.sample(seed, content)
+    except UnavailableError:
+        pass
+    else:
+        graph = analysis.graphs[sample.packing_index]
+        files += save(draw_cemented_samples(graph, [sample]), folder, f"{name}_cement")
+        files += save(draw_preferential_paths(graph, [sample]), folder, f"{name}_path")
+    try:
+        arrival = read_arrival(analysis, seed, content)
+    except UnavailableError:
+        return files
+    return [*files, *save(draw_signals([arrival]), folder, f"{name}_signals")]

@@ -1,0 +1,237 @@
+"""The report: one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit, UnavailableError
+from calcidem.app.report.comparison import disagreement_table, published_table
+from calcidem.app.report.pictures import Picture, campaign_pictures, study_pictures
+from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
+from calcidem.app.report.results import (
+    cost_table,
+    feature_table,
+    growth_table,
+    law_table,
+    outcome_table,
+    velocity_table,
+)
+from calcidem.app.report.wording import Table, duration, number, significant
+from calcidem.storage.campaign import open_campaign
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import xarray as xr
+
+FEW_SEEDS = 30
+"""Below this a skewness, a kurtosis and the verdict on normality say little."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the page.
+
+    Parameters
+    ----------
+    anchor, title
+        Name in links, and heading.
+    text
+        Paragraphs.
+    tables, pictures
+        In the order in which they are shown, tables after pictures.
+    folded
+        Tables that open on a click.
+    """
+
+    anchor: str
+    title: str
+    text: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    folded: tuple[Table, ...] = ()
+
+
+def write_report(
+    database: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    campaign_name: str | None = None,
+    studies: Mapping[str, xr.Dataset] | None = None,
+) -> Path:
+    """Write the report of a campaign.
+
+    Parameters
+    ----------
+    database
+        SQLite file or database URL; a run may go on writing it.
+    out
+        HTML file; replaced only when the new one is complete.
+    campaign_name
+        Which campaign, where the database has several.
+    studies
+        Results of `calcidem.analysis.studies` to show, named "frequency" and "damping".
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    StoreError
+        If the database can't be read.
+    OSError
+        If the file can't be written.
+    """
+    target = Path(out)
+    with open_campaign(database, campaign_name) as campaign:
+        text = render_page(CampaignAnalysis(campaign), studies or {})
+    partial = target.with_name(f"{target.name}.{os.getpid()}.part")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(target)
+    return target
+
+
+def render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
+    """Give the page as text."""
+    pictures = {picture.name: picture for picture in campaign_pictures(analysis)}
+    sections = (
+        _velocities(analysis, pictures),
+        _samples(pictures),
+        _paths(analysis, pictures),
+        _errors(analysis, pictures),
+        _sensitivity(studies),
+        _comparison(analysis),
+        _provenance(analysis),
+    )
+    environment = Environment(
+        loader=PackageLoader("calcidem.app.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    record = analysis.campaign.record
+    return environment.get_template("report.html").render(
+        name=record.name,
+        hash=record.hash,
+        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        facts=key_facts(analysis),
+        sections=[section for section in sections if section],
+    )
+
+
+def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
+    """Give the numbers that say at a glance what the campaign is."""
+    outcomes, cells = analysis.outcomes, analysis.cells
+    done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
+    missing = int(outcomes["missing"].sum())
+    means = [row.vs.mean for row in analysis.distributions if row.vs.n]
+    errors = cells["error_estimate"].to_numpy()
+    seconds = float(np.nansum(cells["seconds"].to_numpy()))
+    error = f"{significant(100 * float(np.nanmax(errors)), 2)} %" if np.isfinite(errors).any() else "unknown"
+    span = f"{number(min(means))} to {number(max(means))} m/s" if means else "none"
+    return (
+        ("samples measured", f"{done} of {done + failed + missing}"),
+        ("without velocity", str(failed)),
+        ("not computed yet", str(missing)),
+        ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
+        ("mean Vs", span),
+        ("largest numerical error", error),
+        ("computing time", duration(seconds)),
+    )
+
+
+def _velocities(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+    tables = [velocity_table(analysis), outcome_table(analysis), growth_table(analysis)]
+    text = []
+    measured = [row.vs.n for row in analysis.distributions if row.vs.n]
+    if measured and min(measured) < FEW_SEEDS:
+        text.append(
+            f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
+            "that does not reject normality proves little."
+        )
+    return Section(
+        "velocities",
+        "Shear-wave velocity",
+        tuple(text),
+        tables=tuple(table for table in tables if table),
+        pictures=(pictures["vs_range"], pictures["histograms"]),
+    )
+
+
+def _samples(pictures: Mapping[str, Picture]) -> Section:
+    shown = ("samples", "measurement", "signals", "methods")
+    return Section("samples", "Samples and measurement", pictures=tuple(pictures[name] for name in shown))
+
+
+def _paths(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+    tables: list[Table] = []
+    reasons: list[str] = []
+    makers: tuple[Callable[[], Table], ...] = (
+        lambda: feature_table(analysis),
+        lambda: law_table(_laws(analysis)),
+    )
+    for make in makers:
+        try:
+            tables.append(make())
+        except UnavailableError as error:
+            reasons.append(f"A table is left out: {error}.")
+    shown = ("paths", "correlations", "weight_scan", "laws")
+    return Section(
+        "paths",
+        "Preferential paths and connectivity",
+        tuple(reasons),
+        tables=tuple(tables),
+        pictures=tuple(pictures[name] for name in shown),
+    )
+
+
+def _laws(analysis: CampaignAnalysis) -> list[LawFit]:
+    return [analysis.physical_law, analysis.scanned_law]
+
+
+def _errors(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+    return Section("errors", "Errors and run time", tables=(cost_table(analysis),), pictures=(pictures["narrowing"],))
+
+
+def _sensitivity(studies: Mapping[str, xr.Dataset]) -> Section | None:
+    pictures = tuple(study_pictures(studies))
+    return Section("sensitivity", "Sensitivity", pictures=pictures) if pictures else None
+
+
+def _comparison(analysis: CampaignAnalysis) -> Section:
+    table = published_table(analysis)
+    text = () if table else ("The contents of this campaign are not those of the published tables.",)
+    return Section(
+        "published",
+        "The published study",
+        text,
+        tables=(table,) if table else (),
+        folded=(disagreement_table(),),
+    )
+
+
+def _provenance(analysis: CampaignAnalysis) -> Section:
+    campaign = analysis.campaign
+    tables = [parameter_table(campaign.config)]
+    text = []
+    try:
+        tables.append(packing_table(analysis))
+    except UnavailableError as error:
+        text.append(f"No report on the packing: {error}.")
+    return Section(
+        "provenance",
+        "What was run",
+        tuple(text),
+        tables=(*tables, run_table(campaign.runs())),
+        folded=(configuration_table(campaign.config),),
+    )

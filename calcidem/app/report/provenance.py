@@ -1,0 +1,184 @@
+"""Tables of what was run: parameters beside the published ones, runs, and the packing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from calcidem.analysis.published import published_study
+from calcidem.app.report.wording import ABSENT, Table, duration, number, significant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from calcidem.analysis.campaign_features import CampaignAnalysis
+    from calcidem.analysis.packing_graph import PackingGraph
+    from calcidem.storage.records import RunRecord
+
+PUBLISHED_AS = {
+    "packing.width": "box_width",
+    "packing.height": "box_height",
+    "packing.porosity": "porosity",
+    "packing.stress": "confining_stress",
+    "sand.shear_modulus": "sand_shear_modulus",
+    "sand.poisson_ratio": "sand_poisson_ratio",
+    "sand.density": "sand_density",
+    "sand.friction": "friction",
+    "cement.bond_modulus": "bond_effective_modulus",
+    "cement.tensile_strength": "bond_tensile_strength",
+    "cement.cohesion": "bond_cohesion",
+    "pattern.calcite_density": "calcite_density",
+    "pattern.cluster_diameter": "cluster_size",
+    "wave.amplitude": "pulse_velocity",
+    "wave.damping": "local_damping",
+    "wave.band_friction": "wall_friction",
+}
+"""Which published parameter a key of the configuration is."""
+
+UNKNOWN = "unknown"
+CHOSEN = {
+    "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
+    "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
+    "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
+    "pattern.keep_p": (UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
+    "packing.friction_preparation": (UNKNOWN, "friction while the packing is made; decides its coordination"),
+    "wave.transmitter_half_width": (UNKNOWN, "of the band that is moved, m"),
+    "wave.receiver_half_width": (UNKNOWN, "of the band that is listened to, m"),
+    "wave.boundary_thickness": (UNKNOWN, "of the strongly damped layers, m"),
+    "wave.regime": (UNKNOWN, "how far geometry and stiffness follow the wave"),
+    "cement.bond_stiffness_ratio": (UNKNOWN, "normal over shear stiffness of a bond"),
+    "cement.installation": (UNKNOWN, "what happens to a contact's force when it is cemented"),
+}
+"""Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
+
+
+def parameter_table(config: Mapping[str, Any]) -> Table:
+    """Calibrated and chosen parameters, and those that differ from the published ones (marked)."""
+    flat = flatten(config)
+    rows: list[tuple[str, ...]] = []
+    marked: set[int] = set()
+    for key, (literal, meaning) in CHOSEN.items():
+        if key in flat:
+            differs = literal != UNKNOWN and flat[key] != literal
+            if differs:
+                marked.add(len(rows))
+            remark = f"calibrated: {meaning}" if differs else meaning
+            rows.append((key, value_text(flat[key]), value_text(literal), remark))
+    published = published_study().parameters
+    for key, name in PUBLISHED_AS.items():
+        if key in flat:
+            differs = flat[key] != published[name]
+            if differs:
+                marked.add(len(rows))
+            meaning = f"{name.replace('_', ' ')}{': differs from the published value' if differs else ''}"
+            rows.append((key, value_text(flat[key]), value_text(published[name]), meaning))
+    return Table(
+        "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it: "
+        "these are the calibrated ones. Where nothing is published, a value had to be chosen.",
+        ("parameter", "here", "published or literal", "meaning"),
+        tuple(rows),
+        frozenset(marked),
+    )
+
+
+def configuration_table(config: Mapping[str, Any]) -> Table:
+    """The whole physical configuration."""
+    rows = tuple((key, value_text(value)) for key, value in flatten(config).items())
+    return Table("The whole physical configuration, SI units.", ("parameter", "value"), rows)
+
+
+def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Give nested keys as one level, joined by points."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, dict):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def value_text(value: object) -> str:
+    """Give a value of a configuration as people read it."""
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return "yes" if value else "no"
+        case int():
+            return str(value)
+        case float():
+            return significant(value, 6)
+        case list() | tuple():
+            return ", ".join(value_text(item) for item in value)
+        case _:
+            return str(value)
+
+
+def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
+    """Each run of the program on this campaign."""
+    rows = tuple(
+        (
+            str(run_number),
+            f"{run.started:%Y-%m-%d %H:%M} UTC",
+            ABSENT if run.ended is None else duration((run.ended - run.started).total_seconds()),
+            run.exit_state or "not ended, or killed",
+            str(run.ranks),
+            f"{run.host} ({run.cpu})",
+            ", ".join(f"{name} {version}" for name, version in run.versions.items()),
+            _source(run),
+        )
+        for run_number, run in runs
+    )
+    header = ("run", "started", "took", "ended", "ranks", "host", "versions", "source")
+    return Table("Runs of the program on this campaign.", header, rows)
+
+
+def _source(run: RunRecord) -> str:
+    if run.git_commit is None:
+        return "installed package"
+    return run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
+
+
+def packing_table(analysis: CampaignAnalysis) -> Table:
+    """Quality of the packings, one column each."""
+    published = published_study().parameters
+    graphs = analysis.graphs
+    rows: list[tuple[str, ...]] = [
+        (name, *(text(graph) for graph in graphs), note)
+        for name, text, note in (
+            ("grains", lambda g: str(g.graph.grain_count), ""),
+            ("contacts", lambda g: str(g.graph.contact_count), ""),
+            ("porosity", lambda g: number(g.packing.porosity, 4), f"published {value_text(published['porosity'])}"),
+            ("coordination number", lambda g: number(g.packing.coordination_number, 3), "published weights: 3.05"),
+            (
+                "coordination number without rattlers",
+                lambda g: number(g.packing.coordination_number_without_rattlers, 3),
+                "",
+            ),
+            ("width and height (mm)", _size, "the lid has moved"),
+            ("median diameter (mm)", lambda g: number(1e3 * g.scale.median_diameter, 3), ""),
+            *_stresses(graphs[0]),
+            ("mean overlap / diameter", lambda g: significant(g.packing.mean_overlap), ""),
+            ("largest overlap / diameter", lambda g: significant(g.packing.largest_overlap), ""),
+            ("unbalanced force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
+            ("grains at transmitter, receiver", _ends, "ends of the paths"),
+            ("time to make", lambda g: duration(g.packing.seconds), ""),
+        )
+    ]
+    names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)
+    return Table("Packings that all cells share.", ("quantity", *names, "remark"), tuple(rows))
+
+
+def _size(graph: PackingGraph) -> str:
+    return f"{1e3 * graph.packing.width:.2f} \N{MULTIPLICATION SIGN} {1e3 * graph.packing.height:.2f}"
+
+
+def _ends(graph: PackingGraph) -> str:
+    return f"{graph.graph.transmitter.size}, {graph.graph.receiver.size}"
+
+
+def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:
+    def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the table's functions of a graph
+        return lambda graph: number(graph.packing.wall_stress[wall] / 1e3, 3)
+
+    return [(f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in first.packing.wall_stress]

@@ -1,0 +1,249 @@
+"""Tables of what came out: velocities, outcomes, growth, features, laws, numerical error and run time."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calcidem.analysis.features import FEATURES
+from calcidem.analysis.published import published_study
+from calcidem.app.report.wording import (
+    Table,
+    bounds,
+    duration,
+    number,
+    probability,
+    significant,
+    with_bounds,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit
+
+SIGNIFICANCE = 0.05
+MOST_REASONS = 20
+
+
+def velocity_table(analysis: CampaignAnalysis) -> Table:
+    """Vs at each content with its intervals."""
+    rows = [
+        (
+            f"{row.content:g}",
+            str(row.vs.n),
+            with_bounds(row.vs.mean, row.vs.mean_interval),
+            with_bounds(row.vs.standard_deviation, row.vs.standard_deviation_interval_bootstrap, 1),
+            bounds(row.vs.prediction_interval),
+            number(row.vs.skewness, 2),
+            number(row.vs.kurtosis, 2),
+            probability(row.vs.normality.p_small_sample),
+            str(row.missing),
+            str(row.failed),
+        )
+        for row in analysis.distributions
+    ]
+    return Table(
+        "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
+        "standard deviation by bootstrap. The range of new samples holds for normal velocities. p is that of "
+        "the Jarque-Bera test simulated for this number of samples. Cells not computed yet and cells that gave "
+        "no velocity are counted apart; neither is in the other columns. Marked rows have one or the other.",
+        (
+            "content (%)",
+            "n",
+            "mean (m/s)",
+            "standard deviation (m/s)",
+            "95 % of new samples (m/s)",
+            "skewness",
+            "kurtosis",
+            "p, normal",
+            "missing",
+            "failed",
+        ),
+        tuple(rows),
+        frozenset(i for i, row in enumerate(analysis.distributions) if row.missing or row.failed),
+    )
+
+
+def outcome_table(analysis: CampaignAnalysis) -> Table | None:
+    """Cells without a velocity by outcome and reason, the most frequent first; None if there are none."""
+    status, reason = analysis.status.to_numpy(), analysis.cells["reason"].to_numpy()
+    contents = np.broadcast_to(analysis.vs["content"].to_numpy(), status.shape)
+    found: Counter[tuple[str, str]] = Counter()
+    where: dict[tuple[str, str], set[float]] = {}
+    for outcome, text, content in zip(status.ravel(), reason.ravel(), contents.ravel(), strict=True):
+        if outcome not in {"", "done"}:
+            key = (str(outcome), str(text))
+            found[key] += 1
+            where.setdefault(key, set()).add(float(content))
+    if not found:
+        return None
+    rows = tuple(
+        (outcome.replace("_", " "), text, ", ".join(f"{c:g}" for c in sorted(where[outcome, text])), str(count))
+        for (outcome, text), count in found.most_common(MOST_REASONS)
+    )
+    return Table("Cells that gave no velocity, and why.", ("outcome", "reason", "contents (%)", "cells"), rows)
+
+
+def growth_table(analysis: CampaignAnalysis) -> Table | None:
+    """Growth of the mean in the four stages; None if no stage has two contents."""
+    published = {stage.name: stage.rate for stage in published_study().stages}
+    rows = tuple(
+        (
+            growth.stage.name,
+            f"{growth.contents[0]:g} to {growth.contents[-1]:g}",
+            number(growth.end_point_slope, 1),
+            number(growth.least_squares_slope, 1),
+            number(published[growth.stage.name], 1),
+        )
+        for growth in analysis.stages
+        if len(growth.contents) > 1
+    )
+    if not rows:
+        return None
+    return Table(
+        "Growth of mean Vs in the four stages, in m/s per percent: slope between the end points (as published), "
+        "slope of the straight line through all means, and the published slope.",
+        ("stage", "contents (%)", "end points", "least squares", "published"),
+        rows,
+    )
+
+
+def feature_table(analysis: CampaignAnalysis) -> Table:
+    """The eight features, their definitions, and how they go with Vs."""
+    matrices = analysis.correlations
+
+    def coefficient(matrix: xr.Dataset, name: str) -> str:
+        cell = matrix.sel(variable=name, other="vs")
+        low, high = float(cell["pearson_low"]), float(cell["pearson_high"])
+        if not math.isfinite(float(cell["pearson"])):
+            return number(math.nan)
+        return f"{number(float(cell['pearson']), 2)} ({number(low, 2)} to {number(high, 2)})"
+
+    rows = tuple(
+        (
+            feature.symbol,
+            feature.definition,
+            coefficient(matrices.overall, feature.name),
+            number(float(matrices.overall["spearman"].sel(variable=feature.name, other="vs")), 2),
+            coefficient(matrices.within, feature.name),
+        )
+        for feature in FEATURES
+    )
+    return Table(
+        "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
+        "contents a common growth with content inflates it; within one content, after the mean of each content "
+        "is subtracted, it tells how much of the scatter a feature explains.",
+        ("feature", "definition", "with Vs, all contents", "Spearman", "with Vs, within one content"),
+        rows,
+    )
+
+
+def law_table(laws: list[LawFit]) -> Table:
+    """The laws between C_d,n and Vs with their intervals and errors."""
+    published = {law.name: law for law in published_study().laws}
+    rows = []
+    for law in laws:
+        fit, check, other = law.fit, law.check, published[law.name]
+        rows += [
+            (
+                law.name,
+                f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}",
+                with_bounds(fit.a, fit.a_interval),
+                with_bounds(fit.b, fit.b_interval, 2),
+                with_bounds(fit.c, fit.c_interval),
+                number(fit.residual_standard_deviation),
+                number(check.root_mean_square_error),
+                f"{100 * check.coverage:.0f} %",
+            ),
+            (
+                f"{law.name}, published",
+                f"{other.weights.hertz:.3f} / {other.weights.bond:.3f}",
+                number(other.a),
+                number(other.conclusions_b, 2),
+                number(other.c),
+                number(math.nan),
+                number(math.nan),
+                number(math.nan),
+            ),
+        ]
+    return Table(
+        "Laws Vs = a C_d,n^b + c with 95 % intervals. The error for unseen seeds is the root mean square over "
+        "samples of a seed that the law was not fitted to, the coverage how many of these fall into their 95 % "
+        "prediction interval.",
+        (
+            "weights by",
+            "sand / cement",
+            "a (m/s)",
+            "b",
+            "c (m/s)",
+            "residual deviation (m/s)",
+            "error for unseen seeds (m/s)",
+            "coverage",
+        ),
+        tuple(rows),
+    )
+
+
+def cost_table(analysis: CampaignAnalysis) -> Table:
+    """Numerical error beside statistical error, and what the cells cost."""
+    cells = analysis.cells
+    rows = []
+    for row in analysis.distributions:
+        column = cells.sel(content=row.content)
+        relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
+        rows.append(
+            (
+                f"{row.content:g}",
+                number(_typical(column["frequency"]) / 1e3, 1),
+                significant(1e9 * _typical(column["time_step"])),
+                number(_typical(column["time_step"] / column["stability_limit"]), 2),
+                number(_typical(column["steps"])),
+                significant(100 * _largest(column["error_estimate"]), 2),
+                significant(100 * _largest(abs(column["energy_error"])), 2),
+                number(relative, 2),
+                duration(_typical(column["seconds"])),
+            )
+        )
+    return Table(
+        "Numerical error, statistical error and cost at each content (medians; largest errors). The estimate of "
+        "the numerical error covers time step and sampling; the statistical error is the standard error of the "
+        "mean.",
+        (
+            "content (%)",
+            "frequency (kHz)",
+            "time step (ns)",
+            "step / limit",
+            "steps",
+            "numerical error of Vs (%)",
+            "energy error (%)",
+            "statistical error of the mean (%)",
+            "time for a cell",
+        ),
+        tuple(rows),
+    )
+
+
+def _typical(values: xr.DataArray) -> float:
+    known = values.to_numpy()
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else math.nan
+
+
+def _largest(values: xr.DataArray) -> float:
+    known = values.to_numpy()
+    known = known[np.isfinite(known)]
+    return float(known.max()) if known.size else math.nan
+
+
+__all__ = [
+    "cost_table",
+    "feature_table",
+    "growth_table",
+    "law_table",
+    "outcome_table",
+    "velocity_table",
+]

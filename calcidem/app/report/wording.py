@@ -1,0 +1,93 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calcidem.analysis.intervals import Interval
+
+ABSENT = "\N{EN DASH}"
+SMALL_P = 0.001
+LEAST_PLAIN, MOST_PLAIN = 1e-3, 1e5
+MINUTE, HOUR = 60.0, 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of a report.
+
+    Parameters
+    ----------
+    caption
+        What it shows, and how to read it.
+    header
+        Name of each column; units in brackets.
+    rows
+        Cells as text, each row as long as the header.
+    marked
+        Rows that need attention, by their place.
+    """
+
+    caption: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    marked: frozenset[int] = frozenset()
+
+
+def number(value: float | None, decimals: int = 0) -> str:
+    """Give a number with a fixed number of decimals, and a dash for what is missing."""
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Give a number with some significant digits, large and small ones with a power of ten."""
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    rounded = float(f"{value:.{digits}g}")
+    if rounded == 0 or LEAST_PLAIN <= abs(rounded) < MOST_PLAIN:
+        text = f"{rounded:.12f}".rstrip("0").rstrip(".")
+    else:
+        mantissa, _, exponent = f"{rounded:.{digits - 1}e}".partition("e")
+        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{superscript(int(exponent))}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def superscript(exponent: int) -> str:
+    """Give an exponent in raised digits."""
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def bounds(interval: Interval, decimals: int = 0) -> str:
+    """Give both ends of an interval, or a dash for an undefined one."""
+    if not math.isfinite(interval.low):
+        return ABSENT
+    return f"{number(interval.low, decimals)} to {number(interval.high, decimals)}"
+
+
+def with_bounds(value: float, interval: Interval, decimals: int = 0) -> str:
+    """Give a value with its interval in brackets."""
+    return f"{number(value, decimals)} ({bounds(interval, decimals)})"
+
+
+def probability(value: float) -> str:
+    """Give a p-value with two digits."""
+    if not math.isfinite(value):
+        return ABSENT
+    return f"< {SMALL_P:g}" if value < SMALL_P else f"{value:.2g}"
+
+
+def duration(seconds: float) -> str:
+    """Give a time span in the unit that suits it."""
+    if not math.isfinite(seconds):
+        return ABSENT
+    if seconds < MINUTE:
+        return f"{seconds:.3g} s"
+    if seconds < HOUR:
+        return f"{seconds / MINUTE:.1f} min"
+    return f"{seconds / HOUR:.1f} h"

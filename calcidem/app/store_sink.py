@@ -1,0 +1,83 @@
+"""Where a sweep's outcomes go: the store, with the attempts counted."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
+from calcidem.storage.store import Store
+from calcidem.sweep import Batch, BatchOutcome, Cell
+
+PAUSE = 30.0
+"""Seconds between two signs of life of the master; half of what the store asks for."""
+
+
+class StoreSink:
+    """`calcidem.sweep.Sink` that writes into a store.
+
+    Parameters
+    ----------
+    store
+        With the campaign chosen.
+    keys
+        The cells that will be computed.
+    """
+
+    def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
+        self._store = store
+        self._counts = store.attempt_counts(keys) if keys else {}
+
+    @property
+    def losses(self) -> dict[Cell, int]:
+        """Workers that each cell has taken down so far."""
+        return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
+
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]], /) -> None:
+        """Write the outcomes in one transaction."""
+        results = [result for outcome in outcomes for result in self._results(outcome)]
+        self._store.record_results(results)
+        for result in results:
+            losses = self._counts.get(result.key, AttemptCount()).losses
+            self._counts[result.key] = AttemptCount(result.attempt, losses)
+
+    def lost(self, batch: Batch[Cell], reason: str, /) -> None:
+        """Count a lost attempt for each cell."""
+        self._counts |= self._store.record_lost([CellKey(*cell) for cell in batch.cells], reason)
+
+    def _results(self, outcome: BatchOutcome[Cell, CellResult]) -> list[CellResult]:
+        found = list(outcome.results or ())
+        if outcome.failure is not None:
+            status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
+            reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
+            keys = [CellKey(*cell) for cell in outcome.batch.cells]
+            found = [CellResult(key, status, reason, seconds=seconds) for key in keys]
+        place = outcome.place
+        return [
+            replace(
+                result,
+                rank=place.rank,
+                host=place.host,
+                attempt=self._counts.get(result.key, AttemptCount()).attempts + 1,
+            )
+            for result in found
+        ]
+
+
+class Heartbeat:
+    """Signs of life of the master, for other machines that might want to take the campaign over.
+
+    Parameters
+    ----------
+    store
+        Of which this process is the master.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._next = time.monotonic() + PAUSE
+
+    def __call__(self) -> None:
+        """Give one if it is time to."""
+        if time.monotonic() > self._next:
+            self._next = time.monotonic() + PAUSE
+            self._store.heartbeat()

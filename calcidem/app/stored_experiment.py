@@ -1,0 +1,61 @@
+"""The experiment of a stored campaign, rebuilt from the configuration in its database."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from calcidem.dem.arrival import PickRule
+from calcidem.dem.cement import CementRule
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.measurement import Experiment
+from calcidem.dem.packing import Packing
+from calcidem.dem.wave import WaveRule
+
+T = TypeVar("T")
+
+
+def experiment_of(physics: Mapping[str, Any], packing: Packing) -> Experiment:
+    """Return what the cells of a campaign share.
+
+    Parameters
+    ----------
+    physics
+        Configuration as the database has it: `calcidem.app.configuration.Configuration.physics`.
+    packing
+        The packing of the cells.
+
+    Raises
+    ------
+    ValueError
+        If a section is missing, or holds what this calcidem refuses.
+    """
+    sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
+    missing = [name for name in sections if name not in physics]
+    if missing:
+        raise ValueError(
+            f"The stored configuration lacks {', '.join(missing)}: its cells can't be computed again; "
+            "only campaigns that 'calcidem run' made have a complete one."
+        )
+    table = physics["wave"]["frequency"]
+    return Experiment(
+        packing=packing,
+        sand=part(Sand, physics["sand"]),
+        cement=part(Cement, physics["cement"]),
+        cement_rule=part(CementRule, physics["pattern"]),
+        wave=part(WaveRule, physics["wave"]),
+        pick=part(PickRule, physics["pick"]),
+        root_seed=physics["root_seed"],
+        stiffness_factor=physics["sand"]["wave_stiffness_factor"],
+        installation=physics["cement"]["installation"],
+        method=physics["pick"]["method"],
+        signal=physics["pick"]["signal"],
+        least_quality=physics["pick"]["least_quality"],
+        frequencies=(tuple(table["content"]), tuple(table["frequency"])),
+    )
+
+
+def part(kind: type[T], section: Mapping[str, Any]) -> T:
+    """Return the dataclass whose fields are among the keys of a section."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]  # every caller's kind is a dataclass
+    values = {name: section[name] for name in names if name in section}
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})

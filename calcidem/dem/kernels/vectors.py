@@ -1,0 +1,324 @@
+"""Machine code of lane vectors: their numba types, arithmetic and instructions. `lanes` is what kernels use of it.
+
+Arithmetic may be contracted (multiply-add) but never re-associated.
+"""
+
+# ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
+# numba and llvmlite describe only a part of themselves; intrinsics are called without the first argument they name.
+# mypy: disable-error-code="no-untyped-call, untyped-decorator, attr-defined, assignment, misc, call-arg"
+# mypy: disable-error-code="var-annotated, unreachable"
+
+import operator
+import platform
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.imputils import lower_builtin, lower_cast
+from numba.core.typeconv import Conversion
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, models, register_model
+from numba.np.arrayobj import make_array
+
+CONTRACT = ("contract",)
+ON_X86 = platform.machine().lower() in {"x86_64", "amd64"}
+FLUSH_BITS = 0x8040  # of MXCSR: flush results to zero, take operands as zero
+
+
+class LaneType(types.Type):
+    """Numba type of ``width`` floating-point numbers in one vector."""
+
+    def __init__(self, dtype: Any, width: int) -> None:
+        self.dtype = dtype
+        self.width = width
+        super().__init__(name=f"Lane({dtype}, {width})")
+
+    @property
+    def key(self) -> tuple[Any, int]:
+        """What makes two lane types the same."""
+        return self.dtype, self.width
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """Let a number be spread over all lanes where a lane vector is expected."""
+        del typingctx
+        return Conversion.safe if isinstance(other, types.Number) else None
+
+
+class MaskType(types.Type):
+    """Numba type of one truth value for each lane."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        super().__init__(name=f"Mask({width})")
+
+    @property
+    def key(self) -> int:
+        """What makes two mask types the same."""
+        return self.width
+
+
+@register_model(LaneType)
+class LaneModel(models.PrimitiveModel):
+    """A lane vector is an LLVM vector of floats."""
+
+    def __init__(self, manager: Any, lane: LaneType) -> None:
+        element = manager.lookup(lane.dtype).get_value_type()
+        super().__init__(manager, lane, ir.VectorType(element, lane.width))
+
+
+@register_model(MaskType)
+class MaskModel(models.PrimitiveModel):
+    """A mask is an LLVM vector of bits, which AVX-512 keeps in a mask register."""
+
+    def __init__(self, manager: Any, mask: MaskType) -> None:
+        super().__init__(manager, mask, ir.VectorType(ir.IntType(1), mask.width))
+
+
+def splat(builder: Any, scalar: Any, width: int) -> Any:
+    """Spread one LLVM scalar over ``width`` lanes."""
+    single = builder.insert_element(
+        ir.Constant(ir.VectorType(scalar.type, width), ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
+    )
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
+    return builder.shuffle_vector(single, single, zeros)
+
+
+@lower_cast(types.Number, LaneType)
+def cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: LaneType, value: Any) -> Any:
+    """Spread a number over the lanes, in the precision of the lanes."""
+    return splat(builder, context.cast(builder, value, from_type, to_type.dtype), to_type.width)
+
+
+def widest_lane(args: tuple[Any, ...]) -> LaneType | None:
+    """Lane type among the arguments, if one of them is a lane vector and the others fit it."""
+    lanes = [arg for arg in args if isinstance(arg, LaneType)]
+    if not lanes or not all(arg == lanes[0] or isinstance(arg, types.Number) for arg in args):
+        return None
+    return lanes[0]
+
+
+def register_arithmetic(function: Any, instruction: str) -> None:
+    """Teach numba one arithmetic operator on lane vectors."""
+
+    @infer_global(function)
+    class Arithmetic(AbstractTemplate):
+        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
+            del kws
+            lane = widest_lane(args)
+            return None if lane is None else signature(lane, *[lane] * len(args))
+
+    @lower_builtin(function, *[LaneType] * (1 if instruction == "fneg" else 2))
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        return getattr(builder, instruction)(*args, flags=CONTRACT)
+
+
+def register_comparison(function: Any, symbol: str) -> None:
+    """Teach numba one comparison of lane vectors; comparisons with NaN are false."""
+
+    @infer_global(function)
+    class Comparison(AbstractTemplate):
+        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
+            del kws
+            lane = widest_lane(args)
+            return None if lane is None else signature(MaskType(lane.width), lane, lane)
+
+    @lower_builtin(function, LaneType, LaneType)
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        return builder.fcmp_ordered(symbol, *args)
+
+
+def register_logic(function: Any, instruction: str) -> None:
+    """Teach numba one logical operator on masks."""
+
+    @infer_global(function)
+    class Logic(AbstractTemplate):
+        def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
+            del kws
+            if all(isinstance(arg, MaskType) for arg in args):
+                return signature(args[0], *args)
+            return None
+
+    @lower_builtin(function, *[MaskType] * (1 if instruction == "not_" else 2))
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        return getattr(builder, instruction)(*args)
+
+
+for _function, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+    (operator.neg, "fneg"),
+):
+    register_arithmetic(_function, _instruction)
+for _function, _symbol in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
+    register_comparison(_function, _symbol)
+for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), (operator.invert, "not_")):
+    register_logic(_function, _instruction)
+
+
+def element_pointer(context: Any, builder: Any, array_type: Any, array: Any, index_type: Any, index: Any) -> Any:
+    """Pointer to the first lane of row ``index`` of a C-contiguous array whose last axis is the lane."""
+    view = make_array(array_type)(context, builder, array)
+    indices = [
+        context.cast(builder, value, kind, types.intp)
+        for value, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
+    ]
+    return cgutils.get_item_pointer(context, builder, array_type, view, [*indices, ir.Constant(ir.IntType(64), 0)])
+
+
+@intrinsic(prefer_literal=True)
+def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
+    """Compiled side of `load`."""
+    del typingctx
+    lane = LaneType(array.dtype, width.literal_value)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
+        vector = context.get_value_type(lane)
+        pointer = builder.bitcast(pointer, vector.as_pointer())
+        return builder.load(pointer, align=array.dtype.bitwidth // 8)
+
+    return lane(array, index, width), codegen
+
+
+@intrinsic
+def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """Compiled side of `store`."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
+        pointer = builder.bitcast(pointer, args[2].type.as_pointer())
+        builder.store(args[2], pointer, align=array.dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, index, value), codegen
+
+
+@intrinsic(prefer_literal=True)
+def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
+    """Compiled side of `spread`."""
+    del typingctx
+    lane = LaneType(number, width.literal_value)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        return splat(builder, args[0], lane.width)
+
+    return lane(number, width), codegen
+
+
+@intrinsic(prefer_literal=True)
+def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
+    """Compiled side of `mask_of_bits`."""
+    del typingctx
+    mask = MaskType(width.literal_value)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        narrow = args[0]
+        if narrow.type.width > mask.width:
+            narrow = builder.trunc(narrow, ir.IntType(mask.width))
+        return builder.bitcast(narrow, ir.VectorType(ir.IntType(1), mask.width))
+
+    return mask(bits, width), codegen
+
+
+@intrinsic
+def mask_to_bits(typingctx: Any, mask: Any) -> Any:
+    """Compiled side of `bits_of_mask`."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        narrow = builder.bitcast(args[0], ir.IntType(mask.width))
+        return builder.zext(narrow, ir.IntType(64)) if mask.width < 64 else narrow  # noqa: PLR2004 - bits of uint64
+
+    return types.uint64(mask), codegen
+
+
+@intrinsic
+def select_lanes(typingctx: Any, mask: Any, if_true: Any, if_false: Any) -> Any:
+    """Compiled side of `select`."""
+    del typingctx
+    lane = widest_lane((if_true, if_false))
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        values = [context.cast(builder, value, kind, lane) for value, kind in zip(args[1:], sig.args[1:], strict=True)]
+        return builder.select(args[0], *values)
+
+    return lane(mask, if_true, if_false), codegen
+
+
+def unary_intrinsic(name: str) -> Any:
+    """Make an intrinsic of one LLVM vector function such as ``llvm.sqrt``."""
+
+    @intrinsic
+    def call(typingctx: Any, value: Any) -> Any:
+        del typingctx
+
+        def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+            del context, sig
+            vector = args[0].type
+            # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.
+            mangled = f"{name}.v{value.width}f{value.dtype.bitwidth}"
+            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector]), mangled)
+            return builder.call(function, args)
+
+        return value(value), codegen
+
+    return call
+
+
+@intrinsic
+def read_control_word(typingctx: Any) -> Any:
+    """Control word MXCSR of the vector unit; 0 on other processors."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig, args
+        place = cgutils.alloca_once_value(builder, ir.Constant(ir.IntType(32), 0))
+        call_with_pointer(builder, "llvm.x86.sse.stmxcsr", place)
+        return builder.load(place)
+
+    return types.uint32(), codegen
+
+
+@intrinsic
+def write_control_word(typingctx: Any, word: Any) -> Any:
+    """Set the control word MXCSR; nothing on other processors."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del sig
+        call_with_pointer(builder, "llvm.x86.sse.ldmxcsr", cgutils.alloca_once_value(builder, args[0]))
+        return context.get_dummy_value()
+
+    return types.void(word), codegen
+
+
+def call_with_pointer(builder: Any, name: str, place: Any) -> None:
+    """Call an x86 instruction that takes the address of a 32-bit word."""
+    if not ON_X86:
+        return
+    byte_pointer = ir.IntType(8).as_pointer()
+    kind = ir.FunctionType(ir.VoidType(), [byte_pointer])
+    function = cgutils.get_or_insert_function(builder.module, kind, name)
+    builder.call(function, [builder.bitcast(place, byte_pointer)])
+
+
+def flush_tiny() -> Any:
+    """Compiled side of `flush_tiny_numbers`."""
+    word = read_control_word()
+    write_control_word(np.uint32(word | np.uint32(FLUSH_BITS)))
+    return word
+
+
+sqrt_vector = unary_intrinsic("llvm.sqrt")
+absolute_vector = unary_intrinsic("llvm.fabs")

@@ -1,0 +1,129 @@
+"""The figures, drawn from a small real campaign."""
+
+import struct
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.figures import style
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, published_velocities, read_arrival
+from calcidem.analysis.figures.relations import law_text, symbol
+from calcidem.analysis.figures.samples import draw_preferential_paths
+from calcidem.analysis.figures.signals import received_peak_index
+from calcidem.analysis.figures.velocities import draw_histograms, draw_range
+from calcidem.storage.campaign import open_campaign
+
+
+@pytest.fixture(scope="module")
+def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
+    """Analysis of the small campaign."""
+    with open_campaign(small_database) as campaign:
+        yield CampaignAnalysis(campaign)
+
+
+@pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
+def test_every_figure_is_drawn_and_written(entry: CampaignFigure, analysis: CampaignAnalysis, tmp_path: Path) -> None:
+    """Each figure of the registry becomes a PNG of 150 dpi, a well-formed SVG and a PDF."""
+    figure = entry.draw(analysis)
+    png, svg, pdf = style.save(figure, tmp_path, entry.name)
+    width, height = struct.unpack(">II", png.read_bytes()[16:24])
+    assert np.allclose([width, height], figure.get_size_inches() * 150, atol=1)
+    assert ET.parse(svg).getroot().tag.endswith("svg")  # noqa: S314 - written just above
+    assert pdf.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
+def test_axes_with_ticks_are_labelled(entry: CampaignFigure, analysis: CampaignAnalysis) -> None:
+    """A figure whose axes have a scale says what is on it, on the axes or for all of them."""
+    figure = entry.draw(analysis)
+    common = {figure.get_supxlabel(), figure.get_supylabel()}
+    for axes in figure.axes:
+        if axes.axison and axes.get_xticks().size and axes.get_xlabel() == "" and not axes.images:
+            others = {other.get_xlabel() for other in figure.axes}
+            assert others | common != {""}, f"{entry.name}: axes without a label"
+
+
+def test_same_data_give_the_same_bytes(analysis: CampaignAnalysis) -> None:
+    """A figure drawn twice is the same file, so that a repository sees no change where there is none."""
+    entry = next(entry for entry in CAMPAIGN_FIGURES if entry.name == "vs_range")
+    first, second = (style.render(entry.draw(analysis), "svg") for _ in range(2))
+    assert first == second
+
+
+def test_style_leaves_the_callers_settings_alone(analysis: CampaignAnalysis) -> None:
+    """Drawing changes no setting of matplotlib."""
+    before = dict(mpl.rcParams)
+    CAMPAIGN_FIGURES[0].draw(analysis)
+    assert dict(mpl.rcParams) == before
+
+
+def test_range_shows_the_means(analysis: CampaignAnalysis) -> None:
+    """The line of the range figure runs through the means of the measured samples."""
+    figure = draw_range(analysis.vs, analysis.distributions)
+    line = next(line for line in figure.axes[0].lines if line.get_label() == "mean")
+    means = analysis.vs.mean("seed").dropna("content")
+    assert np.allclose(line.get_xdata(), means["content"])
+    assert np.allclose(line.get_ydata(), means)
+
+
+def test_histograms_are_densities(analysis: CampaignAnalysis) -> None:
+    """The bars of each histogram have the area one, so that the normal density fits on them."""
+    rows = [row for row in analysis.distributions if row.vs.standard_deviation > 0]
+    panels = draw_histograms(analysis.vs, rows).axes[: len(rows)]
+    for axes in panels:
+        bars = [patch for patch in axes.patches if hasattr(patch, "get_height")]
+        assert np.isclose(sum(bar.get_height() * bar.get_width() for bar in bars), 1.0)
+
+
+def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> None:
+    """The black line of a sample runs through the centres of its path's grains, in millimetres."""
+    sample = analysis.measured_samples(2.55)[0]
+    axes = draw_preferential_paths(analysis.graphs[0], [sample]).axes[0]
+    line = next(line for line in axes.lines if line.get_color() == style.BLACK and len(line.get_xdata()) > 2)
+    grains = list(sample.features.path.grains)
+    assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
+    rings = next(line for line in axes.lines if line.get_marker() == "o")
+    assert len(rings.get_xdata()) == sample.features.hertz_contacts
+
+
+def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None:
+    """The arrival from peak to peak lies on a maximum of the received signal, within the picking's smoothing."""
+    arrival = read_arrival(analysis, 1, 0.34)
+    index = received_peak_index(arrival)
+    period = 1.0 / float(analysis.cells["frequency"].sel(seed=1, content=0.34))
+    reach = round(0.1 * period / (arrival.time[1] - arrival.time[0]))
+    near = arrival.received[index - reach : index + reach + 1]
+    assert 0 < int(np.argmax(near)) < len(near) - 1
+
+
+def test_sample_without_signal_is_unavailable(analysis: CampaignAnalysis) -> None:
+    """A cell whose signal was not kept says so."""
+    with pytest.raises(UnavailableError, match="No signal is stored"):
+        read_arrival(analysis, 6, 9.0)
+
+
+def test_published_means_are_shown_where_contents_match(analysis: CampaignAnalysis) -> None:
+    """Only the contents that the campaign shares with the published table are set beside it."""
+    assert [content for content, _ in published_velocities(analysis)] == [0.34, 0.66, 2.55, 5.0, 9.0]
+
+
+def test_symbols_are_upright_where_they_are_names() -> None:
+    """Names of several letters are upright, single letters are not, indices are kept together."""
+    assert symbol("normalised_connectivity") == "$C_{d,n}$"
+    assert symbol("longest_bond_run") == r"$\mathrm{QLLC}$"
+    assert "\N{MINUS SIGN} 338" in law_text(623.0, -1.01, -338.0)
+
+
+def test_colours_differ_in_brightness() -> None:
+    """Cement, clusters and sand differ in brightness, so that they can be told apart without colour."""
+    brightness = [
+        float(np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)))
+        for colour in (style.SAND_GRAIN, style.CLUSTER_GRAIN, style.P_CEMENT, style.C_CEMENT)
+    ]
+    assert min(brightness[:2]) - max(brightness[2:]) > 0.25

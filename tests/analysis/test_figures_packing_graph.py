@@ -1,0 +1,136 @@
+"""The contact graph of a stored packing, and the products of a whole campaign."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.intervals import Interval
+from calcidem.analysis.packing_graph import features_record, packing_graph
+from calcidem.analysis.weights import RatioScan
+from calcidem.app.packing_record import stored_packing
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.records import CementPattern
+
+
+@pytest.fixture(scope="module")
+def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
+    """Analysis of the small campaign."""
+    with open_campaign(small_database) as campaign:
+        yield CampaignAnalysis(campaign)
+
+
+def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalysis) -> None:
+    """Found again from positions and radii, the contacts are those that the packing was made with."""
+    made = np.sort(stored_packing(analysis.campaign.packing()).pairs, axis=1)
+    found = analysis.graphs[0].graph.pairs
+    assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
+
+
+def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) -> None:
+    """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
+    packing = analysis.campaign.packing()
+    for sample in analysis.samples:
+        first, last = sample.features.path.grains[0], sample.features.path.grains[-1]
+        assert packing.x[first] < packing.radius[first]
+        assert abs(packing.y[first] - packing.height / 2) < 0.01
+        assert packing.width - packing.x[last] < packing.radius[last]
+        assert abs(packing.y[last] - packing.height / 2) < 0.012
+
+
+def test_cement_of_the_samples_is_what_the_cells_report(analysis: CampaignAnalysis) -> None:
+    """The kinds of contacts add up to the numbers of P and C contacts stored with each cell."""
+    for sample in analysis.samples:
+        cell = analysis.cells.sel(seed=sample.seed, content=sample.content)
+        assert np.count_nonzero(sample.kinds == 1) == int(cell["p_contacts"])
+        assert np.count_nonzero(sample.kinds == 2) == int(cell["c_contacts"])
+
+
+def test_stored_features_give_the_same_as_a_search(analysis: CampaignAnalysis) -> None:
+    """Features computed from a stored path equal those of the search that found the path."""
+    graph = analysis.graphs[0]
+    for sample in analysis.samples[::5]:
+        bonded = sample.kinds > 0
+        again = graph.features(bonded, features_record(sample.features))
+        assert again == sample.features == graph.features(bonded)
+
+
+def test_path_contacts_are_cemented_where_the_sample_is(analysis: CampaignAnalysis) -> None:
+    """Each step of a path is a contact, and its flag says whether the sample has cement there."""
+    sample = analysis.samples[-2]
+    pairs = [tuple(pair) for pair in analysis.graphs[0].graph.pairs.tolist()]
+    for step, bonded in zip(pairwise(sample.features.path.grains), sample.features.path.bonded, strict=True):
+        assert bool(sample.kinds[pairs.index(tuple(sorted(step)))]) is bonded
+
+
+def test_pattern_of_another_packing_is_refused(analysis: CampaignAnalysis) -> None:
+    """Cement between grains that do not touch names both grains."""
+    far = CementPattern(np.array([[0, 1], [2, 0]]), np.array([1, 1]), np.zeros((0, 2)))
+    graph = analysis.graphs[0]
+    assert (0, 1) not in {tuple(pair) for pair in graph.graph.pairs.tolist()}
+    with pytest.raises(ValueError, match="grains 0 and 1 are joined in the pattern but do not touch"):
+        graph.bonded(far)
+
+
+def test_band_without_grains_is_refused(analysis: CampaignAnalysis) -> None:
+    """A band too narrow for any grain has no transmitter."""
+    with pytest.raises(ValueError, match="transmitter is empty"):
+        packing_graph(analysis.campaign.packing(), 1e-6, 0.012)
+
+
+def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> None:
+    """A cell that was not computed has no status, one that failed has its own."""
+    assert analysis.status.sel(seed=6, content=0.34).item() == ""
+    assert analysis.status.sel(seed=6, content=9.0).item() == "failed"
+    assert int(analysis.outcomes["missing"].sum()) == 1
+    known = np.isfinite(analysis.vs.to_numpy())
+    assert int(analysis.outcomes["measured"].sum()) == known.sum()
+
+
+def test_best_ratio_is_the_smallest_of_a_plateau() -> None:
+    """Where the correlation no longer changes, round-off does not choose the ratio."""
+    scan = RatioScan(
+        ratios=np.array([0.5, 0.6, 0.7, 0.8]),
+        correlation=np.array([-0.80, -0.84, -0.84, -0.84 - 1e-15]),
+        best_ratio=0.8,
+        best_correlation=-0.84 - 1e-15,
+        best_ratio_interval=Interval(0.6, 0.8),
+        best_ratio_replicates=np.array([0.6, 0.8]),
+        n=10,
+        left_out=0,
+    )
+    assert CampaignAnalysis.best_ratio.fget(SimpleNamespace(ratio_scan=scan)) == 0.6  # type: ignore[attr-defined]
+
+
+def test_one_sample_is_the_same_as_among_all(analysis: CampaignAnalysis) -> None:
+    """A sample read alone has the cement and the path that it has among all."""
+    one = analysis.sample(2, 5.0)
+    among = next(s for s in analysis.samples if (s.seed, s.content) == (2, 5.0))
+    assert one.features == among.features
+    assert np.array_equal(one.kinds, among.kinds)
+    with pytest.raises(UnknownCellError):
+        analysis.sample(99, 5.0)
+    with pytest.raises(UnavailableError, match=r"seed 6 at 9 %"):
+        analysis.sample(6, 9.0)
+
+
+def test_measured_samples_are_sorted_by_velocity(analysis: CampaignAnalysis) -> None:
+    """Samples of a content come from slow to fast, without those that have no velocity."""
+    velocities = [sample.vs for sample in analysis.measured_samples(2.55)]
+    assert velocities == sorted(velocities)
+    assert all(math.isfinite(value) for value in velocities)
+
+
+def test_campaign_without_bands_says_what_is_missing(analysis: CampaignAnalysis) -> None:
+    """A configuration without the half-width of a band makes the graph unavailable, by name."""
+    record = replace(analysis.campaign.record, config='{"wave": {"transmitter_half_width": 0.01}}')
+    other = type(analysis.campaign)(analysis.campaign.store, record)
+    with pytest.raises(UnavailableError, match=r"wave\.receiver_half_width"):
+        _ = CampaignAnalysis(other).graphs

@@ -1,0 +1,88 @@
+"""The sensitivity studies and their figures, on the small campaign's samples."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.analysis.figures import style
+from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+from calcidem.analysis.studies import damping_study, frequency_study, pulse_frequency
+from calcidem.app.packing_record import stored_packing
+from calcidem.app.stored_experiment import experiment_of
+from calcidem.dem.measurement import Experiment
+from calcidem.dem.pulse import Pulse
+from calcidem.storage.campaign import open_campaign
+
+
+@pytest.fixture(scope="module")
+def experiment(small_database: Path) -> Experiment:
+    """Experiment of the small campaign."""
+    with open_campaign(small_database) as campaign:
+        return experiment_of(campaign.config, stored_packing(campaign.packing()))
+
+
+@pytest.fixture(scope="module")
+def studies(experiment: Experiment) -> dict[str, xr.Dataset]:
+    """Both studies with few values."""
+    own = experiment.frequency(0.66)
+    return {
+        "frequency": frequency_study(experiment, contents=(0.66,), frequencies=(own, 1.5 * own), seeds=(1, 2)),
+        "damping": damping_study(experiment, contents=(0.66,), factors=(0.1, experiment.wave.damping)),
+    }
+
+
+def test_width_of_the_sent_pulse_gives_its_frequency() -> None:
+    """One period of v0 (1 - cos) has, by its width at half height, exactly its own frequency."""
+    interval = 1e-7
+    for frequency in (4e3, 25e3):
+        pulse = Pulse(1e-3, frequency)
+        signal = pulse.velocity(np.arange(0, 2 / frequency, interval))
+        found = pulse_frequency(signal, interval, pulse.peak_time, reach=0.1 / frequency)
+        # The straight line between two samples is off by less than (omega dt)^2 / 8.
+        assert found == pytest.approx(frequency, rel=(2 * np.pi * frequency * interval) ** 2)
+
+
+def test_pulse_that_does_not_end_has_no_frequency() -> None:
+    """A signal that stays above half its peak has no width."""
+    assert np.isnan(pulse_frequency(np.linspace(0.6, 1.0, 50), 1e-6, 40e-6, reach=5e-6))
+
+
+def test_study_at_the_campaigns_frequency_gives_the_campaigns_velocity(
+    studies: dict[str, xr.Dataset], small_database: Path
+) -> None:
+    """With the frequency that the campaign sends, the study measures what the campaign measured."""
+    study = studies["frequency"].sel(content=0.66).isel(frequency=0)
+    with open_campaign(small_database) as campaign:
+        stored = campaign.to_xarray().sel(content=0.66, seed=[1, 2])
+    assert np.array_equal(study["vs_peak"], stored["vs_peak"])
+    assert float(studies["frequency"]["campaign_frequency"].sel(content=0.66)) == study["frequency"]
+
+
+def test_damping_of_the_campaign_gives_the_campaigns_velocity(
+    studies: dict[str, xr.Dataset], small_database: Path, experiment: Experiment
+) -> None:
+    """With the campaign's damping factor, a longer record gives the same peak."""
+    study = studies["damping"].sel(content=0.66, damping=experiment.wave.damping)
+    with open_campaign(small_database) as campaign:
+        stored = float(campaign.vs().sel(content=0.66, seed=1))
+    assert float(study["vs_peak"]) == pytest.approx(stored, rel=1e-6)  # recorded alone, its step is a little longer
+
+
+def test_damping_takes_amplitude(studies: dict[str, xr.Dataset], experiment: Experiment) -> None:
+    """The more a sample is damped, the smaller is what it passes on."""
+    received = abs(studies["damping"]["received"].sel(content=0.66)).max("sample")
+    assert float(received.sel(damping=0.1)) > float(received.sel(damping=experiment.wave.damping))
+
+
+def test_every_number_of_a_study_has_a_unit(studies: dict[str, xr.Dataset]) -> None:
+    """All variables and coordinates of the studies carry units."""
+    for study in studies.values():
+        assert all(study[name].attrs.get("units") for name in study.variables)
+
+
+@pytest.mark.parametrize("entry", STUDY_FIGURES, ids=lambda entry: entry.name)
+def test_every_study_figure_is_drawn(entry: object, studies: dict[str, xr.Dataset]) -> None:
+    """Each study has its figures."""
+    assert style.render(entry.draw(studies[entry.study]), "png").startswith(b"\x89PNG")  # type: ignore[attr-defined]

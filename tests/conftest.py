@@ -1,0 +1,69 @@
+"""Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calcidem.app.cell_computation import cell_result
+from calcidem.app.configuration import Calibration, CampaignPlan, Configuration
+from calcidem.app.packing_record import packing_record
+from calcidem.dem.cement import CementRule
+from calcidem.dem.measurement import measure
+from calcidem.dem.packing import PackingRule, make_packing
+from calcidem.dem.wave import WaveRule
+from calcidem.storage.canonical import canonical_json
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
+from calcidem.storage.sql_store import open_store
+
+SEEDS = (1, 2, 3, 4, 5, 6)
+CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)
+NOT_COMPUTED = (6, 0.34)
+FAILED = (6, 9.0)
+
+
+@pytest.fixture(scope="session")
+def small_configuration() -> Configuration:
+    """Give the configuration of `small_database`: 280 disks, 6 seeds and 6 contents."""
+    return Configuration(
+        campaign=CampaignPlan(name="small", seeds=SEEDS, contents=CONTENTS),
+        packing=PackingRule(width=0.03, height=0.06, balance=1e-5),
+        calibration=Calibration(wave_stiffness_factor=13.0),
+        pattern=CementRule(p_share=0.77),
+        wave=WaveRule(
+            transmitter_half_width=0.01, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def small_database(tmp_path_factory: pytest.TempPathFactory, small_configuration: Configuration) -> Path:
+    """Give the database of a small campaign in which one cell was not computed and one failed."""
+    path = tmp_path_factory.mktemp("campaign") / "small.db"
+    packing = make_packing(small_configuration.packing, small_configuration.sand, np.random.default_rng(1))
+    experiment = small_configuration.experiment(packing)
+    now = datetime.now(UTC)
+    with open_store(path) as store:
+        store.begin_campaign(
+            CampaignRecord(
+                small_configuration.hash,
+                "small",
+                canonical_json(small_configuration.physics),
+                CONTENTS,
+                SEEDS,
+                now,
+            )
+        )
+        store.begin_run(RunRecord({"python": "3", "calcidem": "test"}, "here", "some CPU", 1, "pytest", now))
+        store.save_packing(packing_record(packing, index=0, packing_hash=small_configuration.packing_hash))
+        for content in CONTENTS:
+            measured = measure(experiment, content, SEEDS)
+            store.record_results(
+                cell_result(measurement, packing.pairs, store_signals=True)
+                for measurement in measured
+                if (measurement.seed, content) not in {NOT_COMPUTED, FAILED}
+            )
+        store.record_results([CellResult(CellKey(*FAILED), CellStatus.FAILED, "the worker ran out of memory")])
+        store.end_run("complete", datetime.now(UTC))
+    return path

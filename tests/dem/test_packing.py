@@ -1,0 +1,155 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import HERTZ
+
+from calcidem.dem.material import Sand
+from calcidem.dem.packing import (
+    FLOOR,
+    LEFT,
+    LID,
+    RIGHT,
+    Packing,
+    PackingError,
+    PackingRule,
+    box_walls,
+    draw_radii,
+    make_packing,
+    place_apart,
+)
+from calcidem.dem.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
+from calcidem.dem.scene import Scene
+from calcidem.dem.state import State, start
+
+SMALL = PackingRule(width=0.02, height=0.03, stress=5.0e3)
+SAND = Sand()
+
+
+def generator() -> np.random.Generator:
+    """Source of sizes and positions, the same each time."""
+    return np.random.default_rng(20)
+
+
+@pytest.fixture(scope="module")
+def small() -> Packing:
+    """A packing of about a hundred disks."""
+    return make_packing(SMALL, SAND, generator())
+
+
+def rebuilt(packing: Packing, rule: PackingRule) -> State:
+    """The packing as a scene at time zero, with the friction it was prepared with."""
+    sand = replace(SAND, friction=rule.friction_preparation)
+    walls = box_walls(packing.width, packing.height)
+    scene = Scene(packing.x, packing.y, packing.radius, sand, walls)
+    return start(scene, features=HERTZ, preload=packing.preload)
+
+
+def test_a_packing_is_at_rest(small: Packing) -> None:
+    """Unbalanced forces are a millionth of the contact forces, in the report and when the scene is built again."""
+    assert small.report.unbalanced_ratio < SMALL.balance
+    state = rebuilt(small, SMALL)
+    # The lid's position is rounded to the box height, the histories to the step before: both below the limit itself.
+    assert unbalanced_ratio(state) < 3.0 * SMALL.balance
+    weight = contact_forces(state).normal.mean()
+    assert np.abs(net_forces(state)[:, :2]).max() < 1e-3 * weight
+
+
+def test_the_walls_of_a_packing_carry_the_stress_of_the_lid(small: Packing) -> None:
+    """Lid and floor carry the target, the side walls equal stresses: frictionless walls cannot carry anything else."""
+    stress = small.report.wall_stress
+    assert stress[LID] == pytest.approx(SMALL.stress, rel=1e-3)
+    # 1e-6 of the summed contact forces, some hundred times that of one wall.
+    assert stress[FLOOR] == pytest.approx(stress[LID], rel=1e-3)
+    assert stress[LEFT] == pytest.approx(stress[RIGHT], rel=1e-3)
+    assert 0.2 < stress[LEFT] / stress[LID] < 2.0
+    reactions = wall_reactions(rebuilt(small, SMALL))
+    lengths = np.array([small.height, small.height, small.width, small.width])
+    np.testing.assert_allclose(reactions[:, 0] / lengths, stress, rtol=1e-3)
+    np.testing.assert_array_equal(reactions[:, 1], 0.0)
+
+
+def test_the_report_of_a_packing_agrees_with_its_disks(small: Packing) -> None:
+    """Porosity, contacts, rattlers and overlaps follow from positions and radii."""
+    report = small.report
+    area = np.pi * np.sum(small.radius**2)
+    assert report.porosity == pytest.approx(1.0 - area / (small.width * small.height), abs=1e-12)
+    place = np.column_stack([small.x, small.y])
+    first, second = np.triu_indices(len(place), 1)
+    overlap = small.radius[first] + small.radius[second] - np.hypot(*(place[first] - place[second]).T)
+    touching = overlap > 0.0
+    pairs = {tuple(sorted(pair)) for pair in small.pairs.tolist()}
+    assert pairs == set(zip(first[touching].tolist(), second[touching].tolist(), strict=True))
+    assert report.coordination_number == pytest.approx(2.0 * len(pairs) / len(place))
+    # Overlaps of 1e-7 m are differences of positions of 1e-2 m, rounded at 1e-18 m.
+    assert report.mean_overlap == pytest.approx(overlap[touching].mean(), rel=1e-9)
+    assert report.largest_overlap == pytest.approx(overlap[touching].max(), rel=1e-9)
+    assert 0 <= report.rattlers < 0.3 * len(place)
+    assert report.coordination_number_without_rattlers > report.coordination_number
+
+
+def test_disks_of_a_packing_lie_within_the_box_and_the_range_of_sizes(small: Packing) -> None:
+    """No disk is outside, and the sizes are drawn between the limits."""
+    slack = 2.0 * small.report.largest_overlap
+    assert np.all(small.x - small.radius > -slack)
+    assert np.all(small.x + small.radius < small.width + slack)
+    assert np.all(small.y - small.radius > -slack)
+    assert np.all(small.y + small.radius < small.height + slack)
+    low, high = SMALL.diameter
+    # All sizes are scaled together by the sampling error of the summed area, some per cent for a hundred disks.
+    assert np.all((2.0 * small.radius > 0.9 * low) & (2.0 * small.radius < 1.1 * high))
+
+
+def test_shear_forces_of_a_packing_obey_the_friction_of_its_preparation(small: Packing) -> None:
+    """No contact carries more than the preparation friction times its normal force."""
+    contacts = contact_forces(rebuilt(small, SMALL))
+    assert np.all(np.abs(contacts.shear) <= SMALL.friction_preparation * contacts.normal * (1.0 + 1e-9))
+
+
+def test_the_same_generator_makes_the_same_packing(small: Packing) -> None:
+    """Positions, radii and forces are the same bits."""
+    again = make_packing(SMALL, SAND, generator())
+    for name in ("x", "y", "radius"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(small, name))
+    np.testing.assert_array_equal(again.preload.shear, small.preload.shear)
+    assert again.height == small.height
+
+
+def test_radii_fill_the_box_to_its_porosity_exactly() -> None:
+    """The summed area of the disks is (1 - porosity) of the box."""
+    radius = draw_radii(SMALL, generator())
+    assert np.pi * np.sum(radius**2) == pytest.approx((1.0 - SMALL.porosity) * SMALL.width * SMALL.height, rel=1e-12)
+
+
+def test_disks_are_placed_apart() -> None:
+    """Before the expansion no two disks overlap and all lie within the box."""
+    radius = 0.6 * draw_radii(SMALL, generator())
+    x, y = place_apart(SMALL, radius, generator())
+    first, second = np.triu_indices(len(radius), 1)
+    assert np.all(np.hypot(x[first] - x[second], y[first] - y[second]) >= radius[first] + radius[second])
+    assert np.all((x >= radius) & (x <= SMALL.width - radius) & (y >= radius) & (y <= SMALL.height - radius))
+
+
+def test_a_box_without_room_is_refused() -> None:
+    """Disks too large to be placed at random are an error that says what to change."""
+    with pytest.raises(PackingError, match="raise the porosity or enlarge the box"):
+        place_apart(SMALL, draw_radii(SMALL, generator()), generator())
+
+
+def test_a_packing_that_does_not_come_to_rest_is_given_up() -> None:
+    """Beyond the allowed steps the error says how unbalanced it is and what to raise."""
+    with pytest.raises(PackingError, match=r"not at rest after \d+ steps .* raise packing.most_steps"):
+        make_packing(replace(SMALL, most_steps=800), SAND, generator())
+
+
+def test_the_packing_of_the_paper_comes_out_loose_and_at_rest() -> None:
+    """4,670 disks prepared with friction 0.2 at 5 kPa: porosity 0.192, coordination number 3.05, lid within 1 %."""
+    rule = PackingRule()
+    packing = make_packing(rule, SAND, np.random.default_rng(1))
+    report = packing.report
+    assert len(packing.x) == pytest.approx(4670, rel=0.02)
+    assert report.porosity == pytest.approx(0.192, abs=0.004)
+    assert report.coordination_number == pytest.approx(3.05, abs=0.15)
+    assert report.wall_stress[LID] == pytest.approx(rule.stress, rel=0.01)
+    assert report.wall_stress[FLOOR] == pytest.approx(rule.stress, rel=0.01)
+    assert report.unbalanced_ratio <= 1e-4

@@ -1,0 +1,108 @@
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import RADIUS, pair_scene
+
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.packing import PackingRule
+from calcidem.dem.readout import contact_forces, energies
+from calcidem.dem.scene import Bonds, Scene, Wall
+from calcidem.dem.state import Preload, start
+
+ONE = np.zeros(1)
+TWO = np.array([[0, 1]])
+NAN = float("nan")
+
+
+def disk(**options: object) -> Scene:
+    """One disk."""
+    return Scene(**{"x": ONE, "y": ONE, "radius": ONE + RADIUS, **options})  # type: ignore[arg-type]
+
+
+# What is built, then what the message has to name: field, value and a word of the cure.
+CASES: list[tuple[Callable[[], object], str, str, str]] = [
+    (lambda: Sand(shear_modulus=-1.0), "shear_modulus", "-1.0", "positive"),
+    (lambda: Sand(shear_modulus=NAN), "shear_modulus", "nan", "positive"),
+    (lambda: Sand(poisson_ratio=0.5), "poisson_ratio", "0.5", "(-1, 0.5)"),
+    (lambda: Sand(density=0.0), "density", "0.0", "positive"),
+    (lambda: Sand(friction=-0.1), "friction", "-0.1", "0 or more"),
+    (lambda: Cement(bond_modulus=0.0), "bond_modulus", "0.0", "positive"),
+    (lambda: Cement(linear_modulus=-1.0), "linear_modulus", "-1.0", "0 or more"),
+    (lambda: Cement(bond_stiffness_ratio=0.0), "bond_stiffness_ratio", "0.0", "positive"),
+    (lambda: Cement(tensile_strength=-5.0), "tensile_strength", "-5.0", "positive"),
+    (lambda: Cement(cohesion=0.0), "cohesion", "0.0", "positive"),
+    (lambda: Cement(friction_angle=90.0), "friction_angle", "90.0", "[0, 90)"),
+    (lambda: Wall((0.0, 0.0), (1.0, 1.0)), "normal", "(1.0, 1.0)", "length 1"),
+    (lambda: Wall((NAN, 0.0), (1.0, 0.0)), "point", "nan", "finite"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), velocity=(0.0, np.inf)), "velocity", "inf", "finite"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), friction=-0.1), "friction", "-0.1", "0 or more"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), span=(1.0, 1.0)), "span", "(1.0, 1.0)", "lower < upper"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=0.0), "servo_speed", "0.0", "positive"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_force=NAN), "servo_force", "nan", "finite"),
+    (lambda: Bonds(np.array([0, 1])), "bonds.pairs", "(2,)", "(B, 2)"),
+    (lambda: Bonds(np.array([[1, 1]])), "bonds.pairs", "itself", "different"),
+    (lambda: Bonds(TWO, lanes=np.zeros(2, np.uint32)), "bonds.lanes", "(2,)", "(1,)"),
+    (lambda: Bonds(TWO, installation="glue"), "installation", "glue", "preserve"),  # type: ignore[arg-type]
+    (lambda: Bonds(TWO, installation="pfc_absolute"), "installation", "pfc_absolute", "linear_modulus"),
+    (lambda: disk(x=np.zeros(2)), "x", "(2,)", "(1,)"),
+    (lambda: disk(y=ONE + NAN), "y", "NaN", "finite"),
+    (lambda: disk(radius=-ONE), "radius", "0.0", "positive"),
+    (lambda: disk(radius=np.zeros(0)), "radius", "empty", "at least one"),
+    (lambda: disk(damping=1.5), "damping", "1.5", "[0, 1]"),
+    (lambda: disk(damping=NAN), "damping", "nan", "[0, 1]"),
+    (lambda: disk(damping=np.zeros(3)), "damping", "(3,)", "(1,)"),
+    (lambda: disk(held=np.zeros(2, bool)), "held", "(2,)", "(1,)"),
+    (lambda: disk(load=np.zeros((1, 2))), "load", "(1, 2)", "(1, 3)"),
+    (lambda: disk(load=np.full((1, 3), NAN)), "load", "NaN", "finite"),
+    (lambda: disk(bonds=Bonds(TWO)), "bonds.pairs", "0 to 1", "0 to 0"),
+    (lambda: start(pair_scene(gap=-2.0 * RADIUS)), "x, y", "one centre", "own"),
+    (lambda: start(disk(), time_step=1.0), "time_step", "1.0", "smaller"),
+    (lambda: start(disk(), time_step=0.0), "time_step", "0.0", "positive"),
+    (lambda: start(disk(), step_fraction=1.5), "time_step", "above the stability limit", "smaller"),
+    (lambda: start(disk(), velocity=np.zeros(2)), "velocity", "(2,)", "(1, 2)"),
+    (lambda: start(disk(), velocity=np.full((1, 2), NAN)), "velocity", "NaN", "finite"),
+    (lambda: start(disk(), spin=np.zeros(2)), "spin", "(2,)", "(1,)"),
+    (lambda: start(pair_scene(), preload=Preload(TWO, np.zeros(2))), "preload.pairs", "(1, 2)", "(2, 2)"),
+    (lambda: start(disk(), preload=Preload(TWO, ONE)), "preload.pairs", "[0, 1]", "0 to 0"),
+    (lambda: Features(lanes=0), "lanes", "0", "1 to 32"),
+    (lambda: Features(linear=True), "linear", "True", "switch"),
+    (lambda: Features(finite=False, search=True), "search", "True", "finite = True"),
+    (lambda: Features(breakage=True), "breakage", "cemented", "bonds = True"),
+    (lambda: contact_forces(start(pair_scene(), regime="linear")), "regime", "linear", "small or finite"),
+    (lambda: energies(start(pair_scene(), regime="linear")), "regime", "linear", "small or finite"),
+    (lambda: PackingRule(width=0.0), "width", "0.0", "positive"),
+    (lambda: PackingRule(height=-1.0), "height", "-1.0", "positive"),
+    (lambda: PackingRule(diameter=(3e-3, 2e-3)), "diameter", "0.003", "smallest"),
+    (lambda: PackingRule(width=0.01), "diameter", "0.003", "4 disks"),
+    (lambda: PackingRule(porosity=0.05), "porosity", "0.05", "0.1 and 0.5"),
+    (lambda: PackingRule(expansion_steps=0), "expansion_steps", "0", "1 to 100"),
+    (lambda: PackingRule(friction_preparation=-0.1), "friction_preparation", "-0.1", "0 or more"),
+    (lambda: PackingRule(stress=0.0), "stress", "0.0", "positive"),
+    (lambda: PackingRule(damping=1.0), "damping", "1.0", "(0, 1)"),
+    (lambda: PackingRule(balance=0.1), "balance", "0.1", "(0, 1e-3]"),
+    (lambda: PackingRule(most_steps=0), "most_steps", "0", "positive"),
+]
+
+
+@pytest.mark.parametrize(("build", "field", "value", "cure"), CASES, ids=[f"{case[1]} {case[2]}" for case in CASES])
+def test_misuse_is_refused_with_field_value_and_cure(
+    build: Callable[[], object], field: str, value: str, cure: str
+) -> None:
+    """The message begins with the field, shows what was given and says what to give instead."""
+    with pytest.raises(ValueError, match=re.escape(field)) as error:
+        build()
+    message = str(error.value)
+    assert value in message
+    assert cure in message
+    assert message.index(value) < message.rindex(cure)
+
+
+def test_a_pair_that_is_named_twice_is_bonded_in_the_lanes_of_both() -> None:
+    """Naming a bond once in each direction unites its lanes."""
+    bonds = Bonds(np.array([[0, 1], [1, 0]]), lanes=np.array([1, 2], np.uint32))
+    state = start(pair_scene(bonds=bonds), features=replace(Features(bonds=True), lanes=4))
+    assert state.assembly.pairs.cemented.tolist() == [3]
