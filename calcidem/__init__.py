@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calcidem.app.campaign import run
-    from calcidem.storage.campaign import Campaign, open_campaign
+    from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
 
-__all__ = ["Campaign", "open_campaign", "run"]
+__all__ = ["OpenedCampaign", "open_campaign", "run"]
 
 HOMES = {
-    "Campaign": "calcidem.storage.campaign",
-    "open_campaign": "calcidem.storage.campaign",
+    "OpenedCampaign": "calcidem.app.opened_campaign",
+    "open_campaign": "calcidem.app.opened_campaign",
     "run": "calcidem.app.campaign",
 }
 

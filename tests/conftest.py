@@ -9,6 +9,7 @@ import pytest
 from calcidem.app.cell_computation import cell_result
 from calcidem.app.configuration import Calibration, CampaignPlan, Configuration
 from calcidem.app.packing_record import packing_record
+from calcidem.app.report import write_report
 from calcidem.dem.cement import CementRule
 from calcidem.dem.measurement import measure
 from calcidem.dem.packing import PackingRule, make_packing
@@ -67,3 +68,9 @@ def small_database(tmp_path_factory: pytest.TempPathFactory, small_configuration
         store.record_results([CellResult(CellKey(*FAILED), CellStatus.FAILED, "the worker ran out of memory")])
         store.end_run("complete", datetime.now(UTC))
     return path
+
+
+@pytest.fixture(scope="session")
+def small_report(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the report of the small campaign."""
+    return write_report(small_database, tmp_path_factory.mktemp("report") / "report.html")

@@ -1,33 +1,25 @@
 """One campaign from its configuration to its database: the same in one process and on many ranks."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 from calcidem.app.cell_computation import cell_computation, expected_effort
 from calcidem.app.configuration import Configuration
-from calcidem.app.configuration_errors import ConfigurationError, Problem, shown
 from calcidem.app.configuration_file import load_configuration
+from calcidem.app.packing_checks import check_against_packing
 from calcidem.app.packing_record import packing_record
 from calcidem.app.packing_source import Tell, provide_packing
 from calcidem.app.provenance import run_record
 from calcidem.app.store_sink import Heartbeat, StoreSink
-from calcidem.dem.packing import Packing
-from calcidem.dem.wave import listening_disks, wave_scene
-from calcidem.storage.campaign import Campaign, open_campaign
 from calcidem.storage.canonical import canonical_json
 from calcidem.storage.engine import parse_address
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.sql_store import open_store
 from calcidem.storage.store import Store
 from calcidem.sweep import (
-    Batch,
-    BatchOutcome,
-    Place,
-    Progress,
     StopRequest,
     SweepEnd,
     SweepOptions,
@@ -35,13 +27,16 @@ from calcidem.sweep import (
     run_sweep,
 )
 
+if TYPE_CHECKING:
+    from calcidem.app.opened_campaign import OpenedCampaign
+
 
 def run(
     configuration: Configuration | str | os.PathLike[str],
     *,
     db: str | os.PathLike[str] | None = None,
     output: str | os.PathLike[str] | None = None,
-) -> Campaign:
+) -> "OpenedCampaign":
     """Compute a campaign, or what is left of it, in this process.
 
     Parameters
@@ -55,7 +50,7 @@ def run(
 
     Returns
     -------
-    Campaign
+    OpenedCampaign
         Open for reading; to be closed.
 
     Raises
@@ -85,6 +80,8 @@ def run(
         work.end = run_sweep(
             None, work.batches, compute, work.sink, options=sweep_options(configuration), stop_request=StopRequest()
         )
+    from calcidem.app.opened_campaign import open_campaign  # noqa: PLC0415 - statistics, which the ranks do not need
+
     return open_campaign(configuration.database, configuration.campaign.name)
 
 
@@ -202,59 +199,3 @@ def exists(database: str) -> bool:
     """Whether a database may be there already; a server always is."""
     path = parse_address(database).path
     return path is None or path.exists()
-
-
-def check_against_packing(configuration: Configuration, packing: Packing) -> None:
-    """Refuse what the packing that was made cannot hold.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
-    """
-    problems = []
-    experiment, plan = configuration.experiment(packing), configuration.campaign
-    try:
-        wave_scene(packing, configuration.sand, configuration.wave, None)
-    except ValueError as error:
-        problems.append(Problem(f"wave.{error}"))
-    if not len(listening_disks(packing, configuration.wave)):
-        problem = f"wave.listening_depth = {configuration.wave.listening_depth}: holds no disk at the receiver"
-        problems.append(Problem(f"{problem}; make it or wave.receiver_half_width larger"))
-    largest = max(plan.contents)
-    room = {seed: experiment.ordering(seed).maximum_content for seed in plan.seed_numbers}
-    tightest = min(room, key=lambda seed: room[seed])
-    if largest > room[tightest]:
-        limit = f"the packing holds at most {room[tightest]:.4g} % of calcite (seed {tightest})"
-        problems.append(Problem(f"campaign.contents = {shown(plan.contents)}: {limit}; leave larger contents out"))
-    if problems:
-        raise ConfigurationError("configuration", problems)
-
-
-@dataclass(frozen=True, slots=True)
-class TellingHeartbeat:
-    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps."""
-
-    shown: Progress
-    heartbeat: Heartbeat
-
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Pass on."""
-        self.shown.started(batches, workers)
-
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Pass on."""
-        self.shown.settled(outcome)
-
-    def lost(self, place: Place, reason: str) -> None:
-        """Pass on."""
-        self.shown.lost(place, reason)
-
-    def tick(self, workers: int, running: int) -> None:
-        """Give a sign of life and pass on."""
-        self.heartbeat()
-        self.shown.tick(workers, running)
-
-    def ended(self, end: SweepEnd) -> None:
-        """Pass on."""
-        self.shown.ended(end)

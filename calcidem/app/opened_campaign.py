@@ -12,7 +12,8 @@ import xarray as xr
 from calcidem.analysis.campaign_features import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.packing_archive import from_bytes
+from calcidem.app.packing_archive import DamagedPackingError
+from calcidem.app.packing_record import stored_packing
 from calcidem.app.stored_experiment import experiment_of
 from calcidem.dem.cement import CementKind
 from calcidem.dem.measurement import Experiment
@@ -20,7 +21,7 @@ from calcidem.dem.packing import Packing
 from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.wave import wave_scene
 from calcidem.storage.campaign import Campaign
-from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.errors import DamagedStoreError, UnknownCellError
 from calcidem.storage.records import CementPattern
 from calcidem.storage.sql_store import open_store
 
@@ -148,7 +149,7 @@ class OpenedCampaign(Campaign):
         ------
         UnknownCellError
             If the cell has no outcome, or its cement was not kept.
-        ValueError
+        StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
 
         Examples
@@ -174,10 +175,18 @@ class OpenedCampaign(Campaign):
         ------
         UnknownCellError
             If there is no such packing.
-        ValueError
+        StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        return experiment_of(self.config, from_bytes(self.packing(packing_index).state))
+        record = self.packing(packing_index)
+        try:
+            packing = stored_packing(record)
+        except DamagedPackingError as error:
+            raise DamagedStoreError(
+                f"The stored state of packing {packing_index} can't be used: {error}.",
+                "The samples can't be rebuilt from this database; their results can be read as before.",
+            ) from error
+        return experiment_of(self.config, packing)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

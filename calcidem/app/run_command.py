@@ -9,11 +9,12 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from calcidem.app.campaign import CampaignRun, TellingHeartbeat, sweep_options
+from calcidem.app.campaign import CampaignRun, sweep_options
 from calcidem.app.cell_computation import cell_computation, warm_up
 from calcidem.app.configuration import Configuration
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.launch import TERMINAL_VARIABLE
+from calcidem.app.store_sink import HeartbeatProgress
 from calcidem.app.summary import packing_lines, velocity_table
 from calcidem.app.user_errors import USER_ERRORS, exit_code_of
 from calcidem.dem.packing import Packing
@@ -35,6 +36,11 @@ class Orders:
     anything_to_do: bool
 
 
+def orders_of(work: CampaignRun | None) -> Orders | None:
+    """What rank 0 is to tell the others, from what it has prepared; None on the others."""
+    return None if work is None else Orders(work.configuration, work.packing, bool(work.batches))
+
+
 def make_console() -> Console:
     """Console for results.
 
@@ -54,18 +60,18 @@ def run_campaign(path: Path, overrides: Mapping[str, Any]) -> NoReturn:
     with Session() as session:
         console = make_console()
         work: CampaignRun | None = None
-        orders: Orders | int | None = None
+        code = 0
         if session.rank == 0:
             try:
                 refuse_singletons(session.size)
                 configuration = load_configuration(path, overrides)
                 work = CampaignRun(configuration, session.size, lambda text: say(console, text))
-                orders = Orders(configuration, work.packing, bool(work.batches))
             except USER_ERRORS as error:
-                orders = refusal(error)
-        received: Orders | int = session.broadcast(orders)
-        if isinstance(received, int):
-            session.end(received)
+                code = refusal(error)
+        code = session.broadcast(code)
+        if code:
+            session.end(code)
+        received = session.broadcast(orders_of(work))
         if work is None:
             worker_end = compute(session, received)
             session.end(worker_end.exit_code, worker_end)
@@ -91,15 +97,15 @@ def lead(session: Session, orders: Orders, work: CampaignRun, console: Console) 
     """What rank 0 does: have the cells computed, store them, and report; returns the exit code."""
     for line in packing_lines(work.packing):
         say(console, line)
+    prepare(session, orders)
     try:
-        prepare(session, orders)
         work.end = run_sweep(
             session.comm,
             work.batches,
             cell_computation(orders.configuration, work.packing, work.heartbeat),
             work.sink,
             options=sweep_options(orders.configuration),
-            progress=TellingHeartbeat(progress_for(console), work.heartbeat),
+            progress=HeartbeatProgress(progress_for(console), work.heartbeat),
             stop_request=session.stop_request,
         )
         report(work, console, in_haste=session.stop_request.hurry())

@@ -1,12 +1,13 @@
-"""Where a sweep's outcomes go: the store, with the attempts counted."""
+"""Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
 from calcidem.storage.store import Store
-from calcidem.sweep import Batch, BatchOutcome, Cell
+from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 
 PAUSE = 30.0
 """Seconds between two signs of life of the master; half of what the store asks for."""
@@ -81,3 +82,32 @@ class Heartbeat:
         if time.monotonic() > self._next:
             self._next = time.monotonic() + PAUSE
             self._store.heartbeat()
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatProgress:
+    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps."""
+
+    shown: Progress
+    heartbeat: Heartbeat
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Pass it on."""
+        self.shown.started(batches, workers)
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Pass it on."""
+        self.shown.settled(outcome)
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Pass it on."""
+        self.shown.lost(place, reason)
+
+    def tick(self, workers: int, running: int) -> None:
+        """Give a sign of life and pass it on."""
+        self.heartbeat()
+        self.shown.tick(workers, running)
+
+    def ended(self, end: SweepEnd) -> None:
+        """Pass it on."""
+        self.shown.ended(end)

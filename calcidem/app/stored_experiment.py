@@ -10,6 +10,7 @@ from calcidem.dem.material import Cement, Sand
 from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing
 from calcidem.dem.wave import WaveRule
+from calcidem.storage.errors import StoreError
 
 T = TypeVar("T")
 
@@ -26,15 +27,17 @@ def experiment_of(physics: Mapping[str, Any], packing: Packing) -> Experiment:
 
     Raises
     ------
+    StoreError
+        If a section is missing.
     ValueError
-        If a section is missing, or holds what this calcidem refuses.
+        If a section holds what this calcidem refuses.
     """
     sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
     missing = [name for name in sections if name not in physics]
     if missing:
-        raise ValueError(
-            f"The stored configuration lacks {', '.join(missing)}: its cells can't be computed again; "
-            "only campaigns that 'calcidem run' made have a complete one."
+        raise StoreError(
+            f"The stored configuration lacks {', '.join(missing)}: its cells can't be computed again.",
+            "Only campaigns that 'calcidem run' made have a complete one.",
         )
     table = physics["wave"]["frequency"]
     return Experiment(

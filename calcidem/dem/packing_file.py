@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Sand
-from calcidem.dem.packing import Cost, Packing, PackingRule, box_walls, finished, relax
+from calcidem.dem.packing import Cost, Packing, PackingError, PackingRule, box_walls, finished, relax
 from calcidem.dem.scene import Scene
 
 COLUMNS = ("x", "y", "radius")
@@ -19,7 +19,7 @@ LARGEST_OVERLAP = 0.1
 FEWEST_DISKS = 10
 
 
-class PackingFileError(ValueError):
+class PackingFileError(PackingError):
     """A file that is no packing; the message names file, line and cure."""
 
 

@@ -87,7 +87,7 @@ class State:
         return reference + self.unsorted(self.motion.displacement[:, :2, lane])
 
     def velocity(self, lane: int = 0) -> Floats:
-        """(N, 2) velocities half a step before `time`, m/s, in the order of the scene."""
+        """(N, 2) velocities half a step before `time` (at time zero: then), m/s, in the order of the scene."""
         return self.unsorted(self.motion.velocity[:, :2, lane])
 
     def spin(self, lane: int = 0) -> Floats:

@@ -13,114 +13,26 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
+from calcidem.dem.guards import problem_of
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
 from calcidem.dem.pulse import Pulse
-from calcidem.dem.readout import overlaps, wall_overlaps
-from calcidem.dem.scene import Bonds, Installation, Regime, Scene, Wall
+from calcidem.dem.readout import overlaps
+from calcidem.dem.scene import Bonds, Installation, Scene, Wall
 from calcidem.dem.settling import settled
-from calcidem.dem.stability import critical_time_step
-from calcidem.dem.state import SKIN, Precision, State, carried_on, choose_features, start
+from calcidem.dem.state import SKIN, State, carried_on, choose_features, start
+from calcidem.dem.wave_rule import WaveRule, refuse_loud_pulse
+
+__all__ = ["WaveRecord", "WaveRule", "listening_disks", "samples_stride", "send_waves", "wave_scene"]
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
+Signal: TypeAlias = npt.NDArray[np.float64]
 
 LEFT_BELOW, TRANSMITTER, LEFT_ABOVE, RIGHT_BELOW, RECEIVER, RIGHT_ABOVE, FLOOR, LID = range(8)
-FEWEST_SAMPLES = 10  # in a period of the pulse
 SAMPLES_PER_CHUNK = 50  # between two looks at the signal
-NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
-BLOW_UP = 1e3  # velocity over that of the pulse at which a run has gone wrong; waves stay below about 5
-
-
-@dataclass(frozen=True, slots=True)
-class WaveRule:
-    """How the wave is sent, carried and recorded.
-
-    Attributes
-    ----------
-    amplitude
-        v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
-    transmitter_half_width, receiver_half_width
-        Of the bands, m.
-    band_friction
-        Coulomb coefficient of the two bands.
-    damping
-        Local damping factor of the sample.
-    boundary_damping, boundary_thickness
-        Local damping factor of the layers at floor and lid, and their thickness in m.
-    regime
-        See `state.start`.
-    precision
-        Of the kernel's arrays.
-    step_fraction
-        Time step as a part of the stability limit.
-    samples_per_period
-        Least number of samples in a period of the pulse. With 100 a parabola through a peak is good to 1e-5 of it.
-    slowest
-        Slowest velocity that is waited for, m/s.
-    listening_depth
-        Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
-    balance, most_settling_steps
-        Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
-    keep
-        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`.
-    """
-
-    amplitude: float = 1.0e-3
-    transmitter_half_width: float = 0.01
-    receiver_half_width: float = 0.03
-    band_friction: float = 0.7
-    damping: float = 0.3
-    boundary_damping: float = 1.0
-    boundary_thickness: float = 0.05
-    regime: Regime = "linear"
-    precision: Precision = "float64"
-    step_fraction: float = 0.8
-    samples_per_period: int = 100
-    slowest: float = 60.0
-    listening_depth: float = 0.01
-    balance: float = 1.0e-6
-    most_settling_steps: int = 2_000_000
-    keep: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be sent."""
-        for name in (
-            "amplitude",
-            "transmitter_half_width",
-            "receiver_half_width",
-            "slowest",
-            "listening_depth",
-        ):
-            require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
-        for name in ("damping", "boundary_damping"):
-            require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
-        require(
-            self.band_friction > 0.0,
-            "band_friction",
-            self.band_friction,
-            "a smooth transmitter moves nothing; give a positive coefficient",
-        )
-        require(
-            self.boundary_thickness >= 0.0,
-            "boundary_thickness",
-            self.boundary_thickness,
-            "give 0 or more, in m",
-        )
-        require(
-            self.samples_per_period >= FEWEST_SAMPLES,
-            "samples_per_period",
-            self.samples_per_period,
-            f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more",
-        )
-        require(
-            0.0 < self.step_fraction <= 1.0,
-            "step_fraction",
-            self.step_fraction,
-            "above 1 the scheme is unstable; choose 0.05 to 0.95",
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,16 +55,19 @@ class WaveRecord:
         Time steps done for this sample.
     problem
         Empty, or why the run cannot be trusted.
+    retry
+        Empty, or the problem for which the sample was sent a second time, with half the step.
     """
 
     interval: float
-    sent: Floats
-    force: Floats
-    velocity: Floats
+    sent: Signal
+    force: Signal
+    velocity: Signal
     time_step: float
     stability_limit: float
     steps: int
     problem: str = ""
+    retry: str = ""
 
 
 def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None) -> Scene:
@@ -261,8 +176,41 @@ def send_waves(
 
     Returns
     -------
-    One record for each sample.
+    One record for each sample. A sample in which a guard found a problem is sent once more with half the step, and its
+    record says so; if that fails too, the problem stays in the record.
+
+    Raises
+    ------
+    ValueError
+        If the pulse is too strong for the regime.
     """
+    refuse_loud_pulse(packing, rule, frequency)
+
+    def send(samples: Sequence[Flags], chosen: WaveRule) -> list[WaveRecord]:
+        return send_once(packing, sand, cement, samples, frequency, chosen, heard_enough, lanes, installation, check)
+
+    records = send(bonded, rule)
+    failed = [sample for sample, record in enumerate(records) if record.problem]
+    if failed:
+        finer = send([bonded[sample] for sample in failed], replace(rule, step_fraction=0.5 * rule.step_fraction))
+        for sample, record in zip(failed, finer, strict=True):
+            records[sample] = replace(record, retry=records[sample].problem)
+    return records
+
+
+def send_once(
+    packing: Packing,
+    sand: Sand,
+    cement: Cement,
+    bonded: Sequence[Flags],
+    frequency: float,
+    rule: WaveRule,
+    heard_enough: Callable[[WaveRecord], bool],
+    lanes: int,
+    installation: Installation,
+    check: Callable[[], None],
+) -> list[WaveRecord]:
+    """Do what `send_waves` does, with one step."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
     scene = wave_scene(packing, sand, rule, bonds)
@@ -366,29 +314,5 @@ class Recorder:
             time_step=step,
             stability_limit=float(self.state.limit[lane]),
             steps=self.state.steps,
-            problem=self.problem_of(lane),
+            problem=problem_of(self.state, lane, self.rule.amplitude, self.overlap),
         )
-
-    def problem_of(self, lane: int) -> str:
-        """Why a lane cannot be trusted any more, empty if it can."""
-        state = self.state
-        fastest = float(np.abs(state.motion.velocity[:, :2, lane]).max())
-        if not np.isfinite(fastest) or fastest > BLOW_UP * self.rule.amplitude:
-            return f"a disk moves at {fastest:.3g} m/s after {state.steps} steps"
-        furthest = float(np.abs(state.motion.displacement[:, :2, lane]).max())
-        if state.features.linear:
-            return ""
-        if not state.features.search and state.features.finite and furthest > SKIN * float(state.scene.radius.min()):
-            return f"a disk moved {furthest:.3g} m, out of reach of its list of neighbours"
-        if furthest > NOTICEABLE * self.overlap and state.time_step[lane] > self.present_limit()[lane]:
-            return (
-                f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
-                f"after {state.steps} steps, {self.present_limit()[lane]:.3g} s: "
-                "lower wave.step_fraction or wave.amplitude"
-            )
-        return ""
-
-    def present_limit(self) -> Floats:
-        """Stability limit at the present overlaps, (L,) s: Hertz contacts stiffen under load."""
-        state = self.state
-        return critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))

@@ -49,11 +49,10 @@ class PageReader(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.fixture(scope="module")
-def page(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+@pytest.fixture
+def page(small_report: Path) -> str:
     """Text of the report of the small campaign."""
-    file = write_report(small_database, tmp_path_factory.mktemp("report") / "report.html")
-    return file.read_text(encoding="utf-8")
+    return small_report.read_text(encoding="utf-8")
 
 
 def test_page_is_well_formed_and_needs_nothing_else(page: str) -> None:

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.report import write_report
-
 PROBE = """<script>
 addEventListener("load", () => {
   const pictures = [...document.images];
@@ -39,12 +37,6 @@ def browser() -> str:
     return found
 
 
-@pytest.fixture(scope="module")
-def report(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Report of the small campaign."""
-    return write_report(small_database, tmp_path_factory.mktemp("page") / "report.html")
-
-
 def run_browser(browser: str, page: Path, width: int, *options: str) -> subprocess.CompletedProcess[str]:
     """Open a page in a window of a width, in pixels, with a profile of its own."""
     profile = page.parent / f"profile-{width}"
@@ -64,10 +56,10 @@ def run_browser(browser: str, page: Path, width: int, *options: str) -> subproce
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_page_is_complete_and_fits(browser: str, report: Path, width: int) -> None:
+def test_page_is_complete_and_fits(browser: str, small_report: Path, width: int) -> None:
     """Every picture loads, nothing is wider than the screen, no text is tiny, the console stays empty."""
-    probed = report.with_name(f"probed-{width}.html")
-    probed.write_text(report.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
+    probed = small_report.with_name(f"probed-{width}.html")
+    probed.write_text(small_report.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
     done = run_browser(browser, probed, width, "--dump-dom")
     found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout, re.DOTALL)
     assert found
@@ -80,10 +72,10 @@ def test_page_is_complete_and_fits(browser: str, report: Path, width: int) -> No
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_screenshot_is_not_empty(browser: str, report: Path, width: int) -> None:
+def test_screenshot_is_not_empty(browser: str, small_report: Path, width: int) -> None:
     """A screenshot has the size of the screen and shows more than a plain colour."""
-    picture = report.with_name(f"screen-{width}.png")
-    run_browser(browser, report, width, f"--screenshot={picture}")
+    picture = small_report.with_name(f"screen-{width}.png")
+    run_browser(browser, small_report, width, f"--screenshot={picture}")
     content = picture.read_bytes()
     assert struct.unpack(">II", content[16:24]) == (width, 2400)
     start = content.index(b"IDAT") + 4

@@ -89,7 +89,7 @@ def test_the_account_knows_the_energy_that_mode_0_creates() -> None:
         begin = energies(pressed_pair(rescaling))
         state, expected = cycle(rescaling)
         end = energies(state)
-        assert end.contact_loss == pytest.approx(sign * expected, rel=1e-3)  # steps of 1/10,000 of a stroke
+        assert end.contact_loss == pytest.approx(sign * expected, rel=5e-3)  # sliding turns the normal by 5e-4
         assert end.imbalance - begin.imbalance == pytest.approx(0.0, abs=1e-2 * expected)  # turns, as above
 
 

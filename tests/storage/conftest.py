@@ -115,9 +115,7 @@ class Records:
         )
         signal = Signal(1e-6, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
-        cement = CementPattern(
-            pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0
-        )
+        cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
         graph = GraphSummary(
             contacts=90 + seed,
             bonded_contacts=contacts,
@@ -153,7 +151,7 @@ class Records:
         return dataclasses.replace(record, **changes)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def records() -> Records:
     """Factories of records."""
     return Records()
@@ -167,9 +165,7 @@ def postgresql_socket() -> Iterator[Path]:
     )
     if initdb is None:
         pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
-    pytest.importorskip(
-        "psycopg", reason="the PostgreSQL driver is not installed (pip install 'psycopg[binary]')"
-    )
+    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed (pip install 'psycopg[binary]')")
     user: dict[str, Any] = {}
     if os.geteuid() == 0:  # the server refuses to run as root
         try:

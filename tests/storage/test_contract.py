@@ -29,14 +29,10 @@ NUMBER_OF_CELLS = 12  # 4 seeds x 3 contents, see conftest
 
 def test_new_campaign_is_pending(store: SqlStore) -> None:
     """All planned cells of a new campaign are pending, by seed, then content."""
-    assert store.pending() == tuple(
-        CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0)
-    )
+    assert store.pending() == tuple(CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0))
 
 
-def test_continue_keeps_outcomes(
-    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
-) -> None:
+def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlStore], records: "Records") -> None:
     """Beginning the same campaign again continues it: what was done is not pending."""
     store.record_results([records.done(1, 5.0)])
     again = open_here()
@@ -101,10 +97,7 @@ def test_repeated_failure_gives_one_attempt(store: SqlStore, records: "Records")
 def test_done_is_never_replaced_unless_told(store: SqlStore, records: "Records") -> None:
     """A done cell survives later outcomes, and gives way with replace_done."""
     store.record_results([records.done(1, 5.0, vs=1000.0)])
-    assert (
-        store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)])
-        == 0
-    )
+    assert store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)]) == 0
     assert next(store.results()).vs == 1000.0
     assert store.record_results([records.done(1, 5.0, vs=1001.0, attempt=3)], replace_done=True) == 1
     assert next(store.results()).vs == 1001.0
@@ -143,9 +136,7 @@ def test_every_outcome_settles_until_retry(store: SqlStore, records: "Records") 
     """All outcomes settle their cells; retry brings back failed and timed_out, and others on request."""
     outcomes = [s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}]
     keys = [(seed, content) for seed in range(2) for content in (0.0, 0.3, 5.0)]
-    store.record_results(
-        [records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)]
-    )
+    store.record_results([records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)])
     assert len(store.pending()) == NUMBER_OF_CELLS - len(outcomes)
     retried = store.retry()
     assert len(retried) == 2

@@ -63,9 +63,7 @@ def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_
     with open_store(tmp_path / "copy.db") as copy:
         assert import_netcdf(exported, copy) == campaign
         assert copy.runs() == original.runs()
-        assert [copy.load_packing(i) for i in copy.packing_indices()] == [
-            original.load_packing(i) for i in (0, 1)
-        ]
+        assert [copy.load_packing(i) for i in copy.packing_indices()] == [original.load_packing(i) for i in (0, 1)]
         assert list(copy.history()) == list(original.history())
         assert copy.statuses() == original.statuses()
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
@@ -142,9 +140,7 @@ def test_ncdump_opens_it(exported: Path) -> None:
     assert "group: signals" in done.stdout
 
 
-def test_failed_export_leaves_the_old_file(
-    filled: Filled, exported: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An export that fails half-way leaves the old file as it was and no other beside it."""
     before = exported.read_bytes()
 

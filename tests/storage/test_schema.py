@@ -50,9 +50,7 @@ def test_migrations_give_the_schema_of_the_models(tmp_path: Path) -> None:
 def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
     """Alembic's own comparison finds nothing to migrate on either backend."""
     with open_here()._engine.connect() as connection:
-        context = MigrationContext.configure(
-            connection, opts={"version_table": VERSION_TABLE, "compare_type": True}
-        )
+        context = MigrationContext.configure(connection, opts={"version_table": VERSION_TABLE, "compare_type": True})
         assert compare_metadata(context, Base.metadata) == []
 
 

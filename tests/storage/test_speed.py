@@ -10,9 +10,10 @@ from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.models import Cell
-from calcidem.storage.reading import conditions, with_results
-from calcidem.storage.records import CellStatus
+from calcidem.storage.models import Cell, Result
+from calcidem.storage.quantities import QUANTITIES
+from calcidem.storage.reading import cell_in, conditions, with_results
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql_store import open_store
 from calcidem.storage.store import Selection
 
@@ -23,50 +24,77 @@ CONTENTS = tuple(0.5 * i for i in range(17))
 SEEDS = range(100_000 // len(CONTENTS))
 
 
-def test_seconds_for_100_000_cells(
-    tmp_path: Path, records: "Records", capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A campaign of 100,000 cells is complete in every way of reading it; its seconds are printed."""
-    path = tmp_path / "large.db"
-    lines: list[str] = []
+class Stopwatch:
+    """Runs actions and notes how long they took."""
 
-    def timed(name: str, action: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever the action returns
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def __call__(self, name: str, action: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever the action returns
+        """Run an action."""
         start = time.perf_counter()
         result = action()
-        lines.append(f"{name} {time.perf_counter() - start:.2f} s")
+        self.lines.append(f"{name} {time.perf_counter() - start:.2f} s")
         return result
 
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory, records: "Records") -> tuple[Path, Stopwatch]:
+    """Make a database of 100,000 done cells."""
+    path, timed = tmp_path_factory.mktemp("large") / "large.db", Stopwatch()
     with open_store(path) as store:
         timed("plan", lambda: store.begin_campaign(records.campaign(seeds=tuple(SEEDS), contents=CONTENTS)))
         cells = (records.done(seed, content) for seed in SEEDS for content in CONTENTS)
         assert timed("store", lambda: store.record_results(cells)) == len(SEEDS) * len(CONTENTS)
-        assert timed("pending", lambda: store.pending(SEEDS, CONTENTS)) == ()
-        counts = timed("status counts", store.status_counts)
-        assert counts == {(content, CellStatus.DONE): len(SEEDS) for content in CONTENTS}
+    return path, timed
+
+
+def test_seconds_for_100_000_cells(large: tuple[Path, Stopwatch], capsys: pytest.CaptureFixture[str]) -> None:
+    """A campaign of 100,000 cells is complete in every way of reading it; its seconds are printed."""
+    path, timed = large
     with timed("open", lambda: open_campaign(path)) as campaign:
+        assert timed("pending", lambda: campaign.store.pending(SEEDS, CONTENTS)) == ()
+        counts = timed("status counts", campaign.status_counts)
+        assert counts == {(content, CellStatus.DONE): len(SEEDS) for content in CONTENTS}
         assert int(timed("vs", campaign.vs).count()) == len(SEEDS) * len(CONTENTS)
         found = timed("select one content", lambda: list(campaign.select(content=5.0, status="done")))
         assert len(found) == len(SEEDS)
         assert timed("dataset", campaign.to_xarray).sizes == {"seed": len(SEEDS), "content": len(CONTENTS)}
     with capsys.disabled():
-        print(f"\n100,000 cells, {path.stat().st_size / 1e6:.0f} MB: {', '.join(lines)}")  # noqa: T201 - the test's output
+        size = path.stat().st_size / 1e6
+        print(f"\n100,000 cells, {size:.0f} MB: {', '.join(timed.lines)}")  # noqa: T201 - the test's output
 
 
 @pytest.mark.parametrize(
     ("selection", "index"),
     [
+        (Selection(), "(campaign_id=?"),
         (Selection(contents=(5.0,)), "(campaign_id=? AND content=?"),
+        (Selection(contents=(5.0, 6.0), statuses=(CellStatus.DONE,)), "(campaign_id=?"),
+        (Selection(contents=(5.0,), where="vs > 1160 and steps < 10000"), "(campaign_id=? AND content=?"),
         (Selection(seeds=(3,)), "(campaign_id=? AND seed"),
         (Selection(seeds=(3, 5)), "(campaign_id=? AND seed"),
+        (Selection(statuses=(CellStatus.FAILED,)), "(campaign_id=?"),
+        (Selection(where="vs > 1160 and status == 'done'"), "(campaign_id=?"),
     ],
 )
-def test_queries_use_indices(tmp_path: Path, selection: Selection, index: str) -> None:
-    """Selecting cells by content or seed searches an index and scans no table."""
-    with open_store(tmp_path / "one.db") as store, store._reading() as session:
-        statement = (
-            with_results(select(Cell.id)).where(*conditions(1, selection)).order_by(Cell.seed, Cell.content)
-        )
+def test_queries_use_indices(large: tuple[Path, Stopwatch], selection: Selection, index: str) -> None:
+    """Among 100,000 cells every selection searches an index and scans no table, whatever columns it joins."""
+    path, _ = large
+    with open_store(path) as store, store._reading() as session:
+        columns = [quantity.expression for quantity in QUANTITIES]
+        statement = with_results(select(*columns)).where(*conditions(1, selection)).order_by(Cell.seed, Cell.content)
         compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
         plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
     assert not any(line.startswith("SCAN") for line in plan), plan
     assert any("INDEX" in line and index in line for line in plan), plan
+
+
+def test_one_cell_of_100_000_costs_no_more_than_a_few_pages(large: tuple[Path, Stopwatch]) -> None:
+    """Asking for one cell reads by keys only: every step of its plan is a search."""
+    path, _ = large
+    with open_store(path) as store, store._reading() as session:
+        statement = with_results(select(Result.vs)).where(Cell.campaign_id == 1, cell_in([CellKey(3, 5.0)]))
+        compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
+        plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
+    assert not any(line.startswith("SCAN c") for line in plan), plan

@@ -42,7 +42,7 @@ class Setting:
         return self.knob if not self.value else f"{self.knob} {self.value}"
 
 
-def with_wave(experiment: Experiment, **changes: Any) -> Experiment:
+def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: ANN401 - fields of several types
     """Return the experiment with other fields of its `WaveRule`."""
     return replace(experiment, wave=replace(experiment.wave, **changes))
 
@@ -71,7 +71,9 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     yield from turned(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
         yield from turned(experiment, "regime", ("linear", "small", "finite"))
-    yield Setting("early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop))
+    yield Setting(
+        "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
+    )
     # Together: where errors of several knobs add up or cancel.
     yield Setting("single precision, step", "0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
     for amplitude in AMPLITUDES:

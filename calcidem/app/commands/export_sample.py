@@ -17,6 +17,8 @@ def export_sample(
     campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
 ) -> None:
     """Write one sample for ParaView (.vtu, .vtk), or the disks of its packing as CSV (x, y, radius in m)."""
+    if out.suffix.lower() not in SUFFIXES:
+        raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
     with open_campaign(database, campaign) as opened:
         write_sample(opened.sample(seed=seed, content=content), out)
     typer.echo(f"Written: {out}")

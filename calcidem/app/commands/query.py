@@ -51,7 +51,10 @@ def query(
     campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
 ) -> None:
     """Show the cells of a campaign that meet all the conditions given."""
-    selection = Selection(seed or None, content or None, status or None, where)
+    try:
+        selection = Selection(seed or None, content or None, status or None, where)
+    except ValueError as error:
+        raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
     found = find(database, selection, column_names(columns), split(sort), limit, campaign)
     if layout is Format.PARQUET:
         if out is None:

@@ -159,6 +159,8 @@ def _velocities(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> 
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
             "that does not reject normality proves little."
         )
+    if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
+        text.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
     return Section(
         "velocities",
         "Shear-wave velocity",

@@ -32,6 +32,8 @@ class Picture:
         As in the registry.
     source
         The picture itself as a data URI; empty where there is none.
+    inches
+        Width for which its letters were chosen.
     reason
         Why there is none.
     """
@@ -39,7 +41,8 @@ class Picture:
     name: str
     title: str
     caption: str
-    source: str
+    source: str = ""
+    inches: float = 0.0
     reason: str = ""
 
 
@@ -54,17 +57,18 @@ def draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> Picture:
     try:
         figure = entry.draw(analysis)
     except UnavailableError as error:
-        return Picture(entry.name, entry.title, entry.caption, "", str(error))
+        return Picture(entry.name, entry.title, entry.caption, reason=str(error))
     source = data_uri(figure, "png" if entry.pictorial else "svg")
-    return Picture(entry.name, entry.title, entry.caption, source)
+    return Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
 
 
 def study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[Picture]:
     """Draw the figures of the studies given, named "frequency" and "damping"."""
     for entry in STUDY_FIGURES:
         if entry.study in studies:
-            source = data_uri(entry.draw(studies[entry.study]), "svg")
-            yield Picture(entry.name, entry.title, entry.caption, source)
+            figure = entry.draw(studies[entry.study])
+            source = data_uri(figure, "svg")
+            yield Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
 
 
 def data_uri(figure: Figure, file_format: str) -> str:

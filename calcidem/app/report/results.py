@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit
 
-SIGNIFICANCE = 0.05
 MOST_REASONS = 20
 
 
@@ -237,13 +236,3 @@ def _largest(values: xr.DataArray) -> float:
     known = values.to_numpy()
     known = known[np.isfinite(known)]
     return float(known.max()) if known.size else math.nan
-
-
-__all__ = [
-    "cost_table",
-    "feature_table",
-    "growth_table",
-    "law_table",
-    "outcome_table",
-    "velocity_table",
-]

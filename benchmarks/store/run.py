@@ -1,0 +1,183 @@
+"""Seconds and memory of opening, reading, summarising and exporting databases of 1,972 and 1,000,000 cells.
+
+    python benchmarks/store/run.py [--cells 1972 1000000] [--folder DIR] [--out docs/store.csv]
+
+Each database is made of records like those of a run, without signals and cement. Each question is asked in a process of
+its own; its memory is the most that the process ever had beyond what it had after importing calcidem.
+"""
+
+import argparse
+import csv
+import json
+import math
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from calcidem.analysis.distribution import tabulate
+from calcidem.app.commands.query import find
+from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
+from calcidem.storage.canonical import canonical_json, content_hash
+from calcidem.storage.export import export_netcdf
+from calcidem.storage.netcdf_import import import_netcdf
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
+from calcidem.storage.sql_store import open_store
+from calcidem.storage.store import Selection
+
+CONTENTS = tuple(0.5 * i for i in range(17))
+
+ROOT = Path(__file__).parents[2]
+
+
+def cells(seeds: int) -> Iterator[CellResult]:
+    """Outcomes as a run gives them: velocities about normal, one in a hundred without arrival."""
+    generator = np.random.default_rng(1)
+    for seed in range(1, seeds + 1):
+        scatter = generator.normal(1.0, 0.05, len(CONTENTS)).tolist()
+        for content, factor in zip(CONTENTS, scatter, strict=True):
+            key = CellKey(seed, content)
+            if seed % 100 == 0:
+                yield CellResult(key, CellStatus.NO_ARRIVAL, "no peak stands out of the received signal", rank=1)
+                continue
+            yield CellResult(
+                key,
+                CellStatus.DONE,
+                vs=(300.0 + 200.0 * content) * factor,
+                vs_peak=(300.0 + 200.0 * content) * factor,
+                quality_peak=0.9,
+                frequency=15e3,
+                time_step=8e-8,
+                stability_limit=1e-7,
+                steps=12_000,
+                error_estimate=6e-4,
+                content_reached=content,
+                p_contacts=400,
+                c_contacts=900,
+                clusters=250,
+                bonded_contacts=1300,
+                seconds=0.1,
+                rank=3,
+                host="node7",
+                features=PathFeatures(41, 1, 40, 40 / 41, 0.5, 20, 12.1, 0.1, tuple(range(42))),
+                graph=GraphSummary(7200, 1300, 3.05, 20, 4100, 1),
+            )
+
+
+def make_database(path: Path, count: int) -> None:
+    """Plan and store the cells."""
+    seeds = math.ceil(count / len(CONTENTS))
+    config = {"wave": {"transmitter_half_width": 0.01, "receiver_half_width": 0.03}}
+    record = CampaignRecord(
+        hash=content_hash(config),
+        name="large",
+        config=canonical_json(config),
+        contents=CONTENTS,
+        seeds=tuple(range(1, seeds + 1)),
+        created=datetime.now(UTC),
+    )
+    with open_store(path) as store:
+        store.begin_campaign(record)
+        store.record_results(cells(seeds))
+
+
+def ask_select(campaign: OpenedCampaign) -> None:
+    """Fetch the records of one content."""
+    for _ in campaign.select(content=5.0, status="done"):
+        pass
+
+
+def ask_export(campaign: OpenedCampaign) -> None:
+    """Export, beside the database."""
+    path = campaign.store.address.path  # type: ignore[attr-defined]  # a SQLite store
+    export_netcdf(campaign.store, campaign.record, path.with_suffix(".nc"))
+
+
+def ask_import(campaign: OpenedCampaign) -> None:
+    """Import the exported file into a new database."""
+    path = campaign.store.address.path  # type: ignore[attr-defined]  # a SQLite store
+    with open_store(path.with_suffix(".copy.db")) as store:
+        import_netcdf(path.with_suffix(".nc"), store)
+
+
+def ask_query(campaign: OpenedCampaign) -> None:
+    """Find the ten fastest cells of one content, as `calcidem query` does."""
+    path = str(campaign.store.address.path)  # type: ignore[attr-defined]  # a SQLite store
+    find(path, Selection(contents=(5.0,), where="vs > 1300"), sort=("-vs",), limit=10)
+
+
+QUESTIONS: dict[str, tuple[str, Callable[[OpenedCampaign], object]]] = {
+    "open": ("`open_campaign(file)`", lambda _: None),
+    "vs": ("`vs()`", OpenedCampaign.vs),
+    "one": ("`cell(seed=3, content=5.0)`", lambda campaign: campaign.cell(seed=3, content=5.0)),
+    "select": ('`select(content=5.0, status="done")`', ask_select),
+    "query": ('`query --content 5 --where "vs > 1300" --sort=-vs --limit 10`', ask_query),
+    "counts": ("`status_counts()`", OpenedCampaign.status_counts),
+    "summary": ("`summary()`", OpenedCampaign.summary),
+    "dataset": ("`to_xarray()`", OpenedCampaign.to_xarray),
+    "frame": ("`to_dataframe()`", OpenedCampaign.to_dataframe),
+    "export": ("`export` to NetCDF", ask_export),
+    "import": ("`import` of that file", ask_import),
+}
+
+
+def ask(name: str, path: Path) -> dict[str, float]:
+    """Answer one question in this process: seconds, and MB of memory."""
+    # What every process imports for these questions, so that it doesn't count as theirs.
+    assert tabulate  # noqa: S101 - named for the reader
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.perf_counter()
+    with open_campaign(path) as campaign:
+        QUESTIONS[name][1](campaign)
+    seconds = time.perf_counter() - start
+    return {"seconds": seconds, "MB": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
+
+
+def ask_elsewhere(name: str, path: Path) -> dict[str, float]:
+    """Answer one question in a process of its own."""
+    command = [sys.executable, __file__, "--ask", name, "--file", str(path)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
+    answer: dict[str, float] = json.loads(done.stdout)
+    return answer
+
+
+def main() -> None:
+    """Make the databases, ask all questions and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cells", type=int, nargs="+", default=[1972, 1_000_000])
+    parser.add_argument("--folder", type=Path, help="where to keep the databases; a temporary folder without")
+    parser.add_argument("--out", type=Path, help="CSV file for the numbers")
+    parser.add_argument("--ask", choices=QUESTIONS, help=argparse.SUPPRESS)
+    parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.ask:
+        print(json.dumps(ask(options.ask, options.file)))
+        return
+    rows: list[tuple[int, str, float, float]] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for count in options.cells:
+            path = (options.folder or Path(temporary)) / f"cells_{count}.db"
+            if not path.exists():
+                start = time.perf_counter()
+                make_database(path, count)
+                rows.append(
+                    (count, f"storing them ({path.stat().st_size / 1e6:.0f} MB)", time.perf_counter() - start, 0.0)
+                )
+            path.with_suffix(".copy.db").unlink(missing_ok=True)
+            for name, (title, _) in QUESTIONS.items():
+                answer = ask_elsewhere(name, path)
+                rows.append((count, title, answer["seconds"], answer["MB"]))
+                print(f"{count:>9} {title:<70} {answer['seconds']:9.3f} s {answer['MB']:8.0f} MB", flush=True)
+    if options.out:
+        with options.out.open("w", newline="", encoding="utf-8") as stream:
+            csv.writer(stream, lineterminator="\n").writerows([("cells", "what", "seconds", "MB"), *rows])
+
+
+if __name__ == "__main__":
+    main()

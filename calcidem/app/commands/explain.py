@@ -1,0 +1,65 @@
+"""``calcidem explain``: what the scenes of a campaign need, and what is left out of them."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from calcidem.app.configuration_file import load_configuration
+from calcidem.app.explanation import Explanation, explain
+from calcidem.app.packing_source import provide_packing
+
+DEFAULT_CELLS = 8
+"""Seeds of one content that are measured, one batch."""
+
+
+def explain_campaign(
+    configuration: Annotated[Path, typer.Argument(metavar="[CONFIG]", help="TOML file of the campaign.")] = Path(
+        "calcidem.toml"
+    ),
+    content: Annotated[
+        list[float] | None, typer.Option(help="Only this content, in percent; may be repeated. By default three.")
+    ] = None,
+) -> None:
+    """Show what each content needs of the kernel and what is left out: why that is safe, what it saves and costs.
+
+    Every number is measured here and now, on cells of the campaign.
+    """
+    loaded = load_configuration(configuration)
+    packing = provide_packing(loaded, None, typer.echo)
+    contents = sorted(loaded.campaign.contents)
+    chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
+    seeds = loaded.campaign.seed_numbers[: min(DEFAULT_CELLS, loaded.run.lanes)]
+    rows = explain(
+        loaded.experiment(packing),
+        chosen,
+        seeds,
+        loaded.run.lanes,
+        progress=lambda text: typer.echo(f"measuring {text}", err=True),
+    )
+    console = Console(highlight=False)
+    for value in chosen:
+        console.print(explanation_table(value, [row for row in rows if row.content == value]))
+
+
+def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
+    """Table of one content."""
+    table = Table(title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("what")
+    table.add_column("needed")
+    table.add_column("why")
+    table.add_column("time the other way", justify="right")
+    table.add_column("difference in Vs", justify="right")
+    for row in rows:
+        table.add_row(
+            row.alternative.what,
+            "yes" if row.alternative.needed else "left out",
+            row.alternative.why,
+            "-" if row.time_ratio is None else f"{row.time_ratio:.2f} x",
+            "-" if row.difference is None else f"{100.0 * row.difference:.2g} %",
+        )
+    return table

@@ -1,0 +1,188 @@
+"""Small extreme scenes: a slanted lattice of disks in a box, with everything that may go wrong as a number."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from calcidem.dem.assembly import near_pairs
+from calcidem.dem.cement import CementRule
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.measurement import Experiment
+from calcidem.dem.packing import Packing, PackingReport
+from calcidem.dem.scene import Regime
+from calcidem.dem.state import Preload
+from calcidem.dem.wave import WaveRule
+
+RADIUS = 1.25e-3  # m, of the largest disks
+COLUMNS, ROWS = 8, 12
+REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
+RANGES = {
+    "step_fraction": (0.5, 1.2),
+    "contrast": (0.0, 6.0),
+    "damping": (0.0, 1.0),
+    "amplitude": (-9.0, 1.0),
+    "frequency": (-1.5, 1.0),
+    "size_ratio": (0.0, 1.3),
+    "content": (0.0, 1.0),
+    "confinement": (0.0, 8.0),
+    "missing": (0.0, 0.3),
+    "strength": (-2.0, 6.0),
+}
+"""Lower and upper end of every quantity of `Extreme`; powers of ten where the comment there says so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extreme:
+    """One scene of the map.
+
+    Attributes
+    ----------
+    step_fraction
+        Step over its predicted limit; above 1 it has to be refused.
+    contrast
+        Stiffness of bonds over that of the pressed contacts.
+    damping
+        Local damping factor.
+    amplitude
+        v0 of the pulse, m/s.
+    frequency
+        Over the cut-off of a chain of such contacts.
+    size_ratio
+        Largest over smallest radius.
+    content
+        Part of the contacts' capacity for cement that is used; 1 bonds everything.
+    confinement
+        Stress that presses the disks, Pa.
+    missing
+        Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing.
+    strength
+        Strength of bonds over the stress of the pulse in them.
+    regime
+        See `state.start`.
+    seed
+        Of the disorder and of the cement.
+    """
+
+    step_fraction: float = 0.8
+    contrast: float = 1.0e3
+    damping: float = 0.3
+    amplitude: float = 1.0e-4
+    frequency: float = 0.2
+    size_ratio: float = 1.2
+    content: float = 0.3
+    confinement: float = 1.0e5
+    missing: float = 0.0
+    strength: float = 1.0e6
+    regime: Regime = "linear"
+    seed: int = 1
+
+
+def drawn(count: int, seed: int) -> tuple[Extreme, ...]:
+    """Latin hypercube over all quantities of `RANGES`, with regimes taking turns."""
+    sample = qmc.scale(qmc.LatinHypercube(len(RANGES), rng=seed).random(count), *np.array(list(RANGES.values())).T)
+    powers = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
+    scenes = []
+    for number, row in enumerate(sample):
+        values = {
+            name: float(10.0**value if name in powers else value) for name, value in zip(RANGES, row, strict=True)
+        }
+        scenes.append(Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number))
+    return tuple(scenes)
+
+
+def experiment_of(extreme: Extreme) -> Experiment:
+    """Experiment for `measurement.measure`, whose single content is `content_of` it.
+
+    Raises
+    ------
+    ValueError
+        If the scene is refused.
+    """
+    sand = Sand()
+    packing = lattice(extreme, sand)
+    stiffness = contact_stiffness(packing, sand)
+    modulus = extreme.contrast * stiffness
+    stress = max(extreme.amplitude * np.sqrt(sand.density * modulus), 1e-3)
+    cement = Cement(
+        bond_modulus=modulus,
+        tensile_strength=extreme.strength * stress,
+        cohesion=extreme.strength * stress,
+    )
+    width = 0.5 * float(packing.radius.min())
+    cut_off = np.sqrt(stiffness / (sand.density * np.pi * RADIUS**2)) / np.pi
+    frequency = extreme.frequency * cut_off
+    wave = WaveRule(
+        amplitude=extreme.amplitude,
+        damping=extreme.damping,
+        regime=extreme.regime,
+        step_fraction=extreme.step_fraction,
+        transmitter_half_width=4.0 * RADIUS,
+        receiver_half_width=6.0 * RADIUS,
+        boundary_thickness=2.0 * RADIUS,
+        listening_depth=4.0 * RADIUS,
+        slowest=2.0 * RADIUS * cut_off,
+    )
+    return Experiment(
+        packing,
+        sand=sand,
+        cement=cement,
+        cement_rule=CementRule(p_diameter=width, c_diameter=width, threshold=100.0),
+        wave=wave,
+        root_seed=extreme.seed,
+        frequencies=((0.0, 100.0), (frequency, frequency)),
+    )
+
+
+def content_of(extreme: Extreme, experiment: Experiment) -> float:
+    """Content that is the scene's part of what its contacts can hold, percent."""
+    return extreme.content * experiment.ordering(extreme.seed).maximum_content
+
+
+def lattice(extreme: Extreme, sand: Sand) -> Packing:
+    """Hexagonal lattice under the confining stress, with small disks and gaps sown in at random."""
+    generator = np.random.default_rng(extreme.seed)
+    overlap = overlap_under(extreme.confinement, sand)
+    spacing = 2.0 * RADIUS - overlap
+    column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
+    x = RADIUS - overlap / 2.0 + (column + 0.5 * (row % 2)).ravel() * spacing
+    y = RADIUS - overlap / 2.0 + row.ravel() * spacing * np.sqrt(0.75)
+    # One in ten sites holds a smaller disk, one contact of it kept; others are empty.
+    small = generator.random(len(x)) < 0.1 * (extreme.size_ratio > 1.0)
+    radius = np.where(small, RADIUS / extreme.size_ratio, RADIUS)
+    x = x - np.where(small, RADIUS - radius, 0.0)
+    kept = generator.random(len(x)) >= extreme.missing
+    x, y, radius = x[kept], y[kept], radius[kept]
+    width, height = spacing * (COLUMNS + 0.5), spacing * np.sqrt(0.75) * (ROWS - 1) + spacing
+    pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
+    preload = Preload(pairs, np.zeros(len(pairs)))
+    return Packing(x, y, radius, float(width), float(height), preload, report_of(extreme, overlap))
+
+
+def report_of(extreme: Extreme, overlap: float) -> PackingReport:
+    """Report of a lattice: what the wave stage reads of it."""
+    return PackingReport(
+        porosity=0.1,
+        coordination_number=6.0,
+        coordination_number_without_rattlers=6.0,
+        rattlers=0,
+        wall_stress=(extreme.confinement,) * 4,
+        mean_overlap=overlap,
+        largest_overlap=overlap,
+        unbalanced_ratio=0.0,
+        steps=0,
+        seconds=0.0,
+    )
+
+
+def overlap_under(stress: float, sand: Sand) -> float:
+    """Overlap of the contacts of a lattice that a stress (Pa) presses, m: force = stress times diameter, Hertz."""
+    coefficient = float(sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS)))
+    return float((stress * 2.0 * RADIUS / coefficient) ** (2.0 / 3.0))
+
+
+def contact_stiffness(packing: Packing, sand: Sand) -> float:
+    """Normal stiffness of the pressed contacts, N/m."""
+    coefficient: Floats = sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS))
+    return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))

@@ -1,0 +1,70 @@
+"""`calcidem import` and `calcidem export-sample`: databases and samples as files, and back."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
+from calcidem.dem.packing_file import read_disks
+from calcidem.storage.errors import ForeignDatabaseError
+from calcidem.storage.export import export_netcdf
+
+Invoke = Callable[..., str]
+
+
+def test_database_to_netcdf_to_database(campaign: OpenedCampaign, invoke: Invoke, tmp_path: Path) -> None:
+    """A real database that went through NetCDF is equal in every record, packing, run and attempt."""
+    file, copy = tmp_path / "quick.nc", tmp_path / "copy.db"
+    export_netcdf(campaign.store, campaign.record, file)
+    assert "8 seeds, 5 contents" in invoke("import", file, "--db", copy)
+    with open_campaign(copy) as other:
+        assert other.record == campaign.record
+        assert list(other.select(with_arrays=True)) == list(campaign.select(with_arrays=True))
+        assert other.packing() == campaign.packing()
+        assert [run for _, run in other.runs()] == [run for _, run in campaign.runs()]
+        assert list(other.store.history()) == list(campaign.store.history())
+        first, second = (opened.sample(seed=3, content=5.0) for opened in (other, campaign))
+        np.testing.assert_array_equal(first.packing.preload.shear, second.packing.preload.shear)
+
+
+def test_import_refuses_other_files(invoke: Invoke, tmp_path: Path) -> None:
+    """A NetCDF file of somebody else is refused."""
+    import netCDF4  # noqa: PLC0415 - this test alone needs it
+
+    netCDF4.Dataset(tmp_path / "other.nc", "w").close()
+    with pytest.raises(ForeignDatabaseError, match="not written by calcidem"):
+        invoke("import", tmp_path / "other.nc", "--db", tmp_path / "new.db")
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk"])
+def test_sample_for_paraview(
+    database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path, suffix: str
+) -> None:
+    """The file holds all disks with their radii and all contacts with their cement."""
+    file = tmp_path / f"sample.{suffix}"
+    invoke("export-sample", database, file, "--seed", 1, "--content", 5)
+    mesh, sample = meshio.read(file), campaign.sample(seed=1, content=5.0)
+    np.testing.assert_array_equal(mesh.points[:, 0], sample.packing.x)
+    np.testing.assert_array_equal(mesh.point_data["radius"].ravel(), sample.packing.radius)
+    np.testing.assert_array_equal(mesh.cells_dict["line"], sample.packing.pairs)
+    np.testing.assert_array_equal(mesh.cell_data_dict["kind"]["line"].ravel(), sample.kind)
+
+
+def test_packing_as_csv(database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path) -> None:
+    """The disks in the CSV file are those of the packing, to the last bit."""
+    file = tmp_path / "packing.csv"
+    invoke("export-sample", database, file, "--seed", 1, "--content", 5)
+    x, y, radius, _ = read_disks(file)
+    packing = campaign.packing()
+    for written, stored in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
+        np.testing.assert_array_equal(written, stored)
+
+
+def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: Path) -> None:
+    """An ending that stands for no format is refused before anything is written."""
+    output = invoke("export-sample", database, tmp_path / "a.stl", "--seed", 1, "--content", 5, exit_code=2)
+    assert ".vtu" in output
+    assert list(tmp_path.iterdir()) == []

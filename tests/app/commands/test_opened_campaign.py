@@ -1,0 +1,103 @@
+"""The Python API on a small real database."""
+
+import doctest
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calcidem.dem
+from calcidem.analysis.distribution import describe
+from calcidem.app import opened_campaign
+from calcidem.app.opened_campaign import OpenedCampaign
+from calcidem.app.stored_experiment import experiment_of
+from calcidem.dem.cement import CementKind
+from calcidem.dem.measurement import Experiment
+from calcidem.storage.errors import StoreError, UnknownCellError
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: OpenedCampaign, seed: int) -> None:
+    """The sample from the store has the cement that drawing it anew from its seed gives, contact by contact."""
+    sample = campaign.sample(seed=seed, content=5.0)
+    drawn = campaign.experiment().ordering(seed).at(5.0)
+    np.testing.assert_array_equal(sample.kind, drawn.kind)
+    stored = campaign.cell(seed=seed, content=5.0)
+    assert (stored.p_contacts, stored.clusters) == (drawn.p_contacts, drawn.clusters)
+    assert sample.bonds is not None
+    assert len(sample.bonds.pairs) == stored.bonded_contacts
+
+
+def test_a_rebuilt_sample_is_in_balance(campaign: OpenedCampaign) -> None:
+    """The disks, forces and walls that come back are those of a packing at rest."""
+    sample = campaign.sample(seed=1, content=0.66)
+    state = calcidem.dem.start(sample.scene, preload=sample.packing.preload)
+    # Servo and friction of the packing stage are gone; what is left out of balance is that of the packing's report.
+    assert calcidem.dem.unbalanced_ratio(state) < 1e-4
+
+
+def test_a_sample_without_cement_has_no_bonds(campaign: OpenedCampaign) -> None:
+    """At 0 % no contact is cemented."""
+    sample = campaign.sample(seed=1, content=0.0)
+    assert sample.bonds is None
+    assert set(sample.kind.tolist()) == {CementKind.NONE}
+
+
+def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:
+    """The summary of a content describes the velocities that `vs` gives."""
+    row = campaign.summary().sel(content=5.0)
+    expected = describe(campaign.vs().sel(content=5.0).dropna("seed"))
+    assert float(row["mean"]) == expected.mean
+    assert float(row["skewness"]) == expected.skewness
+    assert row["prediction_interval"].values.tolist() == [
+        expected.prediction_interval.low,
+        expected.prediction_interval.high,
+    ]
+
+
+def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
+    """The networkx graph has the contacts, bonds and components that are stored with the cell."""
+    import networkx as nx  # noqa: PLC0415 - this test alone needs it
+
+    graph, stored = campaign.graph(seed=2, content=2.55), campaign.cell(seed=2, content=2.55).graph
+    assert stored is not None
+    bonds = [(a, b) for a, b, bonded in graph.edges(data="bonded") if bonded]
+    cement = nx.Graph(bonds)
+    assert (graph.number_of_edges(), len(bonds)) == (stored.contacts, stored.bonded_contacts)
+    sizes = [len(component) for component in nx.connected_components(cement)]
+    assert (len(sizes), max(sizes)) == (stored.components, stored.largest_component)
+    lengths = nx.multi_source_dijkstra_path_length(
+        graph,
+        {grain for grain, role in graph.nodes(data="role") if role == "transmitter"},
+        weight=lambda _first, _second, data: 0 if data["bonded"] else 1,
+    )
+    receivers = [grain for grain, role in graph.nodes(data="role") if role == "receiver"]
+    assert min(lengths[grain] for grain in receivers) == stored.gap_contacts
+
+
+def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:
+    """The experiment from the stored configuration is that of the file it was computed from."""
+    from calcidem.app.configuration_file import load_configuration  # noqa: PLC0415 - this test alone needs it
+
+    configuration = load_configuration(Path(__file__).parents[3] / "docs" / "tutorial" / "quick.toml", {})
+    stored = campaign.experiment()
+    given = configuration.experiment(stored.packing)
+    names = [name for name in Experiment.__slots__ if name != "packing"]
+    assert {name: getattr(stored, name) for name in names} == {name: getattr(given, name) for name in names}
+
+
+def test_what_is_missing_is_said(campaign: OpenedCampaign) -> None:
+    """An unknown cell and an incomplete configuration are refused with their names."""
+    with pytest.raises(UnknownCellError, match="seed 99"):
+        campaign.sample(seed=99, content=5.0)
+    packing = campaign.experiment().packing
+    with pytest.raises(StoreError, match="lacks root_seed, sand"):
+        experiment_of({"wave": {}}, packing)
+
+
+def test_examples_of_the_documentation(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The examples in the docstrings give what they show."""
+    monkeypatch.chdir(database.parent)
+    result = doctest.testmod(opened_campaign)
+    assert result.attempted > 0
+    assert result.failed == 0

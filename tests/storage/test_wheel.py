@@ -1,0 +1,21 @@
+"""The wheel has what a store needs besides Python modules."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
+    """Every migration of the source tree, and what Alembic starts with, is in the wheel."""
+    builder = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
+    (wheel,) = builder.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    folder = ROOT / "calcidem" / "storage" / "migrations"
+    needed = {str(path.relative_to(ROOT)) for path in folder.rglob("*.py")} | {
+        "calcidem/storage/migrations/script.py.mako"
+    }
+    assert {"calcidem/storage/migrations/versions/v0002_graph_summary.py"} < needed <= names
