@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,9 @@ from calcidem.storage.sql_store import open_store
 from calcidem.storage.store import Selection
 
 CONTENTS = tuple(0.5 * i for i in range(17))
+
+BLOCK = 10_000
+"""Cells of one transaction."""
 
 ROOT = Path(__file__).parents[2]
 
@@ -84,7 +88,9 @@ def make_database(path: Path, count: int) -> None:
     )
     with open_store(path) as store:
         store.begin_campaign(record)
-        store.record_results(cells(seeds))
+        stored = cells(seeds)
+        while block := list(islice(stored, BLOCK)):
+            store.record_results(block)
 
 
 def ask_select(campaign: OpenedCampaign) -> None:

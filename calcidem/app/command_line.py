@@ -118,6 +118,9 @@ def main() -> None:
     """Entry point: run a command, and tell errors that are the user's to cure in one message."""
     for variable in THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
+    from calcidem.app.commands import register
+
+    register(app, sys.argv[1:], [command.name or command.callback.__name__ for command in app.registered_commands])
     try:
         app()
     except Exception as error:

@@ -21,6 +21,7 @@ from calcidem.dem.pulse import EXCITATION
 from calcidem.dem.scene import Installation
 from calcidem.dem.wave import WaveRule
 from calcidem.storage.canonical import content_hash
+from calcidem.storage.engine import parse_address
 from calcidem.storage.records import canonical_content
 
 if TYPE_CHECKING:
@@ -283,9 +284,8 @@ class Configuration:
     @property
     def netcdf(self) -> Path:
         """File name of the export: beside the database, or in the output folder if that is on a server."""
-        if "://" in self.database:
-            return self.output / f"{self.campaign.name}.nc"
-        return Path(self.database).with_suffix(".nc")
+        path = parse_address(self.database).path
+        return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
 
     def experiment(self, packing: Packing) -> Experiment:
         """Everything that the cells share, with the packing they are made from."""

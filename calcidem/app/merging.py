@@ -4,7 +4,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from itertools import islice
 from typing import TypeAlias
 
@@ -223,7 +222,7 @@ def copy_plan(source: Store, target: Store) -> None:
 
 def copy_history(sources: Sequence[Campaign], target: Store) -> Numbers:
     """Copy runs and attempts, each once; return the new numbers of the attempts."""
-    runs: dict[tuple[datetime, str], int] = {}
+    runs: dict[tuple[object, ...], int] = {}
     attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
     copies: dict[tuple[int, CellKey, int], tuple[object, ...]] = {}
     for position, source in enumerate(sources):
@@ -253,11 +252,14 @@ def copy_history(sources: Sequence[Campaign], target: Store) -> Numbers:
 def copy_outcomes(
     source: Campaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: Numbers
 ) -> None:
-    """Copy the outcomes that were chosen from a source, with their arrays."""
+    """Copy the outcomes that were chosen from a source, with their arrays.
+
+    What a run has written into the source since the choice is left out.
+    """
     chosen: Iterator[CellResult] = (
         replace(result, attempt=numbers[position, result.key, result.attempt])
         for result in source.select(with_arrays=True)
-        if choice[result.key] == position
+        if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
     while block := list(islice(chosen, BLOCK)):
         target.record_results(block)

@@ -14,7 +14,7 @@ from calcidem.dem.stability import critical_time_step
 from calcidem.dem.state import SKIN, State
 
 BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
-RESTLESS = 0.02  # velocity that unbalanced forces make over the amplitude of the pulse
+RESTLESS = 1e-3  # velocity that unbalanced forces make over the amplitude of the pulse
 NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 
 
@@ -39,6 +39,10 @@ def problem_of(state: State, lane: int, amplitude: float, overlap: float) -> str
         return ""
     if not state.features.search and state.features.finite and motion.max() > SKIN * float(state.scene.radius.min()):
         return f"{named(state, motion)} moved {motion.max():.3g} m, out of reach of its list of neighbours"
+    broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
+    count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))
+    if count:
+        return f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower wave.amplitude"
     if motion.max() > NOTICEABLE * overlap:
         limit = float(present_limit(state)[lane])
         if state.time_step[lane] > limit:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
-from calcidem.dem.guards import problem_of
+from calcidem.dem.guards import problem_of, refuse_restless
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
@@ -23,7 +23,7 @@ from calcidem.dem.readout import overlaps
 from calcidem.dem.scene import Bonds, Installation, Scene, Wall
 from calcidem.dem.settling import settled
 from calcidem.dem.state import SKIN, State, carried_on, choose_features, start
-from calcidem.dem.wave_rule import WaveRule, refuse_loud_pulse
+from calcidem.dem.wave_rule import FEWEST_SAMPLES, WaveRule, refuse_loud_pulse
 
 __all__ = ["WaveRecord", "WaveRule", "listening_disks", "samples_stride", "send_waves", "wave_scene"]
 
@@ -224,6 +224,15 @@ def send_once(
     )
     if bonds is not None and installation != "preserve":
         state = settled(state, rule.balance, rule.most_settling_steps)
+    refuse_restless(state, rule.amplitude)
+    longest_step = float(state.time_step.max())
+    require(
+        longest_step * frequency * FEWEST_SAMPLES <= 1.0,
+        "frequency",
+        frequency,
+        f"the pulse is shorter than {FEWEST_SAMPLES} time steps of {longest_step:.3g} s, far above what the sample "
+        "lets through: choose a lower frequency",
+    )
     stride = samples_stride(packing, sand, rule, bonds, frequency)
     listeners = listening_disks(packing, rule)
     recorder = Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)

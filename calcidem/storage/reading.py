@@ -191,8 +191,13 @@ def _counts(session: Session, statement: Select[*tuple[Any, ...]]) -> dict[CellK
 
 
 def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
-    """Condition that a cell is one of the keys."""
-    return tuple_(Cell.seed, Cell.content).in_([(key.seed, key.content) for key in keys])
+    """Condition that a cell is one of the keys.
+
+    SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
+    """
+    seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
+    listed = tuple_(Cell.seed, Cell.content).in_([(key.seed, key.content) for key in keys])
+    return and_(Cell.seed.in_(sorted(seeds)), Cell.content.in_(sorted(contents)), listed)
 
 
 def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:

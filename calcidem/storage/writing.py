@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from itertools import product
 from typing import NamedTuple
 
-from sqlalchemy import delete, insert, select, tuple_, update
+from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from calcidem.storage import rows
@@ -175,14 +175,13 @@ def _replace(
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
     session.execute(delete(Result).where(Result.cell_id.in_([cell_id for cell_id, _ in accepted])))
-    numbered = tuple_(Attempt.cell_id, Attempt.number)
-    listed = numbered.in_([(cell_id, result.attempt) for cell_id, result in accepted])
+    listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(Attempt.cell_id, Attempt.number, Attempt.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
     new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
     outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
     if outdated:
-        session.execute(delete(Attempt).where(numbered.in_(outdated)))
+        session.execute(delete(Attempt).where(_attempt_in(outdated)))
     if new:
         session.execute(insert(Attempt), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
     session.execute(insert(Result), [rows.result_values(i, result) for i, result in accepted])
@@ -194,6 +193,12 @@ def _replace(
     for model, values in tables:
         if values:
             session.execute(insert(model), values)
+
+
+def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
+    """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
+    listed = tuple_(Attempt.cell_id, Attempt.number).in_(numbered)
+    return and_(Attempt.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
 
 
 def record_lost(
@@ -243,9 +248,8 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
     """See `Store.restore_attempts`."""
     for chunk in chunks(list(attempts)):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
-        numbered = tuple_(Attempt.cell_id, Attempt.number)
-        listed = [(known[attempt.key].cell_id, attempt.number) for attempt in chunk]
-        statement = select(Attempt.cell_id, Attempt.number).where(numbered.in_(listed))
+        listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
+        statement = select(Attempt.cell_id, Attempt.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
         names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")
         values = [

@@ -35,8 +35,13 @@ def main() -> None:
         shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
         facts, config = key_facts(analysis), flatten(campaign.config)
     shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
+    pictorial = {entry.name for entry in CAMPAIGN_FIGURES if entry.pictorial}
     for name, _, _, figure in shown:
-        write_small(render(figure, "png"), FOLDER / f"{name}.png")
+        file, content = FOLDER / f"{name}.png", render(figure, "png")
+        if name in pictorial:
+            write_small(content, file)
+        else:
+            file.write_bytes(content)
     photograph(database, studies)
     parameters = ", ".join(f"`{key}` = {value_text(config[key])}" for key in CHOSEN if key in config)
     lines = [
@@ -75,7 +80,7 @@ def photograph(database: str, studies: dict) -> None:  # type: ignore[type-arg] 
 
 
 def write_small(content: bytes, file: Path) -> None:
-    """Write a PNG with 256 colours: these figures have few, and a repository keeps every version."""
+    """Write a PNG with 256 colours: pictures of grains are large but have few, and a repository keeps every version."""
     with Image.open(io.BytesIO(content)) as picture:
         # Octree keeps rare colours such as those of thin rings, which median cut gives up.
         palette = picture.convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)

@@ -44,8 +44,8 @@ lanes = 2
 """
 """About 280 disks, packed in seconds; a batch takes about a second, long enough to be interrupted."""
 
-SEEDS = 6
-CONTENTS = (0.0, 0.66, 5.0, 9.0)
+SEEDS = 4
+CONTENTS = (0.0, 0.66, 9.0)
 
 Cells = dict[tuple[int, float], tuple[object, ...]]
 
@@ -142,16 +142,14 @@ class Workshop:
             time.sleep(0.05)
         pytest.fail(f"there are still not {count} cells")
 
-    def processes(self, word: str = "") -> list[int]:
-        """Processes started from this workshop that still run and have a word in their command line."""
+    def processes(self) -> list[int]:
+        """Processes started from this workshop that still run."""
         mark = f"WORKSHOP={self.folder}".encode()
         found = []
-        for path in Path("/proc").glob("[0-9]*"):
+        for path in Path("/proc").glob("[0-9]*/environ"):
             try:
-                if mark in (path / "environ").read_bytes().split(b"\0"):
-                    command = (path / "cmdline").read_bytes().split(b"\0")
-                    if any(Path(part.decode(errors="replace")).name.startswith(word) for part in command[:1]):
-                        found.append(int(path.name))
+                if mark in path.read_bytes().split(b"\0"):
+                    found.append(int(path.parent.name))
             except OSError:
                 continue  # it has ended meanwhile, or is not ours
         return found

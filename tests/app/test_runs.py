@@ -37,19 +37,15 @@ def test_ranks_do_not_change_a_bit(workshop: Workshop, expected: Cells, ranks: i
 
 def test_order_and_company_do_not_change_a_bit(workshop: Workshop, expected: Cells) -> None:
     """Cells computed in another order and in other batches have the same bits, and extending redoes none."""
-    workshop.configure(seeds=(6, 3), contents=(9.0, 0.66))
+    workshop.configure(seeds=(4, 2), contents=(9.0, 0.66))
     assert workshop.run("run", "c.toml", "--ranks", "2").code == 0
-    workshop.configure(seeds=(4, 3, 1))
-    assert workshop.run("run", "c.toml").code == 0
     workshop.configure()
     assert workshop.run("run", "c.toml", "--ranks", "3").code == 0
     assert workshop.cells() == expected
     assert workshop.attempts() == len(expected)
 
 
-@pytest.mark.parametrize(
-    ("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 2), ("SIGTERM", 1), ("SIGINT", 1)]
-)
+@pytest.mark.parametrize(("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 1)])
 def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number: str, ranks: int) -> None:
     """After a signal the exit code is 75, and the same command completes the campaign with the same bits."""
     workshop.configure()
@@ -68,13 +64,14 @@ def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number:
     assert workshop.attempts() == len(expected)
 
 
-@pytest.mark.parametrize("victim", ["mpirun", "python"])
+@pytest.mark.parametrize("victim", ["mpirun", "command"])
 def test_a_killed_launcher_takes_its_ranks_along(workshop: Workshop, expected: Cells, victim: str) -> None:
     """After SIGKILL of mpirun, or of the command above it, no rank is left and the campaign goes on."""
     workshop.configure()
     process = workshop.start("run", "c.toml", "--ranks", "3")
     workshop.wait_for_cells(2)
-    os.kill(workshop.processes("mpirun")[0] if victim == "mpirun" else process.pid, signal.SIGKILL)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
+    os.kill(int(children[0]) if victim == "mpirun" else process.pid, signal.SIGKILL)
     cut_off = workshop.wait(process)
     assert cut_off.code == (75 if victim == "mpirun" else -signal.SIGKILL)
     assert ("the same command continues" in cut_off.errors) == (victim == "mpirun")

@@ -10,12 +10,13 @@ from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.models import Cell, Result
+from calcidem.storage.models import Attempt, Cell
 from calcidem.storage.quantities import QUANTITIES
 from calcidem.storage.reading import cell_in, conditions, with_results
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql_store import open_store
 from calcidem.storage.store import Selection
+from calcidem.storage.writing import _attempt_in
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -90,11 +91,15 @@ def test_queries_use_indices(large: tuple[Path, Stopwatch], selection: Selection
     assert any("INDEX" in line and index in line for line in plan), plan
 
 
-def test_one_cell_of_100_000_costs_no_more_than_a_few_pages(large: tuple[Path, Stopwatch]) -> None:
-    """Asking for one cell reads by keys only: every step of its plan is a search."""
+@pytest.mark.parametrize("keys", [[CellKey(3, 5.0)], [CellKey(seed, 5.0) for seed in range(0, 800, 100)]])
+def test_listed_cells_are_searched_by_their_keys(large: tuple[Path, Stopwatch], keys: list[CellKey]) -> None:
+    """Storing a batch looks its cells and attempts up by index, however many cells the campaign has."""
     path, _ = large
     with open_store(path) as store, store._reading() as session:
-        statement = with_results(select(Result.vs)).where(Cell.campaign_id == 1, cell_in([CellKey(3, 5.0)]))
-        compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
-        plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
-    assert not any(line.startswith("SCAN c") for line in plan), plan
+        for statement, index in (
+            (select(Cell.id).where(Cell.campaign_id == 1, cell_in(keys)), "(campaign_id=? AND seed=? AND content=?)"),
+            (select(Attempt.outcome).where(_attempt_in([(7, 1), (9, 2)])), "(cell_id=?"),
+        ):
+            compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
+            plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
+            assert any(line.startswith("SEARCH") and index in line for line in plan), plan

@@ -24,7 +24,8 @@ def tables(study: Study, targets: Sequence[float] = (0.005, 0.002, 0.001)) -> st
             (
                 f"Default against the reference, {row.cells} cells: median {row.median:.1e}, worst {row.worst:.1e}, "
                 f"{study.reference_seconds / row.seconds:.0f} times faster ({row.seconds:.2f} s against "
-                f"{study.reference_seconds:.1f} s a cell). Halving the reference's step changes Vs by {study.halving:.1e} "
+                f"{study.reference_seconds:.1f} s a cell). "
+                f"Halving the reference's step changes Vs by {study.halving:.1e} "
                 "at most."
             ),
             "",

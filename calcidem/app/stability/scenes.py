@@ -1,4 +1,4 @@
-"""Small extreme scenes: a slanted lattice of disks in a box, with everything that may go wrong as a number."""
+"""Small extreme scenes: a lattice of disks in a box, with everything that may go wrong as a number."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,6 @@ from scipy.stats import qmc
 
 from calcidem.dem.assembly import near_pairs
 from calcidem.dem.cement import CementRule
-from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand
 from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing, PackingReport
@@ -17,17 +16,19 @@ from calcidem.dem.wave import WaveRule
 
 RADIUS = 1.25e-3  # m, of the largest disks
 COLUMNS, ROWS = 8, 12
+SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
+SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
 RANGES = {
-    "step_fraction": (0.5, 1.2),
+    "step_fraction": (0.5, 1.1),
     "contrast": (0.0, 6.0),
     "damping": (0.0, 1.0),
     "amplitude": (-9.0, 1.0),
-    "frequency": (-1.5, 1.0),
-    "size_ratio": (0.0, 1.3),
+    "frequency": (-1.5, 0.7),
+    "size_ratio": (-0.5, 1.3),
     "content": (0.0, 1.0),
     "confinement": (0.0, 8.0),
-    "missing": (0.0, 0.3),
+    "missing": (-0.6, 0.3),
     "strength": (-2.0, 6.0),
 }
 """Lower and upper end of every quantity of `Extreme`; powers of ten where the comment there says so."""
@@ -50,13 +51,13 @@ class Extreme:
     frequency
         Over the cut-off of a chain of such contacts.
     size_ratio
-        Largest over smallest radius.
+        Largest over smallest radius; below 2.5 all disks are equal.
     content
         Part of the contacts' capacity for cement that is used; 1 bonds everything.
     confinement
         Stress that presses the disks, Pa.
     missing
-        Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing.
+        Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing. Below 0 none is.
     strength
         Strength of bonds over the stress of the pulse in them.
     regime
@@ -141,23 +142,35 @@ def content_of(extreme: Extreme, experiment: Experiment) -> float:
 
 
 def lattice(extreme: Extreme, sand: Sand) -> Packing:
-    """Hexagonal lattice under the confining stress, with small disks and gaps sown in at random."""
+    """Square lattice of disks in equilibrium under the confining stress; small disks and gaps sown in at random."""
     generator = np.random.default_rng(extreme.seed)
     overlap = overlap_under(extreme.confinement, sand)
     spacing = 2.0 * RADIUS - overlap
+    # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
+    to_wall = RADIUS - overlap / 2.0 ** (1.0 / 3.0)
     column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
-    x = RADIUS - overlap / 2.0 + (column + 0.5 * (row % 2)).ravel() * spacing
-    y = RADIUS - overlap / 2.0 + row.ravel() * spacing * np.sqrt(0.75)
-    # One in ten sites holds a smaller disk, one contact of it kept; others are empty.
-    small = generator.random(len(x)) < 0.1 * (extreme.size_ratio > 1.0)
-    radius = np.where(small, RADIUS / extreme.size_ratio, RADIUS)
-    x = x - np.where(small, RADIUS - radius, 0.0)
-    kept = generator.random(len(x)) >= extreme.missing
-    x, y, radius = x[kept], y[kept], radius[kept]
-    width, height = spacing * (COLUMNS + 0.5), spacing * np.sqrt(0.75) * (ROWS - 1) + spacing
+    kept = generator.random(column.size) >= extreme.missing
+    x, y = (to_wall + index.ravel()[kept] * spacing for index in (column, row))
+    radius = np.full(len(x), RADIUS)
+    small = RADIUS / extreme.size_ratio
+    if extreme.size_ratio > SMALLEST_RATIO:
+        # They sit in the pores and touch one disk so slightly that the balance does not change.
+        hosts = np.flatnonzero(generator.random(len(x)) < SMALL_DISKS)
+        apart = (RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
+        x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
+        radius = np.append(radius, np.full(len(hosts), small))
+    inside = (x < spacing * (COLUMNS - 1) + 1.1 * to_wall) & (y < spacing * (ROWS - 1) + 1.1 * to_wall)
+    x, y, radius = x[inside], y[inside], radius[inside]
     pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
-    preload = Preload(pairs, np.zeros(len(pairs)))
-    return Packing(x, y, radius, float(width), float(height), preload, report_of(extreme, overlap))
+    return Packing(
+        x,
+        y,
+        radius,
+        width=spacing * (COLUMNS - 1) + 2.0 * to_wall,
+        height=spacing * (ROWS - 1) + 2.0 * to_wall,
+        preload=Preload(pairs, np.zeros(len(pairs))),
+        report=report_of(extreme, overlap),
+    )
 
 
 def report_of(extreme: Extreme, overlap: float) -> PackingReport:
@@ -184,5 +197,5 @@ def overlap_under(stress: float, sand: Sand) -> float:
 
 def contact_stiffness(packing: Packing, sand: Sand) -> float:
     """Normal stiffness of the pressed contacts, N/m."""
-    coefficient: Floats = sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS))
+    coefficient = sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS))
     return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))

@@ -1,7 +1,6 @@
 """The notebook of the tutorial runs as it is printed."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,10 +20,7 @@ def test_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The kernel must import the calcidem under test, installed or not, in the Python that runs the test.
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     notebook = nbformat.read(ROOT / "docs" / "tutorial" / "tutorial.ipynb", as_version=4)
-    manager_of = nbclient.client.KernelManager if hasattr(nbclient.client, "KernelManager") else None
     client = nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}})
-    assert sys.executable
-    assert manager_of is None or manager_of
     client.execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert sum("image/png" in output.get("data", {}) for output in outputs) == 4

@@ -1,0 +1,137 @@
+"""The command line: what it writes, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import xarray as xr
+
+import calcidem
+
+if TYPE_CHECKING:
+    from conftest import Workshop
+
+CHECKOUT = Path(__file__).parents[2]
+
+
+def test_help_does_not_wait_for_numerical_libraries() -> None:
+    """`calcidem --help` loads neither NumPy nor Numba, which take seconds."""
+    program = "import sys, calcidem.app.command_line; sys.exit('numpy' in sys.modules or 'numba' in sys.modules)"
+    environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+    assert subprocess.run([sys.executable, "-c", program], check=False, env=environment).returncode == 0
+
+
+def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: Workshop) -> None:
+    """`init` writes calcidem.toml, refuses to write it again, and writes the other preset on demand."""
+    assert workshop.run("init").code == 0
+    text = (workshop.folder / "calcidem.toml").read_text(encoding="utf-8")
+    assert 'name = "quick"' in text
+    again = workshop.run("init")
+    assert again.code == 2
+    assert "calcidem.toml" in again.errors
+    assert "Traceback" not in again.errors
+    assert (workshop.folder / "calcidem.toml").read_text(encoding="utf-8") == text
+    assert workshop.run("init", "paper.toml", "--preset", "paper").code == 0
+    assert "seeds = 116" in (workshop.folder / "paper.toml").read_text(encoding="utf-8")
+
+
+def test_a_campaign_from_run_to_export(workshop: Workshop) -> None:
+    """`run` reports packing, velocities and paths; `status` and `export` find what it stored."""
+    workshop.configure(seeds=2, contents=(0.0, 9.0))
+    database = workshop.folder / "elsewhere" / "mine.db"
+    done = workshop.run("run", "c.toml", "--db", str(database), "--output", "out")
+    assert done.code == 0, done.errors
+    assert "coordination number" in done.output
+    assert "2/2" in done.output
+    assert str(database.with_suffix(".nc")) in done.output
+    assert "\x1b" not in done.output, "no colours and no bar without a terminal"
+    with xr.open_dataset(database.with_suffix(".nc")) as exported, calcidem.open_campaign(database) as campaign:
+        assert exported["vs"].equals(campaign.vs())
+        # Cement stiffens: the largest content of the paper against none.
+        assert float(campaign.vs().sel(content=9.0).mean()) > 2.0 * float(campaign.vs().sel(content=0.0).mean())
+    status = workshop.run("status", str(database))
+    assert status.code == 0, status.errors
+    assert "2 seeds x 2 contents" in status.output
+    assert "Run 1" in status.output
+    assert workshop.run("export", str(database), "again.nc").code == 0
+    assert (workshop.folder / "again.nc").exists()
+
+
+def test_the_packing_can_be_made_alone(workshop: Workshop) -> None:
+    """`packing` reports on the packing and makes no database."""
+    workshop.configure()
+    done = workshop.run("packing", "c.toml")
+    assert done.code == 0, done.errors
+    assert "porosity" in done.output
+    assert not workshop.database.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("status", "none.db"), 2, "none.db does not exist"),
+        (("export", "none.db", "out.nc"), 2, "none.db does not exist"),
+        (("status", "c.toml"), 1, "c.toml"),
+        (("run", "c.toml", "--ranks", "-1"), 2, "--ranks"),
+        (("run", "c.toml", "--rank", "2"), 2, "--ranks"),
+        (("frobnicate",), 2, "frobnicate"),
+        (("init", "none/c.toml"), 2, "none/c.toml"),
+    ],
+)
+def test_wrong_arguments_are_refused_without_a_traceback(
+    workshop: Workshop, arguments: tuple[str, ...], code: int, words: str
+) -> None:
+    """What cannot be done is said in one message that names it."""
+    workshop.configure()
+    refused = workshop.run(*arguments)
+    assert refused.code == code
+    assert words in refused.errors
+    assert "Traceback" not in refused.errors
+
+
+def test_a_content_over_the_maximum_leaves_no_database(workshop: Workshop) -> None:
+    """What only the packing can tell is refused after it is made and before anything else is."""
+    table = "frequency = { content = [0.0, 90.0], frequency = [4e3, 25e3] }"
+    workshop.configure(contents=(0.0, 60.0), wave=table)
+    refused = workshop.run("run", "c.toml")
+    assert refused.code == 2
+    assert "campaign.contents = [0.0, 60.0]: the packing holds at most" in refused.errors
+    assert not workshop.database.exists()
+
+
+def test_run_in_process_gives_the_campaign(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, expected: dict[tuple[int, float], tuple[object, ...]]
+) -> None:
+    """`calcidem.run` computes without MPI, gives the open campaign, and the same bits as the command."""
+    monkeypatch.setenv("CALCIDEM_CACHE", str(workshop.cache))
+    workshop.configure(seeds=(2, 3), contents=(9.0,))
+    with calcidem.run(workshop.folder / "c.toml", db=workshop.database) as campaign:
+        assert campaign.vs().shape == (2, 1)
+    assert workshop.cells() == {key: cell for key, cell in expected.items() if key in {(2, 9.0), (3, 9.0)}}
+
+
+@pytest.mark.skipif("CALCIDEM_TEST_INSTALL" not in os.environ, reason="installs for minutes: set CALCIDEM_TEST_INSTALL")
+def test_an_installed_package_needs_no_checkout(workshop: Workshop, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """`pip install .` into an empty environment, outside the checkout: `calcidem init && calcidem run` works."""
+    place = tmp_path_factory.mktemp("environment")
+    venv.create(place, with_pip=True)
+    subprocess.run([place / "bin" / "pip", "install", "--quiet", str(CHECKOUT)], check=True, cwd=place)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment |= {"CALCIDEM_CACHE": str(workshop.cache)}
+
+    def run(*arguments: str) -> str:
+        command = [str(place / "bin" / "calcidem"), *arguments]
+        done = subprocess.run(command, check=True, cwd=workshop.folder, env=environment, capture_output=True, text=True)
+        return done.stdout
+
+    assert "Wrote calcidem.toml" in run("init")
+    workshop.configure(seeds=1, contents=(0.0, 9.0), name="calcidem.toml")  # the preset, made small
+    output = run("run")
+    assert "1/1" in output
+    assert workshop.database.exists()

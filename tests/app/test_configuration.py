@@ -1,0 +1,290 @@
+"""Configurations: what is right is read, what is wrong is refused as a whole before anything is done."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calcidem.app.command_line import main
+from calcidem.app.configuration import CampaignPlan, Configuration, Excitation, RunOptions
+from calcidem.app.configuration_errors import ConfigurationError
+from calcidem.app.configuration_file import SECTIONS, load_configuration, read_configuration
+from calcidem.app.presets import preset_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from _typeshed import DataclassInstance
+
+# (text of the file, what the message must name: field and value, problem or cure)
+WRONG = {
+    "empty file": ("", ("the file is empty", "calcidem init")),
+    "not TOML": ("[campaign]\nseeds = = 4\n", ("not TOML", "line 2")),
+    "a word without quotes": ("[campaign]\nname = quick\n", ("not TOML", "line 2", '"..."')),
+    "unknown section": ("[wavee]\n", ("wavee: unknown section", 'did you mean "wave"?')),
+    "unknown key": ("[wave]\namplitud = 1.0\n", ("wave.amplitud: unknown key", 'did you mean "amplitude"?')),
+    "strange key": ("[run]\nqqq = 1\n", ("run.qqq: unknown key", "there are lanes, store_signals")),
+    "key of another section": (
+        "[pattern]\nsand_density = 2650.0\n",
+        ("pattern.sand_density: unknown key", "sand.density says it"),
+    ),
+    "value instead of section": ("wave = 3\n", ("wave = 3: is not a section", "write [wave]")),
+    "no seeds": ("[campaign]\nseeds = 0\n", ("campaign.seeds = 0", "give at least one seed")),
+    "empty seeds": ("[campaign]\nseeds = []\n", ("campaign.seeds = ()", "give at least one seed")),
+    "double seed": ("[campaign]\nseeds = [1, 2, 1]\n", ("campaign.seeds = [1, 2, 1]", "list every seed once")),
+    "negative seed": ("[campaign]\nseeds = [-1]\n", ("campaign.seeds = [-1]", "give seeds of 0 or more")),
+    "broken seed": ("[campaign]\nseeds = [1.5]\n", ("campaign.seeds = [1.5]", "a number n for the seeds 1 to n")),
+    "negative content": ("[campaign]\ncontents = [-1.0]\n", ("campaign.contents = [-1.0]", "percentages of 0 to 100")),
+    "double content": (
+        "[campaign]\ncontents = [0.3, 0.30000000000000004]\n",
+        ("campaign.contents = [0.3, 0.30000000000000004]", "list every content once"),
+    ),
+    "content in quotes": ('[campaign]\ncontents = ["5"]\n', ('campaign.contents = ["5"]', "a list of percentages")),
+    "content without frequency": (
+        "[campaign]\ncontents = [5.0, 12.0]\n",
+        ("campaign.contents = [12.0]", "known from 0 to 9 %", "give wave.frequency"),
+    ),
+    "content not finite": ("[campaign]\ncontents = [nan]\n", ("campaign.contents = [nan]", "a list of percentages")),
+    "name with a slash": ('[campaign]\nname = "a/b"\n', ("campaign.name = 'a/b'", "part of a file name")),
+    "negative root": ("[campaign]\nroot_seed = -3\n", ("campaign.root_seed = -3", "give 0 or more")),
+    "negative width": ("[packing]\nwidth = -0.1\n", ("packing.width = -0.1", "give a positive width in m")),
+    "infinite height": ("[packing]\nheight = inf\n", ("packing.height = inf", "is not finite")),
+    "three diameters": (
+        "[packing]\ndiameter = [1e-3, 2e-3, 3e-3]\n",
+        ("packing.diameter = [0.001, 0.002, 0.003]", "wrong number of entries"),
+    ),
+    "diameters in the wrong order": (
+        "[packing]\ndiameter = [3e-3, 2e-3]\n",
+        ("packing.diameter = (0.003, 0.002)", "give (smallest, largest)"),
+    ),
+    "disks too large for the box": (
+        "[packing]\nwidth = 0.008\n",
+        ("packing.diameter", "at least 4 disks have to fit across the box"),
+    ),
+    "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.5")),
+    "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give 0 or more")),
+    "text for a number": ('[sand]\nfriction = "high"\n', ('sand.friction = "high"', "is not a number")),
+    "truth for a number": ("[sand]\nfriction = true\n", ("sand.friction = true", "is not a number")),
+    "negative modulus": ("[sand]\nshear_modulus = -1.0\n", ("sand.shear_modulus = -1.0", "positive modulus in Pa")),
+    "impossible Poisson ratio": ("[sand]\npoisson_ratio = 0.5\n", ("sand.poisson_ratio = 0.5", "(-1, 0.5)")),
+    "no stiffness": (
+        "[sand]\nwave_stiffness_factor = 0.0\n",
+        ("sand.wave_stiffness_factor = 0.0", "give a positive factor"),
+    ),
+    "unknown installation": (
+        '[cement]\ninstallation = "presrve"\n',
+        ('cement.installation = "presrve"', 'choose "preserve", "zero" or "pfc_absolute"'),
+    ),
+    "installation that the regime cannot do": (
+        '[cement]\ninstallation = "zero"\n',
+        ('cement.installation = "zero"', 'choose wave.regime = "small" or "finite"'),
+    ),
+    "jump without a spring": (
+        '[cement]\ninstallation = "pfc_absolute"\n[wave]\nregime = "finite"\n',
+        ('cement.installation = "pfc_absolute"', "give cement.linear_modulus in Pa"),
+    ),
+    "cement wider than a disk": (
+        "[pattern]\nc_diameter = 2.5e-3\n",
+        ("pattern.c_diameter = 0.0025", "packing.diameter[0] = 0.00212", "make it narrower"),
+    ),
+    "cluster larger than the box": (
+        "[pattern]\ncluster_diameter = 0.2\n",
+        ("pattern.cluster_diameter = 0.2", "larger than the box"),
+    ),
+    "frequency above the cut-off": (
+        "[wave]\nfrequency = 5.0e5\n",
+        ("wave.frequency = 500000", "lattice cut-off", "give a lower frequency"),
+    ),
+    "negative frequency": ("[wave]\nfrequency = -1.0\n", ("wave.frequency = -1.0", "positive frequency in Hz")),
+    "frequency in words": ('[wave]\nfrequency = "8 kHz"\n', ('wave.frequency = "8 kHz"', "give a number in Hz")),
+    "uneven table of frequencies": (
+        "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3]\n",
+        ("wave.frequency.frequency = [4000.0]", "one positive frequency in Hz for each of the 2 contents"),
+    ),
+    "half a table of frequencies": (
+        "[wave.frequency]\ncontent = [0.0, 9.0]\n",
+        ("wave.frequency.frequency: is missing", "add it"),
+    ),
+    "step above the limit": (
+        "[wave]\nstep_fraction = 1.2\n",
+        ("wave.step_fraction = 1.2", "above 1 the scheme is unstable", "choose 0.05 to 0.95"),
+    ),
+    "transmitter larger than the sample": (
+        "[wave]\ntransmitter_half_width = 0.15\n",
+        ("wave.transmitter_half_width = 0.15", "less than half of packing.height, 0.15 m"),
+    ),
+    "boundary larger than the sample": (
+        "[wave]\nboundary_thickness = 0.2\n",
+        ("wave.boundary_thickness = 0.2", "less than half of packing.height"),
+    ),
+    "listening to nothing": (
+        "[wave]\nlistening_depth = 1e-3\n",
+        ("wave.listening_depth = 0.001", "more than the largest diameter"),
+    ),
+    "unknown regime": ('[wave]\nregime = "big"\n', ('wave.regime = "big"', 'choose "finite", "small" or "linear"')),
+    "amplitude of zero": ("[wave]\namplitude = 0.0\n", ("wave.amplitude = 0.0", "give a positive number")),
+    "window upside down": (
+        "[pick]\nslowest = 300.0\nfastest = 200.0\n",
+        ("pick.slowest = 300.0, fastest = 200.0", "give 0 < slowest < fastest"),
+    ),
+    "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
+    "quality out of reach": ("[pick]\nleast_quality = 1.5\n", ("pick.least_quality = 1.5", "give a number in [0, 1)")),
+    "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "choose 1, 2, 4, 8, 16 or 32")),
+    "truth as a number": ("[run]\nstore_signals = 1\n", ("run.store_signals = 1", "neither true nor false")),
+    "no time": ("[run]\ntime_limit = 0.0\n", ("run.time_limit = 0.0", "give seconds above 0")),
+    "database is a folder": ('[run]\ndatabase = "."\n', ('run.database = "."', "is a folder", "give a file name")),
+    "database nowhere": (
+        '[run]\ndatabase = "/proc/none/a.db"\n',
+        ('run.database = "/proc/none/a.db"', "its folder cannot be written"),
+    ),
+    "database below a file": (
+        '[run]\ndatabase = "wrong.toml/a.db"\n',
+        ('run.database = "wrong.toml/a.db"', "its folder cannot be written", "in which you may write"),
+    ),
+    "database of no kind": (
+        '[run]\ndatabase = "://host/a"\n',
+        ('run.database = "://host/a"', "dialect+driver://user@host/database"),
+    ),
+    "output is a file": ('[run]\noutput = "wrong.toml"\n', ('run.output = "wrong.toml"', "is a file")),
+    "output nowhere": ('[run]\noutput = "/proc/none"\n', ('run.output = "/proc/none"', "nothing can be written")),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_configuration_is_refused_before_any_work(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command ends with 2, the message names field, value and cure, and no file is made."""
+    text, expected = WRONG[case]
+    (tmp_path / "wrong.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("sys.argv", ["calcidem", "run", "wrong.toml"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    message = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert message.startswith("Error: wrong.toml: ")
+    for part in expected:
+        assert part in message
+    assert [path.name for path in tmp_path.iterdir()] == ["wrong.toml"]
+
+
+def test_a_missing_file_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A configuration that does not exist gives exit code 2 and says how to get one."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["calcidem", "run"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "calcidem.toml: 1 problem" in (message := capsys.readouterr().err)
+    assert "the file does not exist" in message
+    assert "calcidem init" in message
+
+
+def test_all_problems_are_said_at_once() -> None:
+    """Several wrong values in one section and in several are all named, and nothing is blamed for a neighbour."""
+    document = {
+        "campaign": {"seeds": 0, "contents": [-1.0]},
+        "packing": {"widht": 0.1, "porosity": 0.9, "damping": 2.0},
+        "pattern": {"c_diameter": -1.0},
+    }
+    with pytest.raises(ConfigurationError) as refused:
+        read_configuration(document)
+    blamed = {field for problem in refused.value.problems for field in problem.fields}
+    assert blamed == {
+        "campaign.seeds",
+        "campaign.contents",
+        "packing.widht",
+        "packing.porosity",
+        "packing.damping",
+        "pattern.c_diameter",
+    }
+
+
+@pytest.mark.parametrize("name", ["quick", "paper"])
+def test_presets_are_good(name: str, tmp_path: Path) -> None:
+    """The example configurations are read without complaint and are the files in examples."""
+    path = tmp_path / "preset.toml"
+    path.write_text(preset_text(name), encoding="utf-8")
+    configuration = load_configuration(path)
+    assert configuration.campaign.name == name
+    seeds, contents = {"quick": (4, 6), "paper": (116, 17)}[name]
+    assert len(configuration.campaign.seed_numbers) == seeds
+    assert len(configuration.campaign.contents) == contents
+
+
+def other(value: Any) -> Any:  # noqa: ANN401 - any field of a configuration
+    """Give another value of the same type."""
+    if isinstance(value, tuple):
+        return tuple(other(item) for item in value) or ("something",)
+    if value is None:
+        return 3.0e-6
+    return {bool: lambda: not value, str: lambda: value + "x"}.get(type(value), lambda: value * 2 + 1)()
+
+
+PHYSICAL = [
+    (attribute, field.name)
+    for section, types in SECTIONS.items()
+    if section not in {"campaign", "run"}
+    for attribute, kind in types.items()
+    for field in fields(kind)
+    if (attribute, field.name) != ("pattern", "sand_density")
+]
+
+
+@pytest.mark.parametrize(("attribute", "name"), PHYSICAL)
+def test_whatever_changes_the_physics_changes_the_hash(attribute: str, name: str) -> None:
+    """Every key of the physical sections is part of the campaign's hash."""
+    configuration = Configuration()
+    part: DataclassInstance = getattr(configuration, attribute)
+    changed = object.__new__(type(part))
+    for field in fields(part):  # past the checks: most of these values are nonsense
+        value = getattr(part, field.name)
+        object.__setattr__(changed, field.name, other(value) if field.name == name else value)
+    if isinstance(changed, Excitation):
+        changed = Excitation(8.0e3)
+    assert replace(configuration, **{attribute: changed}).hash != configuration.hash
+
+
+def test_root_seed_is_physical_but_the_plan_is_not() -> None:
+    """Another root seed is another campaign; name, seeds, contents and run options are not."""
+    configuration = Configuration()
+    planned = CampaignPlan(name="other", seeds=(7,), contents=(1.0,))
+    assert replace(configuration, campaign=planned, run=RunOptions(lanes=4)).hash == configuration.hash
+    assert replace(configuration, campaign=CampaignPlan(root_seed=1)).hash != configuration.hash
+
+
+@given(st.integers(min_value=1, max_value=500))
+def test_a_number_of_seeds_stands_for_its_list(count: int) -> None:
+    """`seeds = n` and the list 1 to n are the same plan."""
+    listed = CampaignPlan(seeds=tuple(range(1, count + 1)))
+    assert CampaignPlan(seeds=count).seed_numbers == listed.seed_numbers
+
+
+@given(st.integers(min_value=1, max_value=10**6))
+def test_whole_numbers_are_the_same_as_their_decimals(amplitude: int) -> None:
+    """`5` and `5.0` in a file give the same hash."""
+    hashes = {read_configuration({"wave": {"amplitude": value}}).hash for value in (amplitude, float(amplitude))}
+    assert len(hashes) == 1
+
+
+def test_the_friction_of_the_sand_does_not_change_the_packing() -> None:
+    """The packing is made with its own friction, so it is shared by campaigns that differ in the sand's."""
+    smooth, rough = (read_configuration({"sand": {"friction": value}}) for value in (0.1, 0.9))
+    assert smooth.packing_hash == rough.packing_hash
+    assert smooth.hash != rough.hash
+
+
+def test_frequencies_of_the_paper_are_the_default() -> None:
+    """Without a frequency, Table 2 of the paper is used and becomes part of the hash."""
+    table = Configuration().excitation.table
+    assert (table.at(0.0), table.at(5.0), table.at(4.5)) == (4.0e3, 15.0e3, 12.5e3)
+    written = {"content": list(table.content), "frequency": list(table.frequency)}
+    assert read_configuration({"wave": {"frequency": written}}).hash == Configuration().hash

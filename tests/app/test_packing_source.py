@@ -1,0 +1,150 @@
+"""The packing of a campaign: kept, found again, and made anew when what was kept is damaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calcidem.app.configuration import Configuration, PackingDraw
+from calcidem.app.packing_archive import DamagedPackingError, from_bytes, to_bytes
+from calcidem.app.packing_checks import check_against_packing
+from calcidem.app.packing_record import packing_record, stored_packing
+from calcidem.app.packing_source import cache_folder, provide_packing
+from calcidem.dem.packing import PackingRule
+
+if TYPE_CHECKING:
+    from calcidem.dem.packing import Packing
+
+TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, balance=1e-3))
+"""Some 60 disks, made in less than a second."""
+
+
+@pytest.fixture
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Give an empty cache folder, and the list of what the user is told."""
+    monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
+    return []
+
+
+@pytest.fixture(scope="module")
+def packing(tmp_path_factory: pytest.TempPathFactory) -> Packing:
+    """Give a tiny packing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CALCIDEM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return provide_packing(TINY, None, lambda _: None)
+
+
+def same_bits(first: Packing, second: Packing) -> bool:
+    """Tell whether two packings are equal to the last bit."""
+    return to_bytes(first) == to_bytes(second)
+
+
+def test_an_archive_gives_the_same_bits_back(packing: Packing) -> None:
+    """Positions, radii, size, shear forces and report survive the way into bytes and back."""
+    restored = from_bytes(to_bytes(packing))
+    for name in ("x", "y", "radius", "width", "height"):
+        assert np.array_equal(getattr(restored, name), getattr(packing, name))
+    assert np.array_equal(restored.preload.pairs, packing.preload.pairs)
+    assert np.array_equal(restored.preload.shear, packing.preload.shear)
+    assert restored.report == packing.report
+
+
+def test_a_record_gives_the_same_bits_back(packing: Packing) -> None:
+    """What the database keeps of a packing is enough to restore it."""
+    record = packing_record(packing, index=0, packing_hash="h")
+    assert same_bits(stored_packing(record), packing)
+    assert record.wall_stress["lid"] == packing.report.wall_stress[3]
+    # The store's overlaps are relative to the mean diameter.
+    assert record.mean_overlap == pytest.approx(packing.report.mean_overlap / (2.0 * packing.radius.mean()))
+
+
+@given(st.data())
+def test_every_damage_of_an_archive_is_noticed(packing: Packing, data: st.DataObject) -> None:
+    """Whichever byte is changed, or wherever it is cut off, an archive is refused."""
+    archive = bytearray(to_bytes(packing))
+    place = data.draw(st.integers(0, len(archive) - 1))
+    if data.draw(st.booleans()):
+        damaged = bytes(archive[:place])
+    else:
+        archive[place] ^= data.draw(st.integers(1, 255))
+        damaged = bytes(archive)
+    with pytest.raises(DamagedPackingError):
+        from_bytes(damaged)
+
+
+def test_a_packing_is_made_once(told: list[str], packing: Packing) -> None:
+    """The second campaign with the same packing takes it from the cache, with the same bits; nothing else is left there."""
+    first = provide_packing(TINY, None, told.append)
+    second = provide_packing(TINY, None, told.append)
+    assert "being made" in told[0]
+    assert "taken from the cache" in told[1]
+    assert same_bits(first, second)
+    # The report holds the seconds it took, which differ from one making to the next.
+    assert same_bits(replace(first, report=packing.report), packing)
+    assert len(list(cache_folder().iterdir())) == 1
+
+
+def test_another_seed_is_another_packing(told: list[str], packing: Packing) -> None:
+    """The cache does not mix packings up."""
+    provide_packing(TINY, None, told.append)
+    other = provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), None, told.append)
+    assert ["being made" in line for line in told] == [True, True]
+    assert not np.array_equal(other.x, packing.x)
+
+
+@pytest.mark.parametrize("damage", ["cut off", "changed", "emptied", "replaced by a folder"])
+def test_a_damaged_cache_is_said_and_repaired(told: list[str], packing: Packing, damage: str) -> None:
+    """A cached packing that is not whole any more is made anew, after a word about it."""
+    provide_packing(TINY, None, told.append)
+    path = next(cache_folder().iterdir())
+    whole = path.read_bytes()
+    path.unlink()
+    if damage == "replaced by a folder":
+        path.mkdir()
+    else:
+        content = {"cut off": whole[:-100], "changed": whole[:-1] + b"?", "emptied": b""}
+        path.write_bytes(content[damage])
+    made = provide_packing(TINY, None, told.append)
+    assert f"{path} is damaged" in told[1]
+    assert same_bits(replace(made, report=packing.report), packing)
+    if path.is_file():
+        assert same_bits(from_bytes(path.read_bytes()), made)
+
+
+def test_a_cache_that_cannot_be_written_costs_only_time(
+    told: list[str], packing: Packing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a folder for the cache the packing is made all the same, with advice."""
+    monkeypatch.setenv("CALCIDEM_CACHE", "/proc/none")
+    made = provide_packing(TINY, None, told.append)
+    assert "set CALCIDEM_CACHE to a folder that works" in told[-1]
+    assert same_bits(replace(made, report=packing.report), packing)
+
+
+def test_the_cache_follows_the_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CALCIDEM_CACHE comes before XDG_CACHE_HOME, and that before ~/.cache."""
+    monkeypatch.setenv("HOME", "/h")
+    monkeypatch.delenv("CALCIDEM_CACHE", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert cache_folder() == Path("/h/.cache/calcidem")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/x")
+    assert cache_folder() == Path("/x/calcidem")
+    monkeypatch.setenv("CALCIDEM_CACHE", "/c")
+    assert cache_folder() == Path("/c")
+
+
+def test_contents_are_checked_against_the_packing(packing: Packing) -> None:
+    """A content that the packing cannot hold is refused with the largest that it can; so is a band too high for it."""
+    campaign = replace(TINY.campaign, contents=(0.0, 90.0), seeds=(1, 2, 3))
+    wide = replace(TINY.wave, receiver_half_width=0.05, boundary_thickness=0.001)
+    with pytest.raises(ValueError, match="holds at most") as refused:
+        check_against_packing(replace(TINY, campaign=campaign, wave=wide), packing)
+    message = str(refused.value)
+    assert "campaign.contents = [0.0, 90.0]" in message
+    assert "wave.receiver_half_width = 0.05" in message
