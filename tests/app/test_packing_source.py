@@ -79,7 +79,7 @@ def test_every_damage_of_an_archive_is_noticed(packing: Packing, data: st.DataOb
 
 
 def test_a_packing_is_made_once(told: list[str], packing: Packing) -> None:
-    """The second campaign with the same packing takes it from the cache, with the same bits; nothing else is left there."""
+    """The second campaign with the same packing takes it from the cache, which then holds one file."""
     first = provide_packing(TINY, None, told.append)
     second = provide_packing(TINY, None, told.append)
     assert "being made" in told[0]
