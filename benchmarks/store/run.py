@@ -1,16 +1,14 @@
 """Seconds and memory of opening, reading, summarising and exporting databases of 1,972 and 1,000,000 cells.
 
-    python benchmarks/store/run.py [--cells 1972 1000000] [--folder DIR] [--out docs/store.csv]
+    python benchmarks/store/run.py [--cells 1972 1000000] [--folder DIR]
 
 Each database is made of records like those of a run, without signals and cement. Each question is asked in a process of
 its own; its memory is the most that the process ever had beyond what it had after importing calcidem.
 """
 
 import argparse
-import csv
 import json
 import math
-import resource
 import subprocess
 import sys
 import tempfile
@@ -133,16 +131,22 @@ QUESTIONS: dict[str, tuple[str, Callable[[OpenedCampaign], object]]] = {
 }
 
 
+def peak_memory() -> float:
+    """Return the most memory that this process ever had, MB; what `getrusage` says begins with its parent's."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return float(status.partition("VmHWM:")[2].split()[0]) / 1024
+
+
 def ask(name: str, path: Path) -> dict[str, float]:
     """Answer one question in this process: seconds, and MB of memory."""
     # What every process imports for these questions, so that it doesn't count as theirs.
     assert tabulate  # noqa: S101 - named for the reader
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = peak_memory()
     start = time.perf_counter()
     with open_campaign(path) as campaign:
         QUESTIONS[name][1](campaign)
     seconds = time.perf_counter() - start
-    return {"seconds": seconds, "MB": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
+    return {"seconds": seconds, "MB": peak_memory() - before}
 
 
 def ask_elsewhere(name: str, path: Path) -> dict[str, float]:
@@ -158,14 +162,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, nargs="+", default=[1972, 1_000_000])
     parser.add_argument("--folder", type=Path, help="where to keep the databases; a temporary folder without")
-    parser.add_argument("--out", type=Path, help="CSV file for the numbers")
     parser.add_argument("--ask", choices=QUESTIONS, help=argparse.SUPPRESS)
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.ask:
         print(json.dumps(ask(options.ask, options.file)))
         return
-    rows: list[tuple[int, str, float, float]] = []
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as temporary:
         for count in options.cells:
             path = (options.folder or Path(temporary)) / f"cells_{count}.db"
@@ -180,9 +183,22 @@ def main() -> None:
                 answer = ask_elsewhere(name, path)
                 rows.append((count, title, answer["seconds"], answer["MB"]))
                 print(f"{count:>9} {title:<70} {answer['seconds']:9.3f} s {answer['MB']:8.0f} MB", flush=True)
-    if options.out:
-        with options.out.open("w", newline="", encoding="utf-8") as stream:
-            csv.writer(stream, lineterminator="\n").writerows([("cells", "what", "seconds", "MB"), *rows])
+    print(markdown(rows))
+
+
+Row = tuple[int, str, float, float]
+"""Cells, question, seconds, MB."""
+
+
+def markdown(rows: list[Row]) -> str:
+    """Return the answers as the table of docs/store.md: a line a question, two columns a database."""
+    counts = list(dict.fromkeys(count for count, *_ in rows))
+    head = "".join(f" {count:,} cells: s | MB |" for count in counts)
+    lines = [f"| question |{head}", "|---|" + "---:|---:|" * len(counts)]
+    for title in dict.fromkeys(title for _, title, *_ in rows):
+        found = {count: f" {seconds:.2f} | {size:.0f} |" for count, name, seconds, size in rows if name == title}
+        lines.append(f"| {title} |" + "".join(found.get(count, " | |") for count in counts))
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

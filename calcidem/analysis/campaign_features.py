@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from calcidem.storage.records import CellResult, CementPattern, PackingRecord
 
 NOT_COMPUTED = (CellStatus.PENDING.value, NOT_PLANNED)
-CORRELATION_TIE = 1e-6
-"""Coefficients nearer to one another than this are equally good; thousands of samples cannot tell them apart."""
 
 
 class UnavailableError(Exception):
@@ -193,17 +191,6 @@ class CampaignAnalysis:
         with available():
             return scan_ratio(self.envelopes, self.sample_vs, self.sample_seeds)
 
-    @property
-    def best_ratio(self) -> float:
-        """The smallest weight ratio that correlates as well with Vs as the best one.
-
-        From some ratio on the shortest paths no longer change, and with them neither does the correlation. The
-        scan then ends in a plateau on which round-off alone would choose, while C_d,n grows without limit.
-        """
-        scan = self.ratio_scan
-        as_good = scan.correlation <= scan.best_correlation + CORRELATION_TIE
-        return float(scan.ratios[as_good][0])
-
     @cached_property
     def physical_law(self) -> LawFit:
         """The law with weights by their physical meaning (Eq. 8)."""
@@ -213,7 +200,7 @@ class CampaignAnalysis:
     @cached_property
     def scanned_law(self) -> LawFit:
         """The law with the weight ratio that correlates best with Vs."""
-        weights = ContactWeights.from_ratio(self.best_ratio)
+        weights = ContactWeights.from_ratio(self.ratio_scan.best_ratio)
         connectivity = np.array(
             [
                 normalised_connectivity(

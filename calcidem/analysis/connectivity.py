@@ -29,9 +29,7 @@ class ContactWeights:
     def __post_init__(self) -> None:
         """Check the order of the weights."""
         if not 0 < self.bond <= self.hertz:
-            raise ValueError(
-                f"weights hertz = {self.hertz} and bond = {self.bond} must satisfy 0 < bond <= hertz"
-            )
+            raise ValueError(f"weights hertz = {self.hertz} and bond = {self.bond} must satisfy 0 < bond <= hertz")
 
     @classmethod
     def from_coordination_number(cls, coordination_number: float) -> ContactWeights:

@@ -62,8 +62,7 @@ class ContactGraph:
         """Check the contacts and arrange them for the searches."""
         pairs = np.asarray(self.pairs, dtype=np.int64).reshape(-1, 2)
         lists = {
-            name: np.unique(np.asarray(getattr(self, name), dtype=np.int64))
-            for name in ("transmitter", "receiver")
+            name: np.unique(np.asarray(getattr(self, name), dtype=np.int64)) for name in ("transmitter", "receiver")
         }
         _check(self.grain_count, pairs, lists)
         # Every contact is stored in both directions, rows and columns ascending; `entry_contacts` says which
@@ -117,9 +116,7 @@ class ContactGraph:
     def matrix(self, bonded: ArrayLike, weights: ContactWeights) -> csr_array:
         """Give the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
         data = self.contact_weights(bonded, weights)[self.entry_contacts]
-        return csr_array(
-            (data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count)
-        )
+        return csr_array((data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count))
 
     def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> nx.Graph[int]:
         """Give the graph as a networkx model; arguments as in `contact_weights`.
@@ -198,9 +195,7 @@ def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWe
     distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
     shortest = distance[graph.transmitter].min()
     if not np.isfinite(shortest):
-        raise ValueError(
-            "no chain of contacts joins transmitter and receiver; widen them or check the packing"
-        )
+        raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
     slack = RELATIVE_TIE * shortest
     grain = int(graph.transmitter[distance[graph.transmitter] <= shortest + slack][0])
     grains, kinds = [grain], []
@@ -229,11 +224,7 @@ def _check(grain_count: int, pairs: NDArray[np.int64], lists: dict[str, NDArray[
     if common.size:
         raise ValueError(f"grain {common[0]} is in both transmitter and receiver; the two must be apart")
     if (pairs[:, 0] == pairs[:, 1]).any():
-        raise ValueError(
-            f"pairs joins grain {pairs[pairs[:, 0] == pairs[:, 1]][0, 0]} to itself; remove that contact"
-        )
+        raise ValueError(f"pairs joins grain {pairs[pairs[:, 0] == pairs[:, 1]][0, 0]} to itself; remove that contact")
     unique, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
     if (counts > 1).any():
-        raise ValueError(
-            f"pairs holds the contact {tuple(unique[counts > 1][0].tolist())} more than once; keep one"
-        )
+        raise ValueError(f"pairs holds the contact {tuple(unique[counts > 1][0].tolist())} more than once; keep one")

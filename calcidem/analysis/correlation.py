@@ -71,12 +71,10 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
         raise ValueError(f"table holds the variables {names}; a correlation needs at least two")
     for name in names:
         if set(table[name].dims) != {"seed", "content"}:
-            raise ValueError(
-                f"variable {name} has dimensions {table[name].dims}; give it ('seed', 'content')"
-            )
-    values = np.stack(
-        [table[name].transpose("seed", "content").to_numpy() for name in names], axis=-1
-    ).astype(np.float64)
+            raise ValueError(f"variable {name} has dimensions {table[name].dims}; give it ('seed', 'content')")
+    values = np.stack([table[name].transpose("seed", "content").to_numpy() for name in names], axis=-1).astype(
+        np.float64
+    )
     complete = np.asarray(np.isfinite(values).all(axis=-1))
     groups = [values[complete[:, column], column] for column in range(values.shape[1])]
     pooled = np.concatenate(groups)
@@ -120,9 +118,7 @@ def fisher_interval(
     return np.tanh(z - half), np.tanh(z + half)
 
 
-def _matrix(
-    samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0
-) -> xr.Dataset:
+def _matrix(samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0) -> xr.Dataset:
     """Correlation matrix of samples, shape (n, variables)."""
     pearson = _pearson(samples)
     low, high = fisher_interval(pearson, len(samples), level, lost_freedom)

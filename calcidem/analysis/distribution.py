@@ -46,9 +46,7 @@ class NormalFit:
 
     def density(self, values: ArrayLike) -> NDArray[np.float64]:
         """Give the fitted probability density at `values`, in one over the unit of the sample."""
-        return np.asarray(
-            stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation)
-        )
+        return np.asarray(stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,16 +128,10 @@ def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
     """
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not np.isfinite(sample).all():
-        raise ValueError(
-            f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first"
-        )
+        raise ValueError(f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first")
     centre = float(mean(sample)) if sample.size else math.nan
     deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
-    distance = (
-        float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic)
-        if deviation > 0
-        else math.nan
-    )
+    distance = float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if deviation > 0 else math.nan
     return Distribution(
         n=sample.size,
         mean=centre,
@@ -235,9 +227,7 @@ def _columns(name: str, values: list[object]) -> list[tuple[str, tuple[str, ...]
             columns = {"normal_fit_largest_distance": "largest_distance"}
         case _:
             return [(name, ("content",), values)]
-    return [
-        (column, ("content",), [getattr(value, part) for value in values]) for column, part in columns.items()
-    ]
+    return [(column, ("content",), [getattr(value, part) for value in values]) for column, part in columns.items()]
 
 
 def _numbers(value: object, *names: str) -> list[float]:

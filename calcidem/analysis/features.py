@@ -81,9 +81,7 @@ def _connectivity(measure: PathMeasure) -> float:
 FEATURES = (
     Feature("contacts", "N", "number of contacts on the path", _contacts),
     Feature("hertz_contacts", "N_h", "number of sand contacts on the path", lambda m: m.path.hertz_contacts),
-    Feature(
-        "bond_contacts", "N_LPB", "number of cemented contacts on the path", lambda m: m.path.bond_contacts
-    ),
+    Feature("bond_contacts", "N_LPB", "number of cemented contacts on the path", lambda m: m.path.bond_contacts),
     Feature(
         "bond_proportion",
         "LP",
@@ -140,9 +138,7 @@ def measure_path(path: PreferentialPath, weights: ContactWeights, scale: PathSca
     return PathFeatures(path=path, **values)
 
 
-def path_features(
-    graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights, scale: PathScale
-) -> PathFeatures:
+def path_features(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights, scale: PathScale) -> PathFeatures:
     """Find the preferential path of one sample and compute its eight features.
 
     Parameters

@@ -162,9 +162,7 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
     )
 
 
-def leave_one_seed_out(
-    connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95
-) -> LeaveOneSeedOut:
+def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95) -> LeaveOneSeedOut:
     """Predict the samples of each seed from a law fitted to all other seeds.
 
     All contents of a seed are left out together: they share their cement, and a fit that has seen one of them
@@ -221,9 +219,7 @@ def _gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[n
 def _known(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(
-            f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample"
-        )
+        raise ValueError(f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample")
     known = np.isfinite(x) & np.isfinite(y)
     if (x[known] <= 0).any():
         raise ValueError(

@@ -94,9 +94,7 @@ def kurtosis(values: NDArray[np.float64]) -> float:
     values
         Sample, shape (n,).
     """
-    return (
-        math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.kurtosis(values, fisher=False))
-    )
+    return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.kurtosis(values, fisher=False))
 
 
 def _statistic(n: int, skewness: NDArray[np.float64], kurtosis: NDArray[np.float64]) -> NDArray[np.float64]:

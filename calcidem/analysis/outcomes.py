@@ -71,9 +71,7 @@ def matrix(vs: xr.DataArray) -> xr.DataArray:
     return vs.transpose("seed", "content")
 
 
-def _checked_status(
-    vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]
-) -> NDArray[np.object_]:
+def _checked_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
     if dict(status.sizes) != dict(vs.sizes):
         raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
     text = status.transpose("seed", "content").to_numpy().astype(object)

@@ -79,9 +79,7 @@ class PathEnvelope:
         return lengths
 
 
-def path_envelope(
-    graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, high: float = 0.99
-) -> PathEnvelope:
+def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, high: float = 0.99) -> PathEnvelope:
     """Find the envelope of one sample.
 
     Parameters
@@ -134,9 +132,7 @@ def _strictly_shortest(found: list[PathLine], low: float, high: float) -> tuple[
     """
     lines: list[PathLine] = []
     for line in found:
-        while lines and _corner(lines[-1], line) <= (
-            _corner(lines[-2], lines[-1]) if len(lines) > 1 else low
-        ):
+        while lines and _corner(lines[-1], line) <= (_corner(lines[-2], lines[-1]) if len(lines) > 1 else low):
             lines.pop()
         if not lines or _corner(lines[-1], line) < high:
             lines.append(line)

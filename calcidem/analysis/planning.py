@@ -69,9 +69,7 @@ def seeds_needed(standard_deviation: float, half_width: float, level: float = 0.
         If the deviation is negative or not finite, or the half-width is not positive.
     """
     if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
-        raise ValueError(
-            f"standard_deviation is {standard_deviation}; it must be a finite number, not negative"
-        )
+        raise ValueError(f"standard_deviation is {standard_deviation}; it must be a finite number, not negative")
     if not half_width > 0:
         raise ValueError(f"half_width is {half_width}; it must be positive")
     # The normal quantile gives too few, by two or three: Student's is larger.
@@ -112,9 +110,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> See
     )
 
 
-def narrowing(
-    values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000
-) -> xr.Dataset:
+def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
     """Give the half-widths that mean, standard deviation and skewness would have with other numbers of seeds.
 
     Parameters
@@ -148,9 +144,7 @@ def narrowing(
     """
     sample = _finite(values)
     if min(counts, default=SMALLEST_COUNT) < SMALLEST_COUNT:
-        raise ValueError(
-            f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds"
-        )
+        raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     mean, spread, skew = [], [], []

@@ -132,15 +132,10 @@ def published_study() -> PublishedStudy:
     return PublishedStudy(
         **data["source"],
         parameters=MappingProxyType(
-            {
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in data["parameters"].items()
-            }
+            {name: tuple(value) if isinstance(value, list) else value for name, value in data["parameters"].items()}
         ),
         contents=tuple(
-            PublishedContent(
-                row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None
-            )
+            PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
             for row in data["contents"]
         ),
         stages=tuple(_stage(row) for row in data["stages"]),

@@ -145,8 +145,7 @@ def _rates(study: PublishedStudy) -> list[Finding]:
                 Finding(
                     place=f"Section 3.2.1, stage {printed.name}{basis}",
                     printed=f"rate {printed.rate:.2f} m/s per percent",
-                    computed=f"{rate:.2f} from the means at {growth.contents[0]:g} "
-                    f"and {growth.contents[-1]:g} %",
+                    computed=f"{rate:.2f} from the means at {growth.contents[0]:g} and {growth.contents[-1]:g} %",
                     agrees=abs(rate - printed.rate) < RATE_ROUNDING,
                 )
             )
@@ -175,14 +174,11 @@ def _claims(study: PublishedStudy) -> list[Finding]:
     rates = {stage.name: stage.rate for stage in study.stages}
     fastest = max(rates, key=rates.__getitem__)
     in_stage = {
-        name: [(content, row) for content, row in study.velocities if row.stage == name]
-        for name in ("I", "II", "IV")
+        name: [(content, row) for content, row in study.velocities if row.stage == name] for name in ("I", "II", "IV")
     }
     negative = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["I"] if row.skewness <= 0]
     flat = [
-        f"{row.kurtosis:g} at {content:g} %"
-        for content, row in in_stage["II"]
-        if row.kurtosis <= 2 * NORMAL_KURTOSIS
+        f"{row.kurtosis:g} at {content:g} %" for content, row in in_stage["II"] if row.kurtosis <= 2 * NORMAL_KURTOSIS
     ]
     positive = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["IV"] if row.skewness >= 0]
     return [
@@ -224,8 +220,7 @@ def _law(law: PublishedLaw, study: PublishedStudy) -> list[Finding]:
         Finding(
             place=f"Table 4, {law.name}, law",
             printed=span,
-            computed=f"the law gives {fastest:.0f} m/s at {low:g}; "
-            f"Table 3 hardly allows more than {plausible:.0f} m/s",
+            computed=f"the law gives {fastest:.0f} m/s at {low:g}; Table 3 hardly allows more than {plausible:.0f} m/s",
             agrees=fastest <= plausible,
         ),
         Finding(
@@ -257,7 +252,6 @@ def _coordination_number(study: PublishedStudy) -> Finding:
     return Finding(
         place="Table 4 and Eq. 8",
         printed=f"weights {weights.hertz:g} and {weights.bond:g}",
-        computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives "
-        f"{hertz:.3f} and {weights.bond:g}",
+        computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives {hertz:.3f} and {weights.bond:g}",
         agrees=abs(hertz - weights.hertz) < WEIGHT_ROUNDING,
     )

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 SMALLEST_SAMPLE = 3
 """Two samples always lie on a line, so a correlation says nothing."""
 
+CORRELATION_TIE = 1e-6
+"""Correlations closer than this are taken for equal."""
+
 RATIOS = np.linspace(0.01, 0.99, 99)
 """The ratios of the scan. The value 1 is left out: there cement makes no difference and C_d,n is
 undefined."""
@@ -113,21 +116,19 @@ def scan_ratio(
     known = np.isfinite(velocity)
     if known.sum() < SMALLEST_SAMPLE:
         raise ValueError(f"only {known.sum()} samples have a velocity; a correlation needs at least three")
-    lengths = np.stack(
-        [envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use]
-    )
+    lengths = np.stack([envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use])
     sums = _sums_by_seed(lengths, velocity[known], seeds[known])
     seed_count = sums.shape[0]
     correlation = _correlation(np.ones((1, seed_count)), sums)[0]
     if np.isnan(correlation).all():
         raise ValueError("no ratio has a correlation: all samples have the same path or the same velocity")
-    best = int(np.nanargmin(correlation))
+    best = int(_first_best(correlation[None])[0])
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
     drawn = _correlation(draws.astype(np.float64), sums)
     # A replicate of one seed drawn over and over may have no correlation at all; it says nothing.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
-    best_ratios = grid[np.nanargmin(usable, axis=1)]
+    best_ratios = grid[_first_best(usable)]
     low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])
     return RatioScan(
         ratios=grid,
@@ -139,6 +140,16 @@ def scan_ratio(
         n=int(known.sum()),
         left_out=int((~known).sum()),
     )
+
+
+def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Place of the smallest ratio that correlates as well as the best one, in each row of shape (replicates, ratios).
+
+    From some ratio on the shortest paths no longer change, and with them neither does the correlation. The scan then
+    ends in a plateau on which round-off alone would choose, while C_d,n grows without limit.
+    """
+    best = np.nanmin(correlation, axis=1, keepdims=True)
+    return np.argmax(correlation <= best + CORRELATION_TIE, axis=1)
 
 
 def _sums_by_seed(

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
 
 from calcidem.app.checkup_mpi import mpi_findings
 from calcidem.app.finding import Finding, Verdict
@@ -130,9 +131,9 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
             lock = FileLock(Path(trial) / "trial.db")
             locks = lock.acquire() and lock.held
             lock.release()
-    except OSError as error:
+    except (OSError, SQLAlchemyError) as error:
         cure = "free some space or change the permissions, or give another folder"
-        yield Finding(Verdict.PROBLEM, "folder", f"{where} can't be written: {error.strerror}", cure)
+        yield Finding(Verdict.PROBLEM, "folder", f"no database can be made in {where}: {error}", cure)
         return
     yield network_finding(where, kind, network=network, locks=locks)
     yield database_finding(journal, rate)
@@ -194,7 +195,10 @@ def compile_cache_finding() -> Finding:
     """Where the compiled kernels are kept, and whether the ranks of a node can share them there."""
     from calcidem.dem.kernels.sweep import sweep  # noqa: PLC0415 - takes a second to import
 
-    folder = Path(sweep.stats.cache_path)
+    stats = getattr(sweep, "stats", None)
+    if stats is None or stats.cache_path is None:
+        return Finding(Verdict.WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
+    folder = Path(stats.cache_path)
     compiled = len(list(folder.glob("sweep.sweep*.nbc")))
     fact = f"{folder}, kernels in it: {compiled}" + ("" if compiled else " (the first run compiles for 5 to 25 s)")
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())

@@ -6,6 +6,7 @@ import numpy as np
 
 from calcidem.app.opened_campaign import Sample
 from calcidem.dem.packing_file import write_packing_csv
+from calcidem.storage.errors import StoreError
 from calcidem.storage.export import replaced_atomically
 
 SUFFIXES = (".vtu", ".vtk", ".csv")
@@ -25,7 +26,7 @@ def write_sample(sample: Sample, file: Path) -> Path:
     ------
     ValueError
         For another ending.
-    ModuleNotFoundError
+    StoreError
         If the library for VTK isn't installed.
     """
     suffix = file.suffix.lower()
@@ -48,8 +49,8 @@ def write_vtk(sample: Sample, file: Path, file_format: str) -> None:
     try:
         import meshio  # type: ignore[import-untyped]  # noqa: PLC0415 - an optional library, without types
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "Files for ParaView need the library meshio; install it: pip install 'calcidem[paraview]'"
+        raise StoreError(
+            "Files for ParaView need the library meshio.", "Install it: pip install 'calcidem[paraview]'."
         ) from error
     packing = sample.packing
     count = len(packing.radius)

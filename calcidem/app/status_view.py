@@ -29,7 +29,7 @@ NOT_PLANNED = " "
 PARTLY = ":"
 """Some of the cells of a character are done, the others pending."""
 
-WIDTH_OF_NUMBERS = 68
+WIDTH_OF_NUMBERS = 78
 """Columns that the table needs beside the matrix."""
 
 NARROWEST_MATRIX = 10
@@ -73,12 +73,11 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
 
 def matrix_table(status: CampaignStatus, columns: int) -> Table:
     """Seeds x contents as characters, with Vs so far and the time left of each content."""
-    per_character = max(1, math.ceil(len(status.seeds) / columns))
+    per_character = seeds_per_character(status, columns)
     seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
-    title = seeds + (f", {per_character} a character" if per_character > 1 else "")
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
-    table.add_column(title, no_wrap=per_character == 1 and len(title) <= columns)
+    table.add_column(seeds, no_wrap=len(seeds) <= columns)
     for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", "left"):
         table.add_column(name, justify="right", no_wrap=True)
     for content in status.contents:
@@ -93,6 +92,11 @@ def matrix_table(status: CampaignStatus, columns: int) -> Table:
             duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
         )
     return table
+
+
+def seeds_per_character(status: CampaignStatus, columns: int) -> int:
+    """Seeds that share a character so that a matrix fits into so many columns."""
+    return max(1, math.ceil(len(status.seeds) / columns))
 
 
 def matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
@@ -114,8 +118,8 @@ def legend(status: CampaignStatus, columns: int) -> Text:
     for kind, (symbol, style) in SYMBOLS.items():
         if status.counts.get(kind):
             text.append(symbol, style).append(f" {words(kind)}   ")
-    if len(status.seeds) > columns and status.pending:
-        text.append(f"{PARTLY} partly done")
+    if len(status.seeds) > columns:
+        text.append(f"{PARTLY} partly done   one character for {seeds_per_character(status, columns)} seeds")
     return text
 
 

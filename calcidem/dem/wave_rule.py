@@ -8,7 +8,7 @@ from calcidem.dem.pulse import Pulse
 from calcidem.dem.scene import Regime
 from calcidem.dem.state import Precision
 
-FEWEST_SAMPLES = 10  # in a period of the pulse
+FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
 LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
 LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
 

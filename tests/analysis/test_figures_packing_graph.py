@@ -1,22 +1,16 @@
 """The contact graph of a stored packing, and the products of a whole campaign."""
 
-import math
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
-from calcidem.analysis.intervals import Interval
+from calcidem.analysis.campaign_features import CampaignAnalysis
 from calcidem.analysis.packing_graph import features_record, packing_graph
-from calcidem.analysis.weights import RatioScan
 from calcidem.app.packing_record import stored_packing
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CementPattern
 
 
@@ -92,45 +86,3 @@ def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> 
     assert int(analysis.outcomes["missing"].sum()) == 1
     known = np.isfinite(analysis.vs.to_numpy())
     assert int(analysis.outcomes["measured"].sum()) == known.sum()
-
-
-def test_best_ratio_is_the_smallest_of_a_plateau() -> None:
-    """Where the correlation no longer changes, round-off does not choose the ratio."""
-    scan = RatioScan(
-        ratios=np.array([0.5, 0.6, 0.7, 0.8]),
-        correlation=np.array([-0.80, -0.84, -0.84, -0.84 - 1e-15]),
-        best_ratio=0.8,
-        best_correlation=-0.84 - 1e-15,
-        best_ratio_interval=Interval(0.6, 0.8),
-        best_ratio_replicates=np.array([0.6, 0.8]),
-        n=10,
-        left_out=0,
-    )
-    assert CampaignAnalysis.best_ratio.fget(SimpleNamespace(ratio_scan=scan)) == 0.6  # type: ignore[attr-defined]
-
-
-def test_one_sample_is_the_same_as_among_all(analysis: CampaignAnalysis) -> None:
-    """A sample read alone has the cement and the path that it has among all."""
-    one = analysis.sample(2, 5.0)
-    among = next(s for s in analysis.samples if (s.seed, s.content) == (2, 5.0))
-    assert one.features == among.features
-    assert np.array_equal(one.kinds, among.kinds)
-    with pytest.raises(UnknownCellError):
-        analysis.sample(99, 5.0)
-    with pytest.raises(UnavailableError, match=r"seed 6 at 9 %"):
-        analysis.sample(6, 9.0)
-
-
-def test_measured_samples_are_sorted_by_velocity(analysis: CampaignAnalysis) -> None:
-    """Samples of a content come from slow to fast, without those that have no velocity."""
-    velocities = [sample.vs for sample in analysis.measured_samples(2.55)]
-    assert velocities == sorted(velocities)
-    assert all(math.isfinite(value) for value in velocities)
-
-
-def test_campaign_without_bands_says_what_is_missing(analysis: CampaignAnalysis) -> None:
-    """A configuration without the half-width of a band makes the graph unavailable, by name."""
-    record = replace(analysis.campaign.record, config='{"wave": {"transmitter_half_width": 0.01}}')
-    other = type(analysis.campaign)(analysis.campaign.store, record)
-    with pytest.raises(UnavailableError, match=r"wave\.receiver_half_width"):
-        _ = CampaignAnalysis(other).graphs

@@ -8,7 +8,7 @@ from scipy import stats
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, normalised_connectivity
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine
-from calcidem.analysis.weights import _correlation, _sums_by_seed, scan_ratio
+from calcidem.analysis.weights import _correlation, _first_best, _sums_by_seed, scan_ratio
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,6 +98,12 @@ def test_samples_without_velocity_are_left_out_and_counted() -> None:
 def test_a_best_ratio_at_the_end_of_the_scan_is_flagged() -> None:
     """If the true ratio lies beyond the scan, the best one is at its edge and says so."""
     assert scan_ratio(*campaign(0.6, 0.0), ratios=[0.1, 0.2, 0.3]).at_edge
+
+
+def test_the_smallest_of_a_plateau_is_best() -> None:
+    """Where the correlation no longer changes, round-off does not choose the ratio."""
+    rows = np.array([[-0.80, -0.84, -0.84, -0.84 - 1e-15], [np.nan, -0.5, -0.6, -0.55]])
+    assert _first_best(rows).tolist() == [1, 2]
 
 
 def test_samples_that_are_all_alike_are_refused() -> None:

@@ -45,7 +45,7 @@ lanes = 2
 """About 280 disks, packed in seconds; a batch takes about a second, long enough to be interrupted."""
 
 SEEDS = 4
-CONTENTS = (0.0, 0.66, 9.0)
+CONTENTS = (0.0, 0.66, 5.0)
 
 Cells = dict[tuple[int, float], tuple[object, ...]]
 

@@ -189,7 +189,7 @@ def _paths(analysis: CampaignAnalysis) -> Figure:
 def _ratio_scan(analysis: CampaignAnalysis) -> Figure:
     published = next(law for law in published_study().laws if law.name == "Monte-Carlo")
     shown = published.weights.ratio if published_velocities(analysis) else None
-    return draw_ratio_scan(analysis.ratio_scan, analysis.best_ratio, shown)
+    return draw_ratio_scan(analysis.ratio_scan, shown)
 
 
 def _laws(analysis: CampaignAnalysis) -> Figure:

@@ -94,15 +94,13 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
 
 
 @styled
-def draw_ratio_scan(scan: RatioScan, best_ratio: float, published_ratio: float | None = None) -> Figure:
+def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Figure:
     """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14).
 
     Parameters
     ----------
     scan
         The scan.
-    best_ratio
-        The ratio that is taken for best.
     published_ratio
         The best ratio of the reproduced study, to show beside.
     """
@@ -112,12 +110,12 @@ def draw_ratio_scan(scan: RatioScan, best_ratio: float, published_ratio: float |
     axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
     axes.plot(scan.ratios, scan.correlation, color=BLUE)
     axes.plot(
-        best_ratio,
+        scan.best_ratio,
         scan.best_correlation,
         "o",
         color=BLUE,
         markersize=6,
-        label=f"best: {best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})",
+        label=f"best: {scan.best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})",
     )
     if published_ratio is not None:
         axes.axvline(published_ratio, color=VERMILION, linestyle="--", label=f"published best: {published_ratio:g}")

@@ -22,7 +22,7 @@ class Summary:
     setting, numerical
         See `Setting`.
     cells
-        Compared.
+        Compared; 0 if the setting was refused.
     lost
         Cells that only the reference could read.
     median, worst
@@ -108,8 +108,12 @@ def run_study(
     for setting in compared:
         progress(setting.name)
         for content in contents:
-            warm_up(setting.experiment, content, seeds, lanes)
-            found = in_batches(setting.experiment, content, seeds, lanes)
+            try:
+                warm_up(setting.experiment, content, seeds, lanes)
+                found = in_batches(setting.experiment, content, seeds, lanes)
+            except ValueError as refused:
+                progress(f"{setting.name} at {content:g} %: {refused}")
+                continue
             amplitudes = setting.experiment.wave.amplitude, exact_way.wave.amplitude
             cells += [
                 cell_error(setting.name, cell, amplitudes[0], other, amplitudes[1])
@@ -184,8 +188,8 @@ def summary(name: str, numerical: bool, cells: Sequence[CellError]) -> Summary:
         median=float(np.median(errors)) if errors else np.inf,
         worst=max(errors, default=np.inf),
         arrival=float(np.median(arrivals)) if arrivals else np.inf,
-        signal=float(np.median([cell.signal_error for cell in cells])),
-        seconds=float(np.mean([cell.seconds for cell in cells])),
+        signal=float(np.median([cell.signal_error for cell in cells])) if cells else np.inf,
+        seconds=float(np.mean([cell.seconds for cell in cells])) if cells else np.inf,
     )
 
 

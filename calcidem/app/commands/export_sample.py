@@ -1,4 +1,4 @@
-"""``calcidem export-sample``: one sample for ParaView, or its packing as CSV."""
+"""``calcidem sample``: one sample for ParaView, or its packing as CSV."""
 
 from pathlib import Path
 from typing import Annotated

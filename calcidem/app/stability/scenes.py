@@ -15,7 +15,7 @@ from calcidem.dem.state import Preload
 from calcidem.dem.wave import WaveRule
 
 RADIUS = 1.25e-3  # m, of the largest disks
-COLUMNS, ROWS = 8, 12
+COLUMNS, ROWS = 6, 10
 SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
 SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
@@ -24,7 +24,7 @@ RANGES = {
     "contrast": (0.0, 6.0),
     "damping": (0.0, 1.0),
     "amplitude": (-9.0, 1.0),
-    "frequency": (-1.5, 0.7),
+    "frequency": (-1.5, 0.3),
     "size_ratio": (-0.5, 1.3),
     "content": (0.0, 1.0),
     "confinement": (0.0, 8.0),

@@ -40,7 +40,7 @@ def invoke() -> Callable[..., str]:
     application.command("query")(query)
     application.command("import")(import_file)
     application.command("verify")(verify_cells)
-    application.command("export-sample")(export_sample)
+    application.command("sample")(export_sample)
 
     def run(*arguments: object, exit_code: int = 0) -> str:
         result = CliRunner().invoke(application, [str(argument) for argument in arguments])

@@ -1,4 +1,4 @@
-"""`calcidem import` and `calcidem export-sample`: databases and samples as files, and back."""
+"""`calcidem import` and `calcidem sample`: databases and samples as files, and back."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -45,7 +45,7 @@ def test_sample_for_paraview(
 ) -> None:
     """The file holds all disks with their radii and all contacts with their cement."""
     file = tmp_path / f"sample.{suffix}"
-    invoke("export-sample", database, file, "--seed", 1, "--content", 5)
+    invoke("sample", database, file, "--seed", 1, "--content", 5)
     mesh, sample = meshio.read(file), campaign.sample(seed=1, content=5.0)
     np.testing.assert_array_equal(mesh.points[:, 0], sample.packing.x)
     np.testing.assert_array_equal(mesh.point_data["radius"].ravel(), sample.packing.radius)
@@ -56,7 +56,7 @@ def test_sample_for_paraview(
 def test_packing_as_csv(database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path) -> None:
     """The disks in the CSV file are those of the packing, to the last bit."""
     file = tmp_path / "packing.csv"
-    invoke("export-sample", database, file, "--seed", 1, "--content", 5)
+    invoke("sample", database, file, "--seed", 1, "--content", 5)
     x, y, radius, _ = read_disks(file)
     packing = campaign.packing()
     for written, stored in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
@@ -65,6 +65,6 @@ def test_packing_as_csv(database: Path, invoke: Invoke, campaign: OpenedCampaign
 
 def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: Path) -> None:
     """An ending that stands for no format is refused before anything is written."""
-    output = invoke("export-sample", database, tmp_path / "a.stl", "--seed", 1, "--content", 5, exit_code=2)
+    output = invoke("sample", database, tmp_path / "a.stl", "--seed", 1, "--content", 5, exit_code=2)
     assert ".vtu" in output
     assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,94 @@
+"""Shared by the tests of robustness: small stored campaigns, and the commands as users type them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from calcidem.app.commands.doctor import doctor
+from calcidem.app.commands.merge import merge
+from calcidem.app.commands.retry import retry
+from calcidem.app.commands.status import status
+from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql_store import open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial" / "quick.db"
+"""Database of 8 seeds x 5 contents, really computed and complete."""
+
+TROUBLES = {
+    CellKey(9, 0.0): CellStatus.FAILED,
+    CellKey(9, 0.66): CellStatus.TIMED_OUT,
+    CellKey(9, 2.55): CellStatus.QUARANTINED,
+    CellKey(10, 5.0): CellStatus.NO_ARRIVAL,
+}
+"""Cells that went wrong in the troubled database; the six others of its seeds 9 and 10 are pending."""
+
+
+@pytest.fixture
+def complete(tmp_path: Path) -> Path:
+    """Give a copy of the tutorial's database in the present schema."""
+    path = Path(shutil.copy(TUTORIAL, tmp_path / "complete.db"))
+    open_store(path).close()
+    return path
+
+
+@pytest.fixture
+def troubled(complete: Path, tmp_path: Path) -> Path:
+    """Give a database with 8 complete seeds and two more in which cells went wrong."""
+    path = Path(shutil.copy(complete, tmp_path / "troubled.db"))
+    with open_store(path) as store:
+        record = store.use_campaign()
+        store.extend((9, 10), record.contents)
+        store.record_lost([CellKey(9, 2.55)], "its process ended")
+        store.record_results(
+            CellResult(key, status, f"what went wrong is {status}", attempt=2 if key == CellKey(9, 2.55) else 1)
+            for key, status in TROUBLES.items()
+        )
+    return path
+
+
+@pytest.fixture
+def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Give a function that makes a database with some seeds of the complete one."""
+
+    def make(name: str, seeds: set[int], **changes: float) -> Path:
+        path = tmp_path / name
+        with open_store(complete, read_only=True) as whole, open_store(path) as store:
+            record = whole.use_campaign()
+            store.begin_campaign(replace(record, seeds=tuple(seeds)))
+            _, run = whole.runs()[0]
+            store.begin_run(run)
+            packing = whole.load_packing()
+            assert packing is not None
+            store.save_packing(packing)
+            results = whole.results(with_arrays=True)
+            store.record_results(replace(result, **changes) for result in results if result.key.seed in seeds)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def invoke() -> Callable[..., str]:
+    """Run a command line that ends with the exit code expected, and give what it prints."""
+    application = typer.Typer(pretty_exceptions_enable=False)
+    for command in (doctor, merge, retry, status):
+        application.command()(command)
+
+    def run(*arguments: object, exit_code: int = 0) -> str:
+        result = CliRunner().invoke(application, [str(argument) for argument in arguments])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        assert result.exit_code == exit_code, result.output
+        return result.output
+
+    return run

@@ -1,0 +1,118 @@
+"""`calcidem merge`: the union of databases of one campaign, and no silent choice between different values."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from calcidem.app.commands.merge import MergeConflictError, merge_databases
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql_store import open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def results(database: Path) -> dict[CellKey, CellResult]:
+    """Every outcome of a database with its arrays, whatever the number of the attempt."""
+    with open_campaign(database) as campaign:
+        return {cell.key: replace(cell, attempt=1) for cell in campaign.select(with_arrays=True)}
+
+
+def test_seed_ranges_join_to_the_whole(
+    complete: Path, part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path
+) -> None:
+    """Two halves of a campaign merge into all of its outcomes, signals and cement included, bit for bit."""
+    low, high, out = part("low.db", {1, 2, 3}), part("high.db", {3, 4, 5, 6, 7, 8}), tmp_path / "all.db"
+    output = invoke("merge", low, high, "--out", out)
+    assert results(out) == results(complete)
+    assert "5 cells were in several databases with the same values" in output
+    with open_campaign(out) as campaign:
+        assert campaign.record.seeds == (1, 2, 3, 4, 5, 6, 7, 8)
+        assert len(campaign.runs()) == 1  # both parts have it of the same database
+
+
+def test_merging_a_copy_changes_nothing(troubled: Path, tmp_path: Path) -> None:
+    """A database merged with its copy has the same cells, attempts and runs as before."""
+    copy, out = shutil.copy(troubled, tmp_path / "copy.db"), tmp_path / "out.db"
+    merge_databases([str(troubled), str(copy)], out)
+    with open_campaign(troubled) as before, open_campaign(out) as after:
+        assert list(after.select(with_arrays=True)) == list(before.select(with_arrays=True))
+        assert after.status_counts() == before.status_counts()
+        assert len(after.runs()) == len(before.runs())
+        histories = [
+            [replace(attempt, run_id=None) for attempt in campaign.store.history()] for campaign in (before, after)
+        ]
+    assert histories[0] == histories[1]
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_done_wins(troubled: Path, part: Callable[..., Path], tmp_path: Path, order: tuple[int, int]) -> None:
+    """A cell that failed in one database and is done in the other is done, in whichever order they are given."""
+    other = part("other.db", {1})
+    with open_store(other) as store:
+        store.use_campaign()
+        done = next(store.results())
+        store.extend((9,), (0.0,))
+        store.record_results([replace(done, key=CellKey(9, 0.0), attempt=1)])
+    sources = [str(troubled), str(other)]
+    merged = merge_databases([sources[i] for i in order], tmp_path / "out.db")
+    assert merged.overruled == 1
+    found = results(tmp_path / "out.db")
+    assert found[CellKey(9, 0.0)].status is CellStatus.DONE
+    assert found[CellKey(9, 0.66)].status is CellStatus.TIMED_OUT
+    with open_campaign(tmp_path / "out.db") as campaign:
+        assert [a.outcome for a in campaign.history(seed=9, content=0.0)] == ["failed", "done"]
+
+
+def test_different_values_are_refused_unless_one_is_preferred(
+    part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path
+) -> None:
+    """Two different Vs of a done cell are listed and nothing is written; --prefer takes those of one database."""
+    first, second, out = part("a.db", {1, 2}), part("b.db", {2, 3}, vs=1234.5), tmp_path / "out.db"
+    with pytest.raises(MergeConflictError, match=r"5 done cells.*\n.*seed 2, 0 %: Vs .*1234\.5 m/s in"):
+        merge_databases([str(first), str(second)], out)
+    assert not list(tmp_path.glob("*out.db*"))
+    output = invoke("merge", first, second, "--out", out, "--prefer", second)
+    assert "5 done cells had different values" in output
+    found = results(out)
+    assert {key.seed: found[key].vs == 1234.5 for key in found} == {1: False, 2: True, 3: True}
+
+
+def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
+    """Campaigns of different physics are refused with the difference, and nothing is written."""
+    first, other = part("a.db", {1}), tmp_path / "other.db"
+    with open_store(first, read_only=True) as store:
+        record = store.use_campaign()
+    with open_store(other) as store:
+        changed = record.config.replace('"damping":0.3', '"damping":0.2')
+        assert changed != record.config
+        store.begin_campaign(replace(record, hash="other", config=changed))
+    with pytest.raises(CampaignMismatchError, match=r"wave\.damping: 0\.3 -> 0\.2"):
+        merge_databases([str(first), str(other)], tmp_path / "out.db")
+
+
+def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, tmp_path: Path) -> None:
+    """Campaigns whose disks lie elsewhere are refused although their configurations are equal."""
+    first, other = part("a.db", {1}), tmp_path / "other.db"
+    with open_store(complete, read_only=True) as whole, open_store(other) as store:
+        store.begin_campaign(whole.use_campaign())
+        packing = whole.load_packing()
+        assert packing is not None
+        store.save_packing(replace(packing, x=packing.x * (1 + 1e-15)))
+    with pytest.raises(CampaignMismatchError, match="CALCIDEM_CACHE"):
+        merge_databases([str(first), str(other)], tmp_path / "out.db")
+
+
+def test_a_file_that_is_there_is_not_replaced(part: Callable[..., Path], tmp_path: Path) -> None:
+    """The merged database never takes the place of another file."""
+    (tmp_path / "out.db").write_text("precious")
+    with pytest.raises(FileExistsError, match="exists already"):
+        merge_databases([str(part("a.db", {1}))], tmp_path / "out.db")
+    assert (tmp_path / "out.db").read_text() == "precious"

@@ -1,0 +1,106 @@
+"""`calcidem status`: every state of a cell is seen, and the numbers are those of the database."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy import stats
+
+from calcidem.app.campaign_status import campaign_status, is_being_written
+from calcidem.app.commands.status import look
+from calcidem.app.status_view import status_view
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.sql_store import open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str]) -> None:
+    """The rows of the matrix show done, failed, timed-out, quarantined and no-arrival cells and pending ones."""
+    lines = invoke("status", troubled).splitlines()
+    rows = [line.split()[1] for line in lines if "########" in line]
+    assert rows == ["########F.", "########T.", "########Q.", "########.n", "########.."]
+
+
+def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[..., str]) -> None:
+    """The quarantined cell comes first, with its attempts, its lost worker and the reason."""
+    output = invoke("status", troubled)
+    assert "seed 9, 2.55 %: quarantined, 2 attempts, 1 worker lost: what went wrong is quarantined" in output
+    assert output.index("quarantined, 2") < output.index("failed, 1 attempt:")
+    assert "calcidem retry" in output
+
+
+def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:
+    """Mean, scatter, 95 % interval and time left in JSON are those computed from the cells by hand."""
+    told = json.loads(invoke("status", troubled, "--json"))
+    with open_campaign(troubled) as campaign:
+        cells = list(campaign.select(content=5.0, status="done"))
+    vs = np.array([cell.vs for cell in cells], dtype=float)
+    (of_content,) = (row for row in told["contents"] if row["content"] == 5.0)
+    low, high = stats.t.interval(0.95, vs.size - 1, vs.mean(), stats.sem(vs))
+    assert of_content["mean"] == pytest.approx(vs.mean())
+    assert of_content["sd"] == pytest.approx(vs.std(ddof=1))
+    assert of_content["interval_95"] == pytest.approx([low, high])
+    assert of_content["status"] == ["done"] * 8 + ["pending", "no_arrival"]
+    seconds = np.mean([cell.seconds for cell in cells if cell.seconds is not None])
+    assert of_content["core_seconds_left"] == pytest.approx(seconds)
+    assert told["seconds_left"] == pytest.approx(sum(row["core_seconds_left"] for row in told["contents"]))
+    assert told["cells"]["pending"] == 6
+
+
+def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Path) -> None:
+    """The time left counts a new content with a cost between those on either side."""
+    with open_store(complete) as store:
+        store.use_campaign()
+        store.extend((1,), (7.0,))
+    with open_campaign(complete) as campaign:
+        found = campaign_status(campaign, running=False)
+    costs = {content.content: content.seconds_per_cell for content in found.contents}
+    assert np.isnan(costs[7.0])
+    assert found.seconds_left == pytest.approx((costs[5.0] + costs[9.0]) / 2)
+
+
+def test_a_campaign_without_outcomes_can_be_shown(part: Callable[..., Path]) -> None:
+    """With nothing measured there are dashes, no invented numbers, and no error."""
+    empty = part("empty.db", set())
+    with open_store(empty) as store:
+        store.use_campaign()
+        store.extend((1, 2), (0.0, 5.0))
+    console = Console(width=100, record=True)
+    console.print(status_view(look(str(empty)), console.width))
+    shown = console.export_text()
+    assert "0 of 4 cells settled (0 %)" in shown
+    assert "Time left" not in shown
+
+
+def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
+    """With 400 seeds a character stands for several, partly done ones are marked, and no line is too wide."""
+    with open_store(complete) as store:
+        contents = store.use_campaign().contents
+        store.extend(range(1, 401), contents)
+    console = Console(width=100, record=True)
+    console.print(status_view(look(str(complete)), console.width))
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= 100
+    assert sum(":...................." in line for line in lines) == 5
+    assert "one character for 19 seeds" in lines[-1]
+
+
+def test_watching_ends_when_all_is_settled(complete: Path, invoke: Callable[..., str]) -> None:
+    """A complete campaign is shown once; as JSON it is one line."""
+    assert len(invoke("status", complete, "--watch", "--json").splitlines()) == 1
+
+
+def test_a_living_master_is_seen(complete: Path) -> None:
+    """The campaign runs while a process holds its lease, and no longer."""
+    with open_store(complete) as store:
+        name = store.use_campaign().name
+        store.acquire_lease()
+        assert is_being_written(complete, name)
+    assert not is_being_written(complete, name)
