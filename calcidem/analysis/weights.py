@@ -149,7 +149,7 @@ def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     ends in a plateau on which round-off alone would choose, while C_d,n grows without limit.
     """
     best = np.nanmin(correlation, axis=1, keepdims=True)
-    return np.argmax(correlation <= best + CORRELATION_TIE, axis=1)
+    return np.asarray(np.argmax(correlation <= best + CORRELATION_TIE, axis=1))
 
 
 def _sums_by_seed(

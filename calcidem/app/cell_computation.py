@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calcidem.analysis.packing_graph import packing_graph
 from calcidem.app.configuration import Configuration
+from calcidem.app.graph_summary import with_graph
+from calcidem.app.packing_record import packing_record
 from calcidem.dem.arrival import Reading
 from calcidem.dem.kernels.layout import Integers
 from calcidem.dem.measurement import Experiment, Measurement, measure
@@ -36,6 +39,11 @@ def cell_computation(
     """
     experiment = configuration.experiment(packing)
     lanes, store_signals = configuration.run.lanes, configuration.run.store_signals
+    graph = packing_graph(
+        packing_record(packing, index=0, packing_hash=configuration.packing_hash),
+        configuration.wave.transmitter_half_width,
+        configuration.wave.receiver_half_width,
+    )
 
     def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[CellResult]:
         def check() -> None:
@@ -45,7 +53,8 @@ def cell_computation(
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
         measurements = measure(experiment, content, seeds, lanes=lanes, check=check)
-        return tuple(cell_result(measurement, packing.pairs, store_signals) for measurement in measurements)
+        results = (cell_result(measurement, packing.pairs, store_signals) for measurement in measurements)
+        return tuple(with_graph(result, graph) for result in results)
 
     return compute
 

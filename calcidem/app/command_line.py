@@ -87,20 +87,6 @@ def packing(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
 
 
 @app.command()
-def status(database: Database, campaign: CampaignName = None) -> None:
-    """Show how far a campaign is, also while it runs."""
-    from calcidem.app.run_command import make_console
-    from calcidem.app.summary import campaign_lines, velocity_table
-    from calcidem.storage.campaign import open_campaign
-    from calcidem.storage.store import Selection
-
-    with open_campaign(database, campaign) as opened:
-        for line in campaign_lines(opened):
-            typer.echo(line)
-        make_console().print(velocity_table(opened.store, Selection()))
-
-
-@app.command()
 def export(
     database: Database,
     netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
@@ -120,7 +106,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     from calcidem.app.commands import register
 
-    register(app, sys.argv[1:], [command.name or command.callback.__name__ for command in app.registered_commands])
+    register(app, sys.argv[1:])
     try:
         app()
     except Exception as error:

@@ -71,7 +71,8 @@ def launch(arguments: Sequence[str], ranks: int) -> int:
             code = process.wait()
         if note.exists():
             return int(note.read_text(encoding="ascii"))
-    cut_off = code == 0 or code < 0 or code > KILLED
+    # 0 with ULFM even if all ranks were killed, 75 by workers that saw rank 0 die
+    cut_off = code in {0, EXIT_RESUMABLE} or code < 0 or code > KILLED
     advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(mpirun).name} returned {code}): {advice}.\n")
     return EXIT_RESUMABLE if cut_off else EXIT_ERROR

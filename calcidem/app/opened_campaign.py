@@ -11,6 +11,7 @@ import xarray as xr
 
 from calcidem.analysis.campaign_features import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
+from calcidem.analysis.outcomes import NOT_COMPUTED
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.packing_archive import DamagedPackingError
 from calcidem.app.packing_record import stored_packing
@@ -22,7 +23,7 @@ from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.wave import wave_scene
 from calcidem.storage.campaign import Campaign
 from calcidem.storage.errors import DamagedStoreError, UnknownCellError
-from calcidem.storage.records import CementPattern
+from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.sql_store import open_store
 
 if TYPE_CHECKING:
@@ -114,8 +115,17 @@ class OpenedCampaign(Campaign):
         >>> bool(summary.mean_interval[0] < summary["mean"] < summary.mean_interval[1])
         True
         """
-        analysis = CampaignAnalysis(self)
-        return tabulate(describe_contents(analysis.vs, analysis.status, level))
+        # Of a large campaign these four columns are a small part of all that `to_xarray` would read.
+        columns = self.store.table(("seed", "content", "status", "vs"))
+        seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
+        contents, column = np.unique(columns["content"], return_inverse=True)
+        vs = np.full((seeds.size, contents.size), np.nan)
+        status = np.full(vs.shape, NOT_COMPUTED, dtype=object)
+        vs[row, column] = columns["vs"]
+        status[row, column] = np.where(columns["status"] == CellStatus.PENDING, NOT_COMPUTED, columns["status"])
+        coordinates, dimensions = {"seed": seeds, "content": contents}, ("seed", "content")
+        matrices = [xr.DataArray(values, coordinates, dimensions) for values in (vs, status)]
+        return tabulate(describe_contents(matrices[0], matrices[1], level))
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample.

@@ -38,6 +38,11 @@ __all__ = [
 
 T = TypeVar("T")
 
+BLOCK = 10_000
+"""Rows that are in memory as Python objects at a time while columns are read."""
+
+KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
+
 LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
 
@@ -109,13 +114,13 @@ def table(
     statement = with_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
     statement = statement.where(*conditions(campaign_id, selection))
     statement = statement.order_by(*map(_sorted_by, sort), Cell.seed, Cell.content).limit(limit)
-    found = session.execute(statement).all()
-    columns = zip(*found, strict=True) if found else [()] * len(names)
-    kinds = {"real": np.float64, "whole": np.float64, "text": np.object_}
-    return {
-        name: np.array(column, dtype=kinds[QUANTITY_BY_NAME[name].kind])
-        for name, column in zip(names, columns, strict=True)
-    }
+    types = [KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
+    blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
+    # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
+    for rows_of_block in session.execute(statement, execution_options={"yield_per": BLOCK}).partitions():
+        columns = zip(*rows_of_block, strict=True)
+        blocks.append([np.array(column, dtype=kind) for column, kind in zip(columns, types, strict=True)])
+    return {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
 
 
 def check_names(names: Iterable[str]) -> None:

@@ -77,7 +77,7 @@ def test_the_packing_can_be_made_alone(workshop: Workshop) -> None:
     [
         (("status", "none.db"), 2, "none.db does not exist"),
         (("export", "none.db", "out.nc"), 2, "none.db does not exist"),
-        (("status", "c.toml"), 1, "c.toml"),
+        (("status", "c.toml"), 2, "c.toml: file is not a database"),
         (("run", "c.toml", "--ranks", "-1"), 2, "--ranks"),
         (("run", "c.toml", "--rank", "2"), 2, "--ranks"),
         (("frobnicate",), 2, "frobnicate"),

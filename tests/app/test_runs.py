@@ -80,6 +80,18 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: Workshop, expected: C
     assert workshop.cells() == expected
 
 
+def test_a_lost_worker_costs_only_its_batch(workshop: Workshop, expected: Cells) -> None:
+    """After SIGKILL of one rank the others complete the campaign, with exit code 0 and the same bits."""
+    workshop.configure()
+    process = workshop.start("run", "c.toml", "--ranks", "3")
+    workshop.wait_for_cells(2)
+    os.kill(workshop.processes("OMPI_COMM_WORLD_RANK=2")[0], signal.SIGKILL)
+    done = workshop.wait(process)
+    assert done.code == 0, done.errors
+    assert "lost rank 2" in done.output
+    assert workshop.cells() == expected
+
+
 def test_a_complete_campaign_is_not_computed_again(workshop: Workshop) -> None:
     """Running a complete campaign again computes nothing, and writes the NetCDF file anew."""
     workshop.configure(seeds=2, contents=(0.0,))

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.explanation import Explanation, explain
 from calcidem.app.packing_source import provide_packing
+from calcidem.app.run_command import make_console
 
 DEFAULT_CELLS = 8
 """Seeds of one content that are measured, one batch."""
@@ -41,7 +41,7 @@ def explain_campaign(
         loaded.run.lanes,
         progress=lambda text: typer.echo(f"measuring {text}", err=True),
     )
-    console = Console(highlight=False)
+    console = make_console()
     for value in chosen:
         console.print(explanation_table(value, [row for row in rows if row.content == value]))
 

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from calcidem.app.report import analyse, show_cell, write_report
+from calcidem.app.run_command import make_console
 
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[str | None, typer.Option("--campaign", help="Which one, if the database has several.")]
@@ -49,6 +49,6 @@ def show(
     table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
     for row in described.rows:
         table.add_row(*row)
-    Console(highlight=False).print(table)
+    make_console().print(table)
     for file in files:
         typer.echo(f"Wrote {file}")

@@ -35,7 +35,7 @@ class Judgement:
 
 
 def judge(scene: Extreme) -> Judgement:
-    """Run a scene as a user would, and once more with a far smaller step if it gave a velocity."""
+    """Run a scene as a user would, and once more with a far smaller step, for longer, if it gave a velocity."""
     try:
         experiment = experiment_of(scene)
         content = content_of(scene, experiment)
@@ -48,6 +48,7 @@ def judge(scene: Extreme) -> Judgement:
         experiment.wave,
         step_fraction=experiment.wave.step_fraction / FINER,
         samples_per_period=experiment.wave.samples_per_period * FINER,
+        slowest=experiment.wave.slowest / 2.0,
     )
     return compared(scene, experiment, found, measured(replace(experiment, wave=finer), content, scene))
 

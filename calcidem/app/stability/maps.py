@@ -1,0 +1,40 @@
+"""Walks along one quantity of an extreme scene at a time."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from calcidem.app.stability.scenes import REGIMES, Extreme
+from calcidem.app.stability.verdict import Judgement, judge
+from calcidem.dem.scene import Regime
+
+WALKS: dict[str, tuple[float, ...]] = {
+    "step_fraction": (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2),
+    "contrast": (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6),
+    "damping": (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0),
+    "amplitude": (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
+    "frequency": (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
+    "size_ratio": (1.0, 3.0, 5.0, 10.0, 20.0),
+    "content": (0.0, 0.1, 0.3, 0.6, 0.9, 1.0),
+    "confinement": (1.0, 1e2, 1e4, 1e6, 1e8),
+    "missing": (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
+    "strength": (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e4),
+}
+"""Values of each quantity; all others stay as `Extreme` has them."""
+
+
+def walks(
+    names: Iterable[str] = tuple(WALKS), progress: Callable[[str], None] = lambda _: None
+) -> dict[str, tuple[Judgement, ...]]:
+    """Judge the scenes of each walk in all regimes."""
+    found = {}
+    for name in names:
+        progress(name)
+        found[name] = tuple(judge(turned(name, value, regime)) for value in WALKS[name] for regime in REGIMES)
+    return found
+
+
+def turned(name: str, value: float, regime: Regime) -> Extreme:
+    """Return the plain scene with one quantity changed."""
+    changes: dict[str, Any] = {name: value}
+    return replace(Extreme(regime=regime), **changes)

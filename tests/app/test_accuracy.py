@@ -1,0 +1,129 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calcidem.app.accuracy.command import share
+from calcidem.app.accuracy.figure import error_against_run_time
+from calcidem.app.accuracy.report import as_json, tables
+from calcidem.app.accuracy.settings import DEFAULT, Setting, settings, with_wave
+from calcidem.app.accuracy.study import Study, Summary, cheapest, pareto, run_study
+from calcidem.dem.cement import CementRule
+from calcidem.dem.material import Sand
+from calcidem.dem.measurement import Experiment, Outcome, measure
+from calcidem.dem.packing import PackingRule, make_packing
+from calcidem.dem.wave import WaveRule
+
+CONTENTS = (0.34, 0.66, 2.55, 5.0, 9.0)
+SEEDS = tuple(range(1, 9))
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    """Give the default settings on a packing of 280 disks."""
+    packing = make_packing(PackingRule(width=0.03, height=0.06), Sand(), np.random.default_rng(1))
+    wave = WaveRule(
+        transmitter_half_width=0.01, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006
+    )
+    return Experiment(packing, cement_rule=CementRule(p_share=0.77), wave=wave, stiffness_factor=13.0)
+
+
+@pytest.fixture(scope="module")
+def study(experiment: Experiment) -> Study:
+    """Give a study of the default and of single precision."""
+    single = Setting("precision", "float32", with_wave(experiment, precision="float32"))
+    chosen = [Setting(DEFAULT, "", experiment), single]
+    return run_study(experiment, CONTENTS, SEEDS, chosen=chosen, reference_step=0.2)
+
+
+def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
+    """In at least 95 % of the cells the true error is below the estimate, which is not absurdly large."""
+    cells = [cell for cell in study.cells if cell.vs_error is not None and cell.estimate is not None]
+    errors = np.array([abs(cell.vs_error or 0.0) for cell in cells])
+    estimates = np.array([cell.estimate for cell in cells])
+    assert len(cells) >= 50
+    assert np.mean(errors <= estimates) >= 0.95
+    # This box is a third of the real one in width, so that delays of a step or a sample weigh three times as much.
+    assert np.median(estimates) < 0.01
+
+
+def test_the_default_is_as_exact_as_promised(study: Study) -> None:
+    """The default's error is below 0.5 % of Vs in the median and 2 % at worst."""
+    default = study.summaries[0]
+    assert default.setting == DEFAULT
+    assert default.median < 0.005
+    assert default.worst < 0.02
+    assert default.lost == 0
+
+
+def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
+    """The tables have a line for each setting and each content, and the figure has its axes."""
+    text = tables(study)
+    assert "| precision float32 |" in text
+    assert all(f"| {content:g} |" in text for content in CONTENTS)
+    assert '"setting": "default"' in as_json(study)
+    assert len(error_against_run_time(study).axes) == 1
+
+
+def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
+    """A record that ends when its pick is settled gives the same bits as the whole record."""
+    whole = replace(experiment, early_stop=False)
+    pairs = zip(measure(experiment, 5.0, SEEDS), measure(whole, 5.0, SEEDS), strict=True)
+    assert all(short.vs == long.vs for short, long in pairs)
+
+
+def test_the_error_falls_with_the_step(experiment: Experiment) -> None:
+    """With dense samples the signal's error against a fine step falls as the step does, from 0.8 to 0.4 and 0.2."""
+    chosen = [
+        Setting("step", str(step), with_wave(experiment, step_fraction=step, samples_per_period=400, regime="finite"))
+        for step in (0.8, 0.4, 0.2)
+    ]
+    rows = run_study(experiment, [5.0], SEEDS, chosen=chosen, reference_step=0.05).summaries
+    assert rows[0].signal > 1.5 * rows[1].signal > 2.25 * rows[2].signal
+
+
+def test_an_estimate_above_five_percent_is_no_velocity(experiment: Experiment) -> None:
+    """In the linear regime a pulse that would make contacts slip gives a reason and no number."""
+    strong = with_wave(experiment, amplitude=1.5e-2)
+    found = measure(strong, 9.0, SEEDS)
+    assert all(cell.outcome == Outcome.NO_ARRIVAL and cell.vs is None for cell in found)
+    assert any("lower wave.amplitude" in cell.reason for cell in found)
+
+
+def test_every_setting_turns_one_knob_and_has_a_name_of_its_own(experiment: Experiment) -> None:
+    """The default comes first and differs from every other setting; no two names are equal."""
+    rows = list(settings(experiment))
+    assert rows[0].name == DEFAULT
+    assert len({row.name for row in rows}) == len(rows)
+    assert all(row.experiment.wave != experiment.wave or not row.experiment.early_stop for row in rows[1:])
+
+
+def summary_of(name: str, error: float, seconds: float, *, lost: int = 0) -> Summary:
+    """Make up a summary."""
+    return Summary(
+        name, numerical=True, cells=4, lost=lost, median=error, worst=error, arrival=0, signal=0, seconds=seconds
+    )
+
+
+def test_the_cheapest_setting_is_chosen_among_those_that_meet_the_target() -> None:
+    """Too large an error and lost cells rule a setting out; of the rest the fastest wins."""
+    rows = (summary_of("a", 0.02, 1.0), summary_of("b", 0.004, 2.0), summary_of("c", 0.001, 3.0, lost=1))
+    made_up = Study(cells=(), summaries=rows, reference_seconds=9.0, halving=0.0)
+    chosen = cheapest(made_up, 0.005)
+    assert chosen is not None
+    assert chosen.setting == "b"
+    assert cheapest(made_up, 0.0001) is None
+    assert [row.setting for row in pareto((*rows, summary_of("d", 0.02, 5.0)))] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.5%", 0.005), ("0.005", 0.005), ("2 %", 0.02)])
+def test_a_target_is_a_percentage_or_a_part(text: str, value: float) -> None:
+    """Both spellings mean the same."""
+    assert share(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["", "much", "-1%", "200%"])
+def test_a_senseless_target_is_refused(text: str) -> None:
+    """The message shows what was given and an example."""
+    with pytest.raises(ValueError, match=r"target = .*0\.5%"):
+        share(text)

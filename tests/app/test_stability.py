@@ -1,0 +1,87 @@
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calcidem.app.stability.limits import limits
+from calcidem.app.stability.scenes import Extreme, content_of, drawn, experiment_of
+from calcidem.app.stability.verdict import Verdict, judge
+from calcidem.dem.measurement import Outcome, measure
+from calcidem.dem.state import advance, start
+from calcidem.dem.wave import wave_scene
+
+SCENES = 512
+
+
+def test_no_extreme_scene_gives_a_wrong_velocity_in_silence() -> None:
+    """Of 512 scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
+    judgements = [judge(scene) for scene in drawn(SCENES, seed=1)]
+    assert [judgement for judgement in judgements if judgement.verdict == Verdict.WRONG] == []
+    count = Counter(judgement.verdict for judgement in judgements)
+    # The draw has to reach all three, or it shows nothing.
+    assert all(count[verdict] >= 30 for verdict in (Verdict.STABLE, Verdict.REFUSED, Verdict.DETECTED)), count
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != Verdict.STABLE)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("damping", [0.0, 0.8])
+@pytest.mark.parametrize("content", [0.0, 0.3, 1.0])
+def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, content: float) -> None:
+    """The per-particle bound lies between half and the whole of the limit that eigenvalues give."""
+    scene = Extreme(contrast=contrast, damping=damping, content=content, size_ratio=5.0)
+    # A bound by (a - b)^2 <= 2 a^2 + 2 b^2 loses at most a factor sqrt 2, and more only by mixed masses.
+    assert 0.5 < limits(scene).ratio <= 1.0 + 1e-9
+
+
+def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
+    """A step fraction above 1 is refused before anything is computed."""
+    judgement = judge(Extreme(step_fraction=1.01))
+    assert judgement.verdict == Verdict.REFUSED
+    assert "choose 0.05 to 0.95" in judgement.reason
+
+
+@pytest.mark.parametrize("regime", ["linear", "small"])
+def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
+    """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
+    judgement = judge(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
+    assert judgement.verdict == Verdict.REFUSED
+    assert "amplitude of at most" in judgement.reason
+
+
+def test_a_pulse_below_the_unbalanced_forces_is_refused() -> None:
+    """A gap in the lattice leaves forces unbalanced; a tiny pulse on top of them is not measured."""
+    judgement = judge(Extreme(amplitude=1e-9, missing=0.1, regime="finite"))
+    assert judgement.verdict == Verdict.REFUSED
+    assert "unbalanced forces" in judgement.reason
+
+
+def test_bonds_that_break_are_reported_after_one_retry() -> None:
+    """A pulse that breaks its sample gives no velocity but the number of broken bonds, and says it was tried twice."""
+    scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
+    experiment = experiment_of(scene)
+    found = measure(experiment, content_of(scene, experiment), [1], lanes=1)[0]
+    assert found.outcome == Outcome.UNSTABLE
+    assert found.vs is None
+    assert "bonds broke" in found.reason
+    assert "bonds broke" in found.record.retry
+    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+
+
+def test_a_scene_at_rest_stays_at_rest() -> None:
+    """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
+    experiment = experiment_of(Extreme(regime="finite"))
+    scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
+    state = advance(start(scene, regime="small", preload=experiment.packing.preload), 20_000)
+    overlap = experiment.packing.report.mean_overlap
+    assert np.abs(state.motion.displacement).max() < 1e-6 * overlap
+
+
+def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
+    """Twice 500 steps from a moving state are 1000 steps, bit by bit."""
+    experiment = experiment_of(Extreme(regime="finite", confinement=1e6))
+    scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
+    velocity = 1e-3 * np.random.default_rng(1).standard_normal((scene.count, 2))
+    state = start(scene, regime="small", velocity=velocity)
+    once, twice = advance(state, 1000), advance(advance(state, 500), 500)
+    assert np.array_equal(once.motion.velocity, twice.motion.velocity)
