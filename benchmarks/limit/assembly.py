@@ -67,7 +67,7 @@ def captured_arguments(state: State) -> tuple[Any, ...]:
 
     caught: list[tuple[Any, ...]] = []
 
-    def catch(*arguments: Any) -> int:
+    def catch(*arguments: object) -> int:
         caught.append(arguments)
         return 0
 
@@ -89,7 +89,11 @@ def innermost_loops(text: str) -> list[Loop]:
         found = JUMP.match(line)
         if found and place.get(found.group(1), number) < number:
             spans.append((place[found.group(1)], number))
-    inner = [span for span in spans if not any(span != other and span[0] <= other[0] and other[1] <= span[1] for other in spans)]
+    inner = [
+        span
+        for span in spans
+        if not any(span != other and span[0] <= other[0] and other[1] <= span[1] for other in spans)
+    ]
     return [Loop(tuple(lines[begin : end + 1])) for begin, end in inner]
 
 

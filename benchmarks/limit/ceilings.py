@@ -10,6 +10,7 @@ from numba import njit
 
 from calcidem.dem.assembly import aligned_zeros
 from calcidem.dem.kernels.lanes import Vector, load, square_root, store
+from calcidem.dem.kernels.layout import Floats
 
 LANES = 8
 WORK_SECONDS = 0.15
@@ -102,7 +103,7 @@ def seconds_of_a_round(function: Callable[[Any, int], None], rows: int) -> float
     return min(timed(function, values, rounds) for _ in range(5)) / rounds
 
 
-def timed(function: Callable[[Any, int], None], values: Any, rounds: int) -> float:
+def timed(function: Callable[[Any, int], None], values: Floats, rounds: int) -> float:
     """CPU seconds of some rounds."""
     before = process_time()
     function(values, rounds)

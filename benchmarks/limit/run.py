@@ -16,15 +16,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent / "peers")]
+sys.path.insert(0, str(HERE.parents[1]))
+sys.path.insert(0, str(HERE.parent / "peers"))
 
 from assembly import assembly_of, pair_loop
 from ceilings import Ceilings, measure_ceilings
 from scenes import Problem, as_scene, packing_problem, touching_pairs
 
+from calcidem.dem.scene import Regime
 from calcidem.dem.state import State, choose_features, no_recording, run_sweep, start
 
 LANES = 8
@@ -77,7 +78,9 @@ def bytes_of_a_step(state: State) -> tuple[int, int]:
 
 def bandwidth(ceilings: Ceilings, size: int) -> float:
     """GB/s of the smallest measured working set that is not smaller than ``size``."""
-    return next((rate for limit, rate in sorted(ceilings.streams.items()) if limit >= size), min(ceilings.streams.values()))
+    return next(
+        (rate for limit, rate in sorted(ceilings.streams.items()) if limit >= size), min(ceilings.streams.values())
+    )
 
 
 def seconds_of_a_step(state: State) -> float:
@@ -91,7 +94,7 @@ def seconds_of_a_step(state: State) -> float:
     return median(spent)
 
 
-def examine(case: str, problem: Problem, regime: Any, ceilings: Ceilings) -> Report:
+def examine(case: str, problem: Problem, regime: Regime, ceilings: Ceilings) -> Report:
     """Measure and count one kernel."""
     scene = as_scene(problem)
     state = start(
@@ -129,21 +132,25 @@ def print_report(ceilings: Ceilings, reports: list[Report]) -> None:
     print(f"division {ceilings.division:.2f} ns, square root {ceilings.square_root:.2f} ns")
     for size, rate in ceilings.streams.items():
         print(f"read and write {size / 1024:10.0f} KiB: {rate:6.1f} GB/s")
-    print(f"\n{'kernel':16s} {'measured':>9s} {'arithmetic':>11s} {'memory':>7s} {'distance':>9s} {'bytes':>6s} {'listed':>7s}  operations")
+    heads = f"{'measured':>9s} {'arithmetic':>11s} {'memory':>7s} {'distance':>9s} {'bytes':>6s} {'listed':>7s}"
+    print(f"\n{'kernel':16s} {heads}  operations")
     for report in reports:
         operations = ", ".join(f"{count} {kind}" for kind, count in report.operations.items())
         print(
             f"{report.case:16s} {report.measured:9.2f} {report.arithmetic_floor:11.2f} {report.memory_floor:7.2f}"
             f" {report.distance:9.2f} {report.bytes_per_contact_step:6.1f} {report.listed_per_touching:7.2f}  {operations}"
         )
-    print("times in ns a contact-step of one lane; distance: measured over the larger floor; listed: pairs per contact")
+    print("times in ns a contact-step of one lane; distance: measured over the larger floor")
+    print("bytes: moved for a contact-step; listed: pairs in the list for each contact")
 
 
 def main() -> int:
     """Measure, count, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, default=None, help="write everything to this file, too")
-    parser.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)")
+    parser.add_argument(
+        "--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)"
+    )
     options = parser.parse_args()
     os.sched_setaffinity(0, {options.core})
     ceilings = measure_ceilings()

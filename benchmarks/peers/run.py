@@ -137,7 +137,9 @@ def all_ratios(cases: list[Case]) -> dict[str, float]:
 def environment(core: int) -> dict[str, Any]:
     """Machine and versions."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    model = next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
+    )
     flags = next((line for line in lines if line.startswith("flags")), "")
     return {
         "processor": model,
@@ -155,7 +157,9 @@ def print_table(cases: list[Case], ratios: dict[str, float]) -> None:
     print(f"\n{'case':40s} {'contacts':>8s} {'ns a contact-step':>18s} {'range':>15s} {'million/s':>10s}")
     for case in cases:
         low, high = min(case.nanoseconds), max(case.nanoseconds)
-        print(f"{case.name:40s} {case.contacts:8d} {case.typical:18.2f} {low:7.2f}-{high:7.2f} {1e3 / case.typical:10.1f}")
+        print(
+            f"{case.name:40s} {case.contacts:8d} {case.typical:18.2f} {low:7.2f}-{high:7.2f} {1e3 / case.typical:10.1f}"
+        )
     print()
     for name, value in ratios.items():
         print(f"{name:32s} {value:8.1f}")
@@ -166,9 +170,13 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5, help="turns of each program (default 5)")
     parser.add_argument("--seconds", type=float, default=0.5, help="CPU seconds of one turn (default 0.5)")
-    parser.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)")
+    parser.add_argument(
+        "--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)"
+    )
     parser.add_argument("--json", type=Path, default=None, help="write everything to this file, too")
-    parser.add_argument("--skip-agreement", action="store_true", help="leave out the check that all compute the same thing")
+    parser.add_argument(
+        "--skip-agreement", action="store_true", help="leave out the check that all compute the same thing"
+    )
     return parser.parse_args()
 
 

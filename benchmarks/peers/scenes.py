@@ -128,7 +128,7 @@ def moving(problem: Problem, speed: float, seed: int = 0) -> Problem:
     return replace(problem, velocity=velocity, spin=spin)
 
 
-def at_rest(x: Floats, y: Floats, radius: Floats, held: npt.NDArray[np.bool_], **others: Any) -> Problem:
+def at_rest(x: Floats, y: Floats, radius: Floats, held: npt.NDArray[np.bool_], **others: object) -> Problem:
     """Problem without velocities and bonds."""
     count = len(x)
     values: dict[str, Any] = {"damping": 0.0, "friction": 0.5, "bond_stiffness": np.array([8.0e10, 8.0e10, 3.0e4])}
@@ -147,7 +147,7 @@ def packing_problem(*, bonded: bool) -> Problem:
     stored = cached_packing()
     x, y, radius = stored["x"], stored["y"], stored["radius"]
     rim = np.minimum.reduce([x, stored["size"][0] - x, y, stored["size"][1] - y]) - radius
-    problem = at_rest(x, y, radius, rim < 0.02 * radius, damping=0.3)  # noqa: PLR2004 - a wall contact, with margin
+    problem = at_rest(x, y, radius, rim < 0.02 * radius, damping=0.3)  # a wall contact, with margin
     if not bonded:
         return with_time_step(moving(problem, 1.0e-4), HERTZ_STEP)
     typical = float(radius.mean())

@@ -5,11 +5,9 @@ YADE's names are put into its scripts by the program itself.
 
 import math
 import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from worker import Engine, serve
 from yade import (
@@ -51,7 +49,9 @@ class Yade(Engine):
             "density": float(problem["density"]),
             "frictionAngle": math.atan(float(problem["friction"])),
         }
-        O.materials.append(CohFrictMat(isCohesive=True, momentRotationLaw=True, **values) if self.bonded else FrictMat(**values))
+        O.materials.append(
+            CohFrictMat(isCohesive=True, momentRotationLaw=True, **values) if self.bonded else FrictMat(**values)
+        )
         self.add_disks()
         O.dt = float(problem["time_step"])
         integrator = NewtonIntegrator(damping=float(problem["damping"]), gravity=(0, 0, 0))
@@ -65,7 +65,8 @@ class Yade(Engine):
         if self.bonded:
             self.make_bonds(integrator)
 
-    def laws(self) -> tuple:  # noqa: D102
+    def laws(self) -> tuple:
+        """Geometry, physics and law of contacts."""
         if not self.bonded:
             law = Law2_ScGeom_MindlinPhys_Mindlin(preventGranularRatcheting=False)
             return [Ig2_Sphere_Sphere_ScGeom()], [Ip2_FrictMat_FrictMat_MindlinPhys()], [law]

@@ -60,6 +60,9 @@ def run(
         int | None,
         typer.Option(min=0, help="Start so many MPI ranks, of which the first coordinates; 0: all cores and one more."),
     ] = None,
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Write the report beside the NetCDF file, too.")
+    ] = False,
 ) -> None:
     """Compute a campaign, or go on with it: the same command continues after a stop."""
     if ranks is not None and ranks != 1:
@@ -68,10 +71,12 @@ def run(
         arguments = ["run", str(configuration)]
         arguments += ["--db", database] if database is not None else []
         arguments += ["--output", str(output)] if output is not None else []
+        arguments += ["--report"] if with_report else []
         raise typer.Exit(launch(arguments, ranks or default_ranks()))
     from calcidem.app.run_command import run_campaign
 
-    run_campaign(configuration, {"database": database, "output": None if output is None else str(output)})
+    overrides = {"database": database, "output": None if output is None else str(output)}
+    run_campaign(configuration, overrides, with_report=with_report)
 
 
 @app.command()

@@ -14,7 +14,7 @@ from types import FrameType
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher
 from calcidem.sweep.processes import die_with_parent
-from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
+from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
 
 MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one beside Python or in the search path."""
@@ -71,8 +71,8 @@ def launch(arguments: Sequence[str], ranks: int) -> int:
             code = process.wait()
         if note.exists():
             return int(note.read_text(encoding="ascii"))
-    # 0 with ULFM even if all ranks were killed, 75 by workers that saw rank 0 die
-    cut_off = code in {0, EXIT_RESUMABLE} or code < 0 or code > KILLED
+        began = Path(f"{note}{STARTED_SUFFIX}").exists()
+    cut_off = began or code == 0 or code < 0 or code > KILLED
     advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(mpirun).name} returned {code}): {advice}.\n")
     return EXIT_RESUMABLE if cut_off else EXIT_ERROR

@@ -52,7 +52,7 @@ def make_console() -> Console:
     return Console(highlight=False, force_terminal=columns > 0, width=columns or PLAIN_WIDTH)
 
 
-def run_campaign(path: Path, overrides: Mapping[str, Any]) -> NoReturn:
+def run_campaign(path: Path, overrides: Mapping[str, Any], *, with_report: bool = False) -> NoReturn:
     """Run the campaign of a file, or what is left of it, and end with the exit code that says how it went.
 
     To be called on all ranks.
@@ -76,7 +76,7 @@ def run_campaign(path: Path, overrides: Mapping[str, Any]) -> NoReturn:
             worker_end = compute(session, received)
             session.end(worker_end.exit_code, worker_end)
         with work:
-            code = lead(session, received, work, console)
+            code = lead(session, received, work, console, with_report)
         session.end(code, work.end)
 
 
@@ -93,7 +93,7 @@ def prepare(session: Session, orders: Orders) -> None:
         session.once_per_node(lambda: warm_up(orders.configuration, orders.packing))
 
 
-def lead(session: Session, orders: Orders, work: CampaignRun, console: Console) -> int:
+def lead(session: Session, orders: Orders, work: CampaignRun, console: Console, with_report: bool) -> int:
     """What rank 0 does: have the cells computed, store them, and report; returns the exit code."""
     for line in packing_lines(work.packing):
         say(console, line)
@@ -109,6 +109,11 @@ def lead(session: Session, orders: Orders, work: CampaignRun, console: Console) 
             stop_request=session.stop_request,
         )
         report(work, console, in_haste=session.stop_request.hurry())
+        if with_report and work.end.exit_code == 0:
+            from calcidem.app.report import write_report  # noqa: PLC0415 - drawing libraries take seconds to load
+
+            page = write_report(work.configuration.database, work.configuration.netcdf.with_suffix(".html"))
+            say(console, f"Report:   {page}")
     except USER_ERRORS as error:
         return refusal(error)
     return work.end.exit_code

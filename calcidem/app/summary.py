@@ -9,7 +9,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.dem.packing import WALL_NAMES, Packing
-from calcidem.storage.campaign import Campaign
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection, Store
 
@@ -31,24 +30,6 @@ def packing_lines(packing: Packing) -> Iterator[str]:
         f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
         f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
     )
-
-
-def campaign_lines(campaign: Campaign) -> Iterator[str]:
-    """What a campaign is and how its last run went."""
-    record = campaign.record
-    yield (
-        f"Campaign {record.name}: {len(record.seeds)} seeds x {len(record.contents)} contents, "
-        f"hash {record.hash[:12]}, made {record.created:%Y-%m-%d %H:%M} UTC"
-    )
-    counts = Counter[CellStatus]()
-    for (_, status), number in campaign.status_counts().items():
-        counts[status] += number
-    yield ", ".join(f"{number} {status.replace('_', ' ')}" for status, number in sorted(counts.items()))
-    runs = campaign.runs()
-    if runs:
-        number, last = runs[-1]
-        state = last.exit_state or "runs, or was killed"
-        yield f"Run {number} on {last.host} with {last.ranks} ranks since {last.started:%Y-%m-%d %H:%M} UTC: {state}"
 
 
 def velocity_table(store: Store, selection: Selection) -> Table:

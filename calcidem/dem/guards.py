@@ -1,8 +1,7 @@
 """Guards of a running wave: what makes a sample's numbers untrustworthy, looked for at every chunk of the record.
 
 An unstable explicit scheme grows by a constant factor each step: 1 % above the limit a velocity doubles in three
-steps, so whatever starts between two looks is beyond every bound at the second. The guards read the state
-where it is and cost well under 1 % of the steps between two looks.
+steps, so whatever starts between two looks is beyond every bound at the second.
 """
 
 import numpy as np

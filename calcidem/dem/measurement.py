@@ -283,4 +283,6 @@ def discretisation_error(experiment: Experiment, record: WaveRecord, frequency: 
         slip = SLIP * (2.0 * wave.amplitude * impedance / confinement) ** 3
         regime += STIFFENING * wave.amplitude / frequency / overlap + slip
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
-    return float(np.linalg.norm([step, sampling, regime, precision]))
+    # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
+    shape = max(1.0, 1.0 / (frequency * travel_time))
+    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision]))

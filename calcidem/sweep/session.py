@@ -30,8 +30,11 @@ EXIT_CODE_FILE_VARIABLE = "CALCIDEM_EXIT_CODE_FILE"
 """Names a file into which rank 0 writes its exit code as its last act.
 
 mpirun's own exit code can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM
-it is 1 whatever the ranks return. A launcher script that finds no such file knows that the run was cut off.
+it is 1 whatever the ranks return. A launcher script that finds no such file knows that the run was cut off, if there is
+a file of that name with `STARTED_SUFFIX`, and else that it never began.
 """
+
+STARTED_SUFFIX = ".started"
 
 
 class Session:
@@ -70,6 +73,8 @@ class Session:
             self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         if self.rank == 0:
             self.stop_request.__enter__()
+            if path := os.environ.get(EXIT_CODE_FILE_VARIABLE):
+                Path(path + STARTED_SUFFIX).touch()
         else:
             leave_signals_to_master()
         return self

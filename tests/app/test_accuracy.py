@@ -44,7 +44,7 @@ def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
     assert len(cells) >= 50
     assert np.mean(errors <= estimates) >= 0.95
     # This box is a third of the real one in width, so that delays of a step or a sample weigh three times as much.
-    assert np.median(estimates) < 0.01
+    assert np.median(estimates) < 0.02
 
 
 def test_the_default_is_as_exact_as_promised(study: Study) -> None:

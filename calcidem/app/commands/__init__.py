@@ -22,8 +22,8 @@ COMMANDS = {
     "sample": ("commands.export_sample", "export_sample"),
     "verify": ("commands.verify", "verify_cells"),
     "explain": ("commands.explain", "explain_campaign"),
-    "accuracy": ("accuracy.command", "accuracy"),
-    "stability": ("stability.command", "stability"),
+    "accuracy": ("commands.accuracy", "measure_accuracy"),
+    "stability": ("commands.accuracy", "map_stability"),
     "calibrate": ("commands.calibrate", "calibrate_campaign"),
     "doctor": ("commands.doctor", "doctor"),
 }

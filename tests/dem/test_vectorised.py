@@ -1,0 +1,56 @@
+"""The machine code of the pair loop is vector code; this looks at the code, not at its speed."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from llvmlite import binding
+
+from calcidem.dem.assembly import near_pairs
+from calcidem.dem.scene import Bonds, Regime, Scene
+from calcidem.dem.state import State, choose_features, start
+
+LANES = 8
+HOST = binding.get_host_cpu_features()
+REGISTER = "zmm" if HOST.get("avx512f") else "ymm" if HOST.get("avx2") else None
+SCALAR_DIVIDER = ("divsd", "vdivsd", "sqrtsd", "vsqrtsd", "divss", "vdivss", "sqrtss", "vsqrtss")
+
+pytestmark = pytest.mark.skipif(REGISTER is None, reason="this processor has neither AVX-512 nor AVX2")
+
+
+def assembly_reader() -> ModuleType:
+    """Module of the benchmark that reads machine code; benchmarks are scripts, so it is loaded by its path."""
+    path = Path(__file__).resolve().parents[2] / "benchmarks" / "limit" / "assembly.py"
+    found = importlib.util.spec_from_file_location("limit_assembly", path)
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    sys.modules["limit_assembly"] = module  # dataclasses look their module up by name
+    found.loader.exec_module(module)
+    return module
+
+
+def small_state(regime: Regime, *, bonded: bool) -> State:
+    """Nine disks on a square grid that touch, with damping."""
+    radius = np.full(9, 1.0e-3)
+    column, row = np.meshgrid(np.arange(3.0), np.arange(3.0))
+    x, y = 1.999e-3 * column.ravel(), 1.999e-3 * row.ravel()
+    bonds = Bonds(near_pairs(np.column_stack([x, y]), radius, 0.0)) if bonded else None
+    scene = Scene(x, y, radius, bonds=bonds, damping=0.3)
+    return start(scene, features=choose_features(scene, regime, LANES, breakage=False))
+
+
+@pytest.mark.parametrize("bonded", [False, True])
+@pytest.mark.parametrize("regime", ["finite", "linear"])
+def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: bool) -> None:
+    """The pair loop computes on registers of full width, and no division or root in it is done lane by lane."""
+    reader = assembly_reader()
+    loop = reader.pair_loop(reader.assembly_of(small_state(regime, bonded=bonded)), REGISTER)
+    kinds = loop.kinds(REGISTER)
+    # The shortest kernel (constant stiffness) has 8 multiply-adds and 23 other operations: less means it is not vector code.
+    assert kinds["multiply-add"] + kinds["other arithmetic"] >= 20
+    assert kinds["load or store"] >= 4
+    assert loop.scalar(SCALAR_DIVIDER) == []
