@@ -110,9 +110,7 @@ def path_length() -> Callable[..., float]:
     def length(
         graph: ContactGraph, bonded: NDArray[np.bool_], weights: ContactWeights, grains: tuple[int, ...]
     ) -> float:
-        kinds = {
-            frozenset(pair): kind for pair, kind in zip(graph.pairs.tolist(), bonded.tolist(), strict=True)
-        }
+        kinds = {frozenset(pair): kind for pair, kind in zip(graph.pairs.tolist(), bonded.tolist(), strict=True)}
         steps = (frozenset(pair) for pair in itertools.pairwise(grains))
         return sum(weights.bond if kinds[step] else weights.hertz for step in steps)
 

@@ -67,9 +67,7 @@ def test_sparse_search_agrees_with_networkx(seed: int, random_sample: Callable[.
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_path_is_a_chain_of_contacts_between_the_lists(
-    seed: int, random_sample: Callable[..., Sample]
-) -> None:
+def test_the_path_is_a_chain_of_contacts_between_the_lists(seed: int, random_sample: Callable[..., Sample]) -> None:
     """A path touches the transmitter and the receiver only at its ends and knows its cemented contacts."""
     graph, bonded = random_sample(seed, 300)
     path = preferential_path(graph, bonded, PHYSICAL)

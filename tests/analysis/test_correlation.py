@@ -73,9 +73,7 @@ def test_within_is_the_partial_correlation_given_content() -> None:
     x = generator.normal(loc=[0, 5, 9], size=(8, 3))
     y = 0.5 * x + generator.normal(size=(8, 3))
     indicators = np.tile(np.eye(3), (8, 1))
-    residuals = [
-        v.ravel() - indicators @ np.linalg.lstsq(indicators, v.ravel(), rcond=None)[0] for v in (x, y)
-    ]
+    residuals = [v.ravel() - indicators @ np.linalg.lstsq(indicators, v.ravel(), rcond=None)[0] for v in (x, y)]
     found = correlate(table(x=x, y=y)).within
     assert pair(found, "pearson") == pytest.approx(stats.pearsonr(*residuals).statistic)
     low, _ = fisher_interval(np.array(pair(found, "pearson")), 24 - 2)

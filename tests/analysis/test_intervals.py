@@ -86,9 +86,7 @@ def test_too_few_values_leave_intervals_undefined(n: int) -> None:
     assert np.isnan(prediction_interval(values).high) == (n == 1)
 
 
-@pytest.mark.parametrize(
-    ("interval", "truth"), [(mean_interval, 1000.0), (standard_deviation_interval, 100.0)]
-)
+@pytest.mark.parametrize(("interval", "truth"), [(mean_interval, 1000.0), (standard_deviation_interval, 100.0)])
 def test_intervals_of_normal_values_cover_as_promised(
     interval: Callable[[NDArray[np.float64]], Interval],
     truth: float,

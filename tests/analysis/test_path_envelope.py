@@ -75,9 +75,7 @@ def test_a_sample_of_one_kind_has_one_path(share: float, random_sample: Callable
     assert envelope.corners == ()
 
 
-def test_few_searches_are_needed(
-    random_sample: Callable[..., Sample], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_searches_are_needed(random_sample: Callable[..., Sample], monkeypatch: pytest.MonkeyPatch) -> None:
     """An envelope of k paths takes at most 2 k + 1 searches: one a path, one a corner, two at the ends."""
     searches = 0
 

@@ -20,9 +20,7 @@ def test_seeds_for_the_papers_widest_content() -> None:
     assert 1.9636 * 260.74 / np.sqrt(656) < 20.0 < 1.9636 * 260.74 / np.sqrt(655)
 
 
-@given(
-    deviation=st.floats(0.1, 1000), half_width=st.floats(1, 1000), level=st.sampled_from([0.8, 0.95, 0.99])
-)
+@given(deviation=st.floats(0.1, 1000), half_width=st.floats(1, 1000), level=st.sampled_from([0.8, 0.95, 0.99]))
 @settings(deadline=None)
 def test_the_number_is_the_smallest_that_suffices(deviation: float, half_width: float, level: float) -> None:
     """The half-width with that many seeds is small enough, and with one fewer it is not."""

@@ -76,9 +76,7 @@ def test_a_replicate_counts_a_seed_as_often_as_it_was_drawn() -> None:
 
 def test_more_noise_widens_the_interval() -> None:
     """The best ratio is less certain when velocities scatter more."""
-    quiet, loud = (
-        scan_ratio(*campaign(0.6, noise)).best_ratio_interval.half_width for noise in (30.0, 200.0)
-    )
+    quiet, loud = (scan_ratio(*campaign(0.6, noise)).best_ratio_interval.half_width for noise in (30.0, 200.0))
     assert loud > 2 * quiet
 
 
