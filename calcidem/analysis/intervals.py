@@ -48,7 +48,7 @@ class Interval:
 
 
 LARGEST_BOOTSTRAP = 5000
-"""Above it resampling would need gigabytes, and the large-sample interval is the same to a few hundredths of its width."""
+"""Above it resampling would need gigabytes; the large-sample interval is the same to a few hundredths of its width."""
 
 SMALLEST_BOOTSTRAP = 3
 """Below this, resampling has too few different results to say anything."""

@@ -59,6 +59,7 @@ class Session:
         self.rank = 0
         self.size = 1
         self.stop_request = StopRequest(end_at_once=self._abort_mpi)
+        self._ending = False
 
     def __enter__(self) -> Self:
         """Join the other ranks, if this process was launched as one of them."""
@@ -88,7 +89,8 @@ class Session:
         """End all ranks if an exception leaves the block on one of many; a program alone just goes on."""
         if self.rank == 0:
             self.stop_request.__exit__(kind, error, trace)
-        if self.comm is None or self.size == 1 or isinstance(error, SystemExit):
+        # An exit that `end` did not ask for would leave the other ranks waiting, as any exception would.
+        if self.comm is None or self.size == 1 or (self._ending and isinstance(error, SystemExit)):
             return
         if error is None:
             self.end(EXIT_COMPLETE)
@@ -130,6 +132,7 @@ class Session:
             End of the last sweep: if ranks didn't answer, they are not waited for.
         """
         self._flush(exit_code)
+        self._ending = True
         if self.comm is not None and self.size > 1:
             if sweep_end is not None and sweep_end.unresponsive_ranks:
                 self._abort_mpi(exit_code)

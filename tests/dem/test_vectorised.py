@@ -50,7 +50,7 @@ def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: b
     reader = assembly_reader()
     loop = reader.pair_loop(reader.assembly_of(small_state(regime, bonded=bonded)), REGISTER)
     kinds = loop.kinds(REGISTER)
-    # The shortest kernel (constant stiffness) has 8 multiply-adds and 23 other operations: less means it is not vector code.
+    # The shortest kernel (constant stiffness) has 8 multiply-adds and 23 other operations: less is no vector code.
     assert kinds["multiply-add"] + kinds["other arithmetic"] >= 20
     assert kinds["load or store"] >= 4
     assert loop.scalar(SCALAR_DIVIDER) == []
