@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -25,8 +25,7 @@ from agreement import check_agreement
 from programs import HOW_TO, Programs, Worker, find_programs
 from scenes import Floats, packing_problem, touching_pairs
 
-if TYPE_CHECKING:
-    WARM_UP_STEPS = 20
+WARM_UP_STEPS = 20
 
 
 @dataclass

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn, TypeVar
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher
 from calcidem.sweep.errors import MasterLostError
 from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ a file of that name with `STARTED_SUFFIX`, and else that it never began.
 """
 
 STARTED_SUFFIX = ".started"
+
+MASTER_GONE_GRACE = 10.0
+"""Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
 
 class Session:
@@ -78,6 +81,10 @@ class Session:
                 Path(path + STARTED_SUFFIX).touch()
         else:
             leave_signals_to_master()
+        if self.size > 1:
+            master = self.broadcast(ProcessIdentity.of_this_process())
+            if self.rank != 0:
+                end_after(master, MASTER_GONE_GRACE, EXIT_RESUMABLE)
         return self
 
     def __exit__(

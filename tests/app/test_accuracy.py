@@ -78,7 +78,7 @@ def test_the_error_falls_with_the_step(experiment: Experiment) -> None:
         Setting("step", str(step), with_wave(experiment, step_fraction=step, samples_per_period=400, regime="finite"))
         for step in (0.8, 0.4, 0.2)
     ]
-    rows = run_study(experiment, [5.0], SEEDS, chosen=chosen, reference_step=0.05).summaries
+    rows = run_study(experiment, [5.0], SEEDS, chosen=chosen, reference_step=0.1).summaries
     assert rows[0].signal > 1.5 * rows[1].signal > 2.25 * rows[2].signal
 
 

@@ -43,8 +43,7 @@ def small_state(regime: Regime, *, bonded: bool) -> State:
     return start(scene, features=choose_features(scene, regime, LANES, breakage=False))
 
 
-@pytest.mark.parametrize("bonded", [False, True])
-@pytest.mark.parametrize("regime", ["finite", "linear"])
+@pytest.mark.parametrize(("regime", "bonded"), [("finite", False), ("finite", True), ("linear", False)])
 def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: bool) -> None:
     """The pair loop computes on registers of full width, and no division or root in it is done lane by lane."""
     reader = assembly_reader()
