@@ -1,8 +1,8 @@
 """Whatever goes wrong with a campaign, nothing is lost: the whole fault matrix, and kills at random moments.
 
-    python benchmarks/faults/run.py              # the matrix: about 15 minutes on two free cores
+    python benchmarks/faults/run.py              # the matrix: about 20 minutes on two free cores
     python benchmarks/faults/run.py --only kill  # the cases whose name contains a word
-    python benchmarks/faults/run.py --kills 100  # kills of a random process at random moments, about 10 minutes
+    python benchmarks/faults/run.py --kills 100  # kills of a random process at random moments, about half an hour
 
 Every case is a small real campaign under the real mpirun. Exit code 1 if anything is not as it has to be.
 """
@@ -26,8 +26,11 @@ from fault_matrix import Trial, all_cases, judge, reference
 SEEDS_TO_KILL = 400
 """More than 100 interrupted runs can compute."""
 
-LATEST_KILL = 6.0
+LATEST_KILL = 12.0
 """Seconds after the start; by then a run has loaded its libraries and stored results for some seconds."""
+
+STARTUP = 20.0
+"""Seconds that a rank may take to load its libraries; only then can it see that its launcher is gone."""
 
 
 def run_matrix(top: Path, cache: Path, word: str) -> bool:
@@ -68,7 +71,7 @@ def run_kills(top: Path, cache: Path, kills: int) -> bool:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)  # a lost worker ended nothing; stop in order
         codes[trial.wait(process).code] += 1
-        left += not trial.leaves_no_process()
+        left += not trial.leaves_no_process(STARTUP)
         trial.kill_all()
         if not trial.database.exists():
             continue

@@ -246,9 +246,9 @@ class Trial:
                 continue  # it has ended meanwhile, or is not ours
         return found
 
-    def leaves_no_process(self) -> bool:
-        """Whether all processes are gone within 3 s; the kernel needs a moment to kill them."""
-        end = time.monotonic() + 3.0
+    def leaves_no_process(self, patience: float = 3.0) -> bool:
+        """Whether all processes are gone within some seconds; the kernel needs a moment to kill them."""
+        end = time.monotonic() + patience
         while self.processes():
             if time.monotonic() > end:
                 return False
