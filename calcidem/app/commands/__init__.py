@@ -15,6 +15,7 @@ COMMANDS = {
     "show": ("commands.report", "show"),
     "analyse": ("commands.report", "analyse_campaign"),
     "report": ("commands.report", "report"),
+    "study": ("commands.report", "study"),
     "plan": ("commands.plan", "plan"),
     "retry": ("commands.retry", "retry"),
     "merge": ("commands.merge", "merge"),

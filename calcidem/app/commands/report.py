@@ -1,5 +1,6 @@
-"""``calcidem report``, ``analyse`` and ``show``: what a campaign says, as a page, as files, and cell by cell."""
+"""``calcidem report``, ``analyse``, ``show`` and ``study``: what a campaign says, as a page, as files, cell by cell."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -7,20 +8,54 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+from calcidem.analysis.figures.style import save
 from calcidem.app.report import analyse, show_cell, write_report
+from calcidem.app.report.study_runs import run_studies
 from calcidem.app.run_command import make_console
 
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[str | None, typer.Option("--campaign", help="Which one, if the database has several.")]
 
 
+class StudyName(StrEnum):
+    """Sensitivity studies."""
+
+    FREQUENCY = "frequency"
+    DAMPING = "damping"
+
+
 def report(
     database: Database,
     out: Annotated[Path, typer.Option(metavar="FILE.html", help="Page to write or replace.")] = Path("report.html"),
+    with_studies: Annotated[bool, typer.Option("--with-studies", help="Run the sensitivity studies for it.")] = False,
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
-    typer.echo(f"Wrote {write_report(database, out, campaign_name=campaign)}")
+    studies = run_studies(database, campaign_name=campaign) if with_studies else None
+    typer.echo(f"Wrote {write_report(database, out, campaign_name=campaign, studies=studies)}")
+
+
+def study(
+    database: Database,
+    names: Annotated[
+        list[StudyName] | None, typer.Argument(metavar="[frequency|damping]...", help="By default both.")
+    ] = None,
+    content: Annotated[list[float] | None, typer.Option(help="Content, percent; may be repeated.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figures and NetCDF files.")] = Path("studies"),
+    campaign: CampaignName = None,
+) -> None:
+    """Study how Vs depends on the excitation frequency, the way of reading, and damping, on samples of a campaign."""
+    chosen = [name.value for name in names or StudyName]
+    results = run_studies(database, chosen, contents=content, campaign_name=campaign)
+    for name, result in results.items():
+        out.mkdir(parents=True, exist_ok=True)
+        result.to_netcdf(out / f"study_{name}.nc")
+        typer.echo(f"Wrote {out / f'study_{name}.nc'}")
+        for entry in STUDY_FIGURES:
+            if entry.study == name:
+                for file in save(entry.draw(result), out, entry.name):
+                    typer.echo(f"Wrote {file}")
 
 
 def analyse_campaign(
