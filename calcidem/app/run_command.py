@@ -18,6 +18,7 @@ from calcidem.app.store_sink import HeartbeatProgress
 from calcidem.app.summary import packing_lines, velocity_table
 from calcidem.app.user_errors import USER_ERRORS, exit_code_of
 from calcidem.dem.packing import Packing
+from calcidem.storage.engine import parse_address
 from calcidem.storage.export import export_netcdf
 from calcidem.storage.store import Selection
 from calcidem.sweep import Session, SweepEnd, progress_for, refuse_singletons, run_sweep
@@ -112,7 +113,7 @@ def lead(session: Session, orders: Orders, work: CampaignRun, console: Console, 
         if with_report and work.end.exit_code == 0:
             from calcidem.app.report import write_report  # noqa: PLC0415 - drawing libraries take seconds to load
 
-            page = write_report(work.configuration.database, work.configuration.netcdf.with_suffix(".html"))
+            page = write_report(work.configuration.database, work.configuration.netcdf.with_suffix(".html").absolute())
             say(console, f"Report:   {page}")
     except USER_ERRORS as error:
         return refusal(error)
@@ -124,12 +125,13 @@ def report(work: CampaignRun, console: Console, in_haste: bool) -> None:
     configuration = work.configuration
     plan = configuration.campaign
     console.print(velocity_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
-    say(console, f"Database: {configuration.database}")
+    path = parse_address(configuration.database).path
+    say(console, f"Database: {configuration.database if path is None else path.absolute()}")
     if in_haste:
         say(console, f"NetCDF:   not written, to end quickly; calcidem export {configuration.database} OUT.nc does it")
     else:
-        path = export_netcdf(work.store, work.record, configuration.netcdf)
-        say(console, f"NetCDF:   {path}")
+        exported = export_netcdf(work.store, work.record, configuration.netcdf)
+        say(console, f"NetCDF:   {exported}")
 
 
 def refusal(error: BaseException) -> int:

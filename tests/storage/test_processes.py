@@ -97,8 +97,9 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     assert process.returncode == 0
     assert len(acknowledged(process.stdout.readlines())) == CELLS
     assert len(counts) > 3
-    # SQLite empties the log at 1000 pages of 4 kB; a transaction and the reader of the moment come on top.
-    assert largest_log < 10e6
+    # SQLite empties the log at 1000 pages of 4 kB; the transactions of the slowest reader's time come on top: on a busy
+    # machine 15 MB were seen.
+    assert largest_log < 30e6
     with open_campaign(database) as campaign:
         assert int(campaign.vs().count()) == CELLS
 
