@@ -223,7 +223,7 @@ def send_once(
         step_fraction=rule.step_fraction,
     )
     if bonds is not None and installation != "preserve":
-        state = settled(state, rule.balance, rule.most_settling_steps)
+        state = settled(state, rule.balance, rule.most_settling_steps, check)
     refuse_restless(state, rule.amplitude)
     longest_step = float(state.time_step.max())
     require(
