@@ -193,6 +193,24 @@ def test_a_silent_master_is_said(workshop: Workshop) -> None:
     assert f"No sign of life of rank 0 (process {master}" in done.errors
 
 
+def test_a_packing_in_the_making_is_dropped_at_once(workshop: Workshop) -> None:
+    """SIGTERM while the packing is made, which takes half a minute, ends all ranks within seconds with 75."""
+    (workshop.folder / "c.toml").write_text('[campaign]\nname = "small"\nseeds = 1\n')
+    workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
+    process = workshop.start("run", "c.toml", "--ranks", "2")
+    assert process.stdout is not None
+    assert any("being made" in line for line in process.stdout)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGTERM)
+    asked = time.monotonic()
+    stopped = workshop.wait(process)
+    assert stopped.code == 75, stopped.errors
+    assert time.monotonic() - asked < 8.0
+    assert "ended before the packing was made" in stopped.output
+    assert workshop.leaves_no_process()
+    assert not workshop.database.exists()
+
+
 def test_tasks_that_do_not_know_one_another_are_refused(workshop: Workshop) -> None:
     """Started by `srun` without an MPI launcher, the command refuses to compute everything several times over."""
     workshop.configure()
