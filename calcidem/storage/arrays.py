@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import math
+import zipfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 __all__ = ["ComparedByValue", "frozen_array", "pack_arrays", "plain_finite_numbers", "unpack_arrays"]
+
+COMPRESSION_LEVEL = 1
+"""Of zlib. On cement patterns level 6, the usual one, takes four times as long and saves 4 % of the bytes."""
 
 
 class ComparedByValue:
@@ -91,10 +95,14 @@ def plain_finite_numbers(record: object) -> None:
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Compress named arrays into the bytes of a NumPy ``.npz`` file.
 
-    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``.
+    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``. It is what
+    `numpy.savez_compressed` writes, but for the level of compression, which that function doesn't let one choose.
     """
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **dict(arrays))
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION_LEVEL) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
     return buffer.getvalue()
 
 
