@@ -5,6 +5,7 @@ import io
 import math
 import zipfile
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -82,14 +83,19 @@ def plain_finite_numbers(record: object) -> None:
     ValueError
         Naming the field.
     """
-    for field in dataclasses.fields(record):  # type: ignore[arg-type]  # every caller is a dataclass
-        value = getattr(record, field.name)
+    for name in _field_names(type(record)):  # type: ignore[arg-type]  # a class is hashable, whatever its objects are
+        value = getattr(record, name)
         if isinstance(value, np.generic):
             value = value.item()
-            object.__setattr__(record, field.name, value)
+            object.__setattr__(record, name, value)
         if isinstance(value, float) and not math.isfinite(value):
             owner = type(record).__name__
-            raise ValueError(f"{owner}.{field.name} is {value}; a missing number is None, never NaN or infinity.")
+            raise ValueError(f"{owner}.{name} is {value}; a missing number is None, never NaN or infinity.")
+
+
+@cache  # it is asked for each of a million records
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
