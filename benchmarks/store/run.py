@@ -1,9 +1,10 @@
-"""Seconds and memory of opening, reading, summarising and exporting databases of 1,972 and 1,000,000 cells.
+"""Seconds and memory of opening, reading, summarising and exporting databases of 1,972 to 1,000,000 cells.
 
-    python benchmarks/store/run.py [--cells 1972 1000000] [--folder DIR]
+    python benchmarks/store/run.py [--cells 1972 50000 1000000] [--folder DIR] [--figure docs/store.png]
 
 Each database is made of records like those of a run, without signals and cement. Each question is asked in a process of
-its own; its memory is the most that the process ever had beyond what it had after importing calcidem.
+its own; its memory is the most that the process ever had beyond what it had after importing calcidem. Seconds are those
+on the clock, and in brackets those of computing, which other work on the machine does not change much.
 """
 
 import argparse
@@ -18,6 +19,10 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
 import numpy as np
 
 from calcidem.analysis.distribution import tabulate
@@ -142,11 +147,11 @@ def ask(name: str, path: Path) -> dict[str, float]:
     # What every process imports for these questions, so that it doesn't count as theirs.
     assert tabulate  # noqa: S101 - named for the reader
     before = peak_memory()
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     with open_campaign(path) as campaign:
         QUESTIONS[name][1](campaign)
     seconds = time.perf_counter() - start
-    return {"seconds": seconds, "MB": peak_memory() - before}
+    return {"seconds": seconds, "cpu": time.process_time() - cpu, "MB": peak_memory() - before}
 
 
 def ask_elsewhere(name: str, path: Path) -> dict[str, float]:
@@ -160,8 +165,9 @@ def ask_elsewhere(name: str, path: Path) -> dict[str, float]:
 def main() -> None:
     """Make the databases, ask all questions and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cells", type=int, nargs="+", default=[1972, 1_000_000])
+    parser.add_argument("--cells", type=int, nargs="+", default=[1972, 50_000, 1_000_000])
     parser.add_argument("--folder", type=Path, help="where to keep the databases; a temporary folder without")
+    parser.add_argument("--figure", type=Path, default=ROOT / "docs" / "store.png", help="picture to draw")
     parser.add_argument("--ask", choices=QUESTIONS, help=argparse.SUPPRESS)
     parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -173,30 +179,49 @@ def main() -> None:
         for count in options.cells:
             path = (options.folder or Path(temporary)) / f"cells_{count}.db"
             if not path.exists():
-                start = time.perf_counter()
+                start, cpu = time.perf_counter(), time.process_time()
                 make_database(path, count)
-                rows.append(
-                    (count, f"storing them ({path.stat().st_size / 1e6:.0f} MB)", time.perf_counter() - start, 0.0)
-                )
+                spent = time.perf_counter() - start, time.process_time() - cpu
+                rows.append((count, "making it", *spent, 0.0))
+            print(f"{path}: {path.stat().st_size / 1e6:.1f} MB", flush=True)
             path.with_suffix(".copy.db").unlink(missing_ok=True)
             for name, (title, _) in QUESTIONS.items():
                 answer = ask_elsewhere(name, path)
-                rows.append((count, title, answer["seconds"], answer["MB"]))
-                print(f"{count:>9} {title:<70} {answer['seconds']:9.3f} s {answer['MB']:8.0f} MB", flush=True)
+                rows.append((count, title, answer["seconds"], answer["cpu"], answer["MB"]))
+                print(
+                    f"{count:>9} {title:<70} {answer['seconds']:9.3f} s ({answer['cpu']:.3f}) {answer['MB']:6.0f} MB",
+                    flush=True,
+                )
     print(markdown(rows))
+    draw(rows, options.figure)
+    print(f"Figure: {options.figure}")
 
 
-Row = tuple[int, str, float, float]
-"""Cells, question, seconds, MB."""
+Row = tuple[int, str, float, float, float]
+"""Cells, question, seconds on the clock, seconds of computing, MB."""
+
+
+def draw(rows: list[Row], file: Path) -> None:
+    """Draw seconds of computing against cells, a line for each question."""
+    figure, axes = plt.subplots(figsize=(7.2, 5.0), layout="constrained")
+    for title in dict.fromkeys(title for _, title, *_ in rows):
+        points = sorted((count, cpu) for count, name, _, cpu, _ in rows if name == title)
+        axes.plot(*zip(*points, strict=True), marker="o", label=title.replace("`", ""))
+    axes.set(xscale="log", yscale="log", xlabel="cells in the database", ylabel="seconds of computing")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", fontsize=7, frameon=False)
+    figure.savefig(file, dpi=120)
 
 
 def markdown(rows: list[Row]) -> str:
     """Return the answers as the table of docs/store.md: a line a question, two columns a database."""
     counts = list(dict.fromkeys(count for count, *_ in rows))
-    head = "".join(f" {count:,} cells: s | MB |" for count in counts)
+    head = "".join(f" {count:,} cells: s (computing) | MB |" for count in counts)
     lines = [f"| question |{head}", "|---|" + "---:|---:|" * len(counts)]
     for title in dict.fromkeys(title for _, title, *_ in rows):
-        found = {count: f" {seconds:.2f} | {size:.0f} |" for count, name, seconds, size in rows if name == title}
+        found = {
+            count: f" {clock:.2f} ({cpu:.2f}) | {size:.0f} |" for count, name, clock, cpu, size in rows if name == title
+        }
         lines.append(f"| {title} |" + "".join(found.get(count, " | |") for count in counts))
     return "\n".join(lines)
 

@@ -1,6 +1,7 @@
 """One campaign from its configuration to its database: the same in one process and on many ranks."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import TracebackType
@@ -105,6 +106,8 @@ class CampaignRun:
         Number of MPI ranks that do.
     tell
         Takes sentences for the user.
+    check
+        Called every fraction of a second while the packing is made; may raise to end that.
 
     Attributes
     ----------
@@ -120,12 +123,14 @@ class CampaignRun:
         To be set to the end of the sweep.
     """
 
-    def __init__(self, configuration: Configuration, ranks: int, tell: Tell) -> None:
+    def __init__(
+        self, configuration: Configuration, ranks: int, tell: Tell, check: Callable[[], None] = lambda: None
+    ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         store = self._master(tell) if exists(configuration.database) else None
         try:
-            self.packing = provide_packing(configuration, store, tell)
+            self.packing = provide_packing(configuration, store, tell, check)
             check_against_packing(configuration, self.packing)
             store = store or self._master(tell)
             self.store: Store = store

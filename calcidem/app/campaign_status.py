@@ -69,6 +69,8 @@ class Trouble:
         How often it was tried, and how many of these attempts took a worker down since the last retry.
     reason
         First line of why it is what it is; empty for a done or pending cell.
+    retry
+        Why its sample was sent again, with half the step; empty if it was not.
     """
 
     key: CellKey
@@ -76,6 +78,7 @@ class Trouble:
     attempts: int
     losses: int
     reason: str
+    retry: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,7 @@ class CampaignStatus:
     counts
         Number of cells by status.
     troubles
-        Cells that went wrong or were tried more than once.
+        Cells that went wrong, were tried more than once, or needed half the step.
     last_run, run_number
         The latest run, if there was any.
     running
@@ -196,7 +199,7 @@ def expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64
 
 
 def troubles_of(campaign: Campaign) -> tuple[Trouble, ...]:
-    """Cells that went wrong, the most alarming first, then those that were tried more than once."""
+    """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
     attempts = campaign.store.attempt_counts()
     wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=TROUBLES))
     reasons = {
@@ -204,10 +207,23 @@ def troubles_of(campaign: Campaign) -> tuple[Trouble, ...]:
         for seed, content, reason in zip(wrong["seed"], wrong["content"], wrong["reason"], strict=True)
     }
     repeated = {key for key, count in attempts.items() if count.attempts > 1 or count.losses}
-    keys = repeated | reasons.keys()
+    again = campaign.store.table(("seed", "content", "retry"), Selection(where="retry is not None"))
+    retries = {
+        CellKey(int(seed), float(content)): str(why)
+        for seed, content, why in zip(again["seed"], again["content"], again["retry"], strict=True)
+    }
+    keys = repeated | reasons.keys() | retries.keys()
     statuses = campaign.store.statuses() if keys else {}
     found = [
-        Trouble(key, statuses[key], attempts[key].attempts, attempts[key].losses, reasons.get(key, "")) for key in keys
+        Trouble(
+            key,
+            statuses[key],
+            attempts[key].attempts,
+            attempts[key].losses,
+            reasons.get(key, ""),
+            retries.get(key, ""),
+        )
+        for key in keys
     ]
     return tuple(sorted(found, key=lambda trouble: (urgency(trouble.status), trouble.key)))
 

@@ -88,6 +88,7 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         c_contacts=cement.c_contacts,
         clusters=cement.clusters,
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
+        retry=record.retry,
         seconds=measurement.seconds,
         signal=signal_of(record) if store_signals else None,
         cement=CementPattern(pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres),

@@ -60,6 +60,12 @@ def run(
         int | None,
         typer.Option(min=0, help="Start so many MPI ranks, of which the first coordinates; 0: all cores and one more."),
     ] = None,
+    restarts: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="K", help="With --ranks: start again up to K times if ranks die and the rest cannot go on."
+        ),
+    ] = 0,
     with_report: Annotated[
         bool, typer.Option("--report", help="Write the report beside the NetCDF file, too.")
     ] = False,
@@ -72,7 +78,11 @@ def run(
         arguments += ["--db", database] if database is not None else []
         arguments += ["--output", str(output)] if output is not None else []
         arguments += ["--report"] if with_report else []
-        raise typer.Exit(launch(arguments, ranks or default_ranks()))
+        raise typer.Exit(launch(arguments, ranks or default_ranks(), restarts))
+    if restarts:
+        raise typer.BadParameter(
+            "give --ranks too, of 2 or more: only ranks are started again", param_hint="--restarts"
+        )
     from calcidem.app.run_command import run_campaign
 
     overrides = {"database": database, "output": None if output is None else str(output)}

@@ -85,13 +85,30 @@ class CampaignPlan:
 
 @dataclass(frozen=True, slots=True)
 class PackingDraw:
-    """The rest of section ``[packing]``: which of the possible packings is made."""
+    """The rest of section ``[packing]``: which of the possible packings is made, or the file that the user's is in.
+
+    Attributes
+    ----------
+    seed
+        Of the random sizes and positions.
+    file
+        CSV file with disks that are taken instead, see `calcidem.dem.packing_file`; relative to the configuration's.
+    file_sha256
+        Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
+    """
 
     seed: int = 1
+    file: str | None = None
+    file_sha256: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a negative seed."""
         require(self.seed >= 0, "seed", self.seed, "give 0 or more")
+        require(self.file != "", "file", repr(self.file), "give the name of a CSV file, or leave the key out")
+
+
+SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
+"""Keys of ``[packing]`` that have no meaning where the disks are in a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,13 +264,20 @@ class Configuration:
         return {
             "physics_version": PHYSICS_VERSION,
             "root_seed": self.campaign.root_seed,
-            "packing": plain(self.packing) | plain(self.packing_draw),
+            "packing": self.packing_origin,
             "sand": plain(self.sand) | plain(self.calibration),
             "cement": plain(self.cement) | plain(self.bonding),
             "pattern": plain(self.pattern),
             "wave": plain(self.wave) | {"frequency": plain(self.excitation.table)},
             "pick": plain(self.pick) | plain(self.velocity_choice),
         }
+
+    @property
+    def packing_origin(self) -> dict[str, Any]:
+        """What the packing is made from, ready for JSON: no key that does not matter, and no file name."""
+        values = plain(self.packing) | plain(self.packing_draw)
+        left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
+        return {name: value for name, value in values.items() if name not in left_out and value is not None}
 
     @cached_property
     def hash(self) -> str:
@@ -267,9 +291,10 @@ class Configuration:
         The friction of the sand is not part of it, since the packing is made with its own.
         """
         sand = replace(self.sand, friction=self.packing.friction_preparation)
-        packing = plain(self.packing) | plain(self.packing_draw)
-        root = {"physics_version": PHYSICS_VERSION, "root_seed": self.campaign.root_seed}
-        return content_hash(root | {"packing": packing, "sand": plain(sand)})
+        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": plain(sand)}
+        if self.packing_draw.file is None:  # disks from a file have nothing random
+            origin["root_seed"] = self.campaign.root_seed
+        return content_hash(origin)
 
     @property
     def output(self) -> Path:

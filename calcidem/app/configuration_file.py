@@ -23,6 +23,7 @@ from calcidem.app.configuration import (
 )
 from calcidem.app.configuration_checks import cross_check
 from calcidem.app.configuration_errors import ConfigurationError, Problem, in_words, shown
+from calcidem.app.own_disks import take_own_disks
 from calcidem.dem.arrival import PickRule
 from calcidem.dem.cement import CementRule
 from calcidem.dem.material import Cement, Sand
@@ -46,7 +47,7 @@ SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
 }
 """Sections of the file, and the attributes of `Configuration` that each one gives, with their types."""
 
-TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density"}
+TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that a file does not have, because another one says the same."""
 
 
@@ -88,11 +89,13 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     if given and isinstance(document.setdefault("run", {}), dict):
         document["run"] |= given
-    return read_configuration(document, source)
+    return read_configuration(document, source, Path(path).parent)
 
 
-def read_configuration(document: Mapping[str, Any], source: str = "configuration") -> Configuration:
-    """Turn a mapping of sections into a checked configuration.
+def read_configuration(
+    document: Mapping[str, Any], source: str = "configuration", folder: Path = Path()
+) -> Configuration:
+    """Turn a mapping of sections into a checked configuration; other files that it names are relative to the folder.
 
     Raises
     ------
@@ -108,6 +111,8 @@ def read_configuration(document: Mapping[str, Any], source: str = "configuration
             problems.append(Problem(f"{name} = {shown(values)}: is not a section; {cure}", (name,)))
             values = {}
         problems += read_section(name, values, types, parts)
+        if name == "packing":
+            problems += take_own_disks(parts, values, folder)
     configuration = Configuration(**parts)
     configuration = replace(
         configuration, pattern=replace(configuration.pattern, sand_density=configuration.sand.density)

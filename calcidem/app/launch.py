@@ -6,15 +6,19 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from types import FrameType, TracebackType
+from typing import Any, Self
 
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher
 from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
+from calcidem.sweep.sign_of_life import Listener
 
 MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one beside Python or in the search path."""
@@ -27,6 +31,15 @@ FIRST_WITH_ULFM = 5
 
 KILLED = 128
 """Exit codes from here on stand for signals."""
+
+RESTART_PAUSE = 1.0
+"""Seconds before a new start, in which the last processes of the former one are gone."""
+
+SILENCE = 120.0
+"""Seconds without a sign of life of rank 0 after which it is said; it gives one every half second while it works."""
+
+LOOK_EVERY = 1.0
+"""Seconds between two looks at that sign."""
 
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
@@ -44,8 +57,26 @@ def default_ranks() -> int:
     return int(os.environ.get("SLURM_NTASKS") or len(os.sched_getaffinity(0))) + 1
 
 
-def launch(arguments: Sequence[str], ranks: int) -> int:
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a start of the launcher ended: its exit code, and whether somebody's signal to rank 0 was the cause."""
+
+    code: int
+    asked: bool = False
+
+
+def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     """Run calcidem with these arguments on so many ranks and return its exit code.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    ranks
+        How many.
+    restarts
+        How often to start again when the run was cut off: when ranks died and the others could not go on. A run that
+        a signal has asked to stop is not started again.
 
     Raises
     ------
@@ -55,10 +86,23 @@ def launch(arguments: Sequence[str], ranks: int) -> int:
     if launcher() is not None:
         raise LaunchError(f"--ranks {ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}")
     mpirun = find_mpirun()
+    command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem.app", *arguments]
+    with Relay() as relay:
+        ended = launch_once(command, relay)
+        for restart in range(1, restarts + 1):
+            if ended.code != EXIT_RESUMABLE or ended.asked or relay.waits(RESTART_PAUSE):
+                break
+            sys.stderr.write(f"Restart {restart} of {restarts}: the same command goes on with what is left.\n")
+            sys.stderr.flush()
+            ended = launch_once(command, relay)
+    return ended.code
+
+
+def launch_once(command: Sequence[str], relay: "Relay") -> Ended:
+    """Start the launcher with this command line and wait for its end."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}
-        command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem.app", *arguments]
         # In a group of its own: Ctrl-C reaches this process alone, which passes it on in the form that works.
         process = subprocess.Popen(  # noqa: S603 - our own program
             command,
@@ -67,15 +111,34 @@ def launch(arguments: Sequence[str], ranks: int) -> int:
             process_group=0,
             preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
-        with forwarded_signals(process):
-            code = process.wait()
+        with relay.to(process):
+            code = watched(process, Listener(note))
         if note.exists():
-            return int(note.read_text(encoding="ascii"))
+            own_code, *reason = note.read_text(encoding="ascii").split()
+            # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
+            return Ended(int(own_code), asked=bool(reason) and reason[0] != signal.SIGTERM.name)
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
     cut_off = began or code == 0 or code < 0 or code > KILLED
     advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
-    sys.stderr.write(f"The run was cut off ({Path(mpirun).name} returned {code}): {advice}.\n")
-    return EXIT_RESUMABLE if cut_off else EXIT_ERROR
+    sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
+    return Ended(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
+
+
+def watched(process: "subprocess.Popen[bytes]", listener: Listener) -> int:
+    """Wait for the end of the launcher; say so, once, if rank 0 gives no sign of life for too long."""
+    told = False
+    while True:
+        try:
+            return process.wait(LOOK_EVERY)
+        except subprocess.TimeoutExpired:
+            silent = listener.silence() > SILENCE
+        if silent and not told:
+            sys.stderr.write(
+                f"No sign of life of rank 0 ({listener.who}) for {SILENCE:.0f} s: it is stopped, or waits for a disk. "
+                "Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
+            )
+            sys.stderr.flush()
+        told = silent
 
 
 def find_mpirun() -> str:
@@ -117,16 +180,47 @@ def terminal_variables() -> dict[str, str]:
     return {TERMINAL_VARIABLE: str(shutil.get_terminal_size().columns)} if sys.stdout.isatty() else {}
 
 
-@contextmanager
-def forwarded_signals(process: "subprocess.Popen[bytes]") -> Iterator[None]:
-    """Pass signals on to the launcher while it runs."""
+class Relay:
+    """Passes signals on to the launcher while it runs, and remembers that one came."""
 
-    def forward(number: int, _frame: FrameType | None) -> None:
-        process.send_signal(FORWARDED[signal.Signals(number)])
+    def __init__(self) -> None:
+        self._number: signal.Signals | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._former: dict[signal.Signals, Any] = {}
 
-    former = {number: signal.signal(number, forward) for number in FORWARDED}
-    try:
-        yield
-    finally:
-        for number, handler in former.items():
+    def __enter__(self) -> Self:
+        """Install the handlers."""
+        self._former = {number: signal.signal(number, self._note) for number in FORWARDED}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Put the former handlers back."""
+        for number, handler in self._former.items():
             signal.signal(number, handler)
+
+    @contextmanager
+    def to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:
+        """Pass signals on to this process, first of all one that came while it was started."""
+        self._process = process
+        self._forward()
+        try:
+            yield
+        finally:
+            self._process = None
+
+    def waits(self, seconds: float) -> bool:
+        """Wait so long for a signal; tell whether there was one, now or earlier."""
+        end = time.monotonic() + seconds
+        while self._number is None and time.monotonic() < end:
+            time.sleep(0.05)
+        return self._number is not None
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self._number = signal.Signals(number)
+        self._forward()
+
+    def _forward(self) -> None:
+        if self._process is not None and self._number is not None:
+            self._process.send_signal(FORWARDED[self._number])

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.app.configuration import Configuration
+from calcidem.app.own_disks import packing_of_own_disks
 from calcidem.app.packing_archive import DamagedPackingError, from_bytes, to_bytes
 from calcidem.app.packing_record import stored_packing
 from calcidem.dem.packing import Packing, make_packing
@@ -39,7 +40,9 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "calcidem"
 
 
-def provide_packing(configuration: Configuration, store: Store | None, tell: Tell) -> Packing:
+def provide_packing(
+    configuration: Configuration, store: Store | None, tell: Tell, check: Callable[[], None] = lambda: None
+) -> Packing:
     """The packing of a campaign, made only if neither its database nor the cache has it.
 
     Parameters
@@ -50,6 +53,8 @@ def provide_packing(configuration: Configuration, store: Store | None, tell: Tel
         Its database with the campaign chosen, if there is one already.
     tell
         Takes sentences for the user.
+    check
+        Called every fraction of a second while it is made; may raise to end that.
 
     Raises
     ------
@@ -65,9 +70,14 @@ def provide_packing(configuration: Configuration, store: Store | None, tell: Tel
     if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
         return packing
-    tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
-    generator = PackingPurpose.DISKS.generator(configuration.campaign.root_seed, configuration.packing_draw.seed)
-    packing = make_packing(configuration.packing, configuration.sand, generator)
+    draw = configuration.packing_draw
+    if draw.file is not None:
+        tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
+        packing = packing_of_own_disks(configuration, check)
+    else:
+        tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
+        generator = PackingPurpose.DISKS.generator(configuration.campaign.root_seed, draw.seed)
+        packing = make_packing(configuration.packing, configuration.sand, generator, check)
     keep(path, packing, tell)
     return packing
 

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,7 +22,16 @@ from calcidem.dem.packing import Packing
 from calcidem.storage.engine import parse_address
 from calcidem.storage.export import export_netcdf
 from calcidem.storage.store import Selection
-from calcidem.sweep import Session, SweepEnd, progress_for, refuse_singletons, run_sweep
+from calcidem.sweep import (
+    EXIT_RESUMABLE,
+    Session,
+    StopRequest,
+    SweepEnd,
+    SweepInterrupted,
+    progress_for,
+    refuse_singletons,
+    run_sweep,
+)
 from calcidem.sweep.environment import launcher
 
 PLAIN_WIDTH = 110
@@ -66,7 +76,13 @@ def run_campaign(path: Path, overrides: Mapping[str, Any], *, with_report: bool 
             try:
                 refuse_singletons(session.size)
                 configuration = load_configuration(path, overrides)
-                work = CampaignRun(configuration, session.size, lambda text: say(console, text))
+                check = partial(end_in_haste, session.stop_request)
+                work = CampaignRun(configuration, session.size, lambda text: say(console, text), check)
+            except SweepInterrupted:
+                say(
+                    console, f"{session.stop_request.reason}: ended before the packing was made; run it again to go on."
+                )
+                code = EXIT_RESUMABLE
             except USER_ERRORS as error:
                 code = refusal(error)
         code = session.broadcast(code)
@@ -79,6 +95,18 @@ def run_campaign(path: Path, overrides: Mapping[str, Any], *, with_report: bool 
         with work:
             code = lead(session, received, work, console, with_report)
         session.end(code, work.end)
+
+
+def end_in_haste(stop_request: StopRequest) -> None:
+    """End the making of the packing if a signal asks for an end at once.
+
+    Raises
+    ------
+    SweepInterrupted
+        To be taken for the end of a run that goes on with the same command.
+    """
+    if stop_request.hurry():
+        raise SweepInterrupted
 
 
 def compute(session: Session, orders: Orders) -> SweepEnd:

@@ -142,6 +142,8 @@ def trouble_line(trouble: Trouble) -> str:
     history = count(trouble.attempts, "attempt")
     if trouble.losses:
         history += f", {count(trouble.losses, 'worker')} lost"
+    if trouble.retry:
+        history += f", sent again with half the step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
     return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {words(trouble.status)}, {history}{reason}"
 
@@ -194,6 +196,7 @@ def as_json(status: CampaignStatus) -> dict[str, Any]:
                 "attempts": trouble.attempts,
                 "losses": trouble.losses,
                 "reason": trouble.reason,
+                "retry": trouble.retry,
             }
             for trouble in status.troubles
         ],

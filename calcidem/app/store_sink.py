@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
 from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
+from calcidem.sweep.sign_of_life import SignOfLife
 
 PAUSE = 30.0
 """Seconds between two signs of life of the master; half of what the store asks for."""
@@ -86,10 +87,14 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatProgress:
-    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps."""
+    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps.
+
+    The heartbeat is for other machines, the sign of life for the command that started the ranks.
+    """
 
     shown: Progress
     heartbeat: Heartbeat
+    sign_of_life: SignOfLife = field(default_factory=SignOfLife)
 
     def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Pass it on."""
@@ -106,8 +111,10 @@ class HeartbeatProgress:
     def tick(self, workers: int, running: int) -> None:
         """Give a sign of life and pass it on."""
         self.heartbeat()
+        self.sign_of_life.give()
         self.shown.tick(workers, running)
 
     def ended(self, end: SweepEnd) -> None:
-        """Pass it on."""
+        """Pass it on; what follows may take its time."""
+        self.sign_of_life.end()
         self.shown.ended(end)

@@ -1,5 +1,6 @@
 """The packing: disks poured into a box by expansion and pressed by a servo-controlled lid."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
@@ -162,7 +163,9 @@ class Cost:
     began: float = field(default_factory=perf_counter)
 
 
-def make_packing(rule: PackingRule, sand: Sand, generator: np.random.Generator) -> Packing:
+def make_packing(
+    rule: PackingRule, sand: Sand, generator: np.random.Generator, check: Callable[[], None] = lambda: None
+) -> Packing:
     """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
 
     Parameters
@@ -173,6 +176,8 @@ def make_packing(rule: PackingRule, sand: Sand, generator: np.random.Generator) 
         Material; its friction is replaced by the one of preparation while packing.
     generator
         Source of sizes and positions.
+    check
+        Called every fraction of a second; may raise to end the work.
 
     Raises
     ------
@@ -187,12 +192,12 @@ def make_packing(rule: PackingRule, sand: Sand, generator: np.random.Generator) 
     preload: Preload | None = None
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
-        state = relax(scene, preload, rule, cost, filling=True)
+        state = relax(scene, preload, rule, cost, check, filling=True)
         x, y = state.position().T
         preload = preload_of(state)
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
-    state = relax(scene, preload, rule, cost, filling=False)
+    state = relax(scene, preload, rule, cost, check, filling=False)
     return finished(state, rule, cost)
 
 
@@ -250,7 +255,9 @@ def box_walls(width: float, height: float, lid_force: float | None = None) -> tu
     )
 
 
-def relax(scene: Scene, preload: Preload | None, rule: PackingRule, cost: Cost, filling: bool) -> State:
+def relax(
+    scene: Scene, preload: Preload | None, rule: PackingRule, cost: Cost, check: Callable[[], None], *, filling: bool
+) -> State:
     """Let a scene come to rest.
 
     The step follows the stability limit at the present overlaps. While the box is being filled it is enough
@@ -258,6 +265,7 @@ def relax(scene: Scene, preload: Preload | None, rule: PackingRule, cost: Cost, 
     """
     state = start(scene, preload=preload)
     while True:
+        check()
         limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
         state = advance(replace(state, time_step=STEP_FRACTION * limit), CHUNK)
         cost.steps += CHUNK

@@ -1,7 +1,7 @@
 """Packings as CSV files: out for other programs, and in to use one's own disks as the packing of a campaign."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def write_packing_csv(packing: Packing, file: Path) -> None:
         writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
 
 
-def packing_from_csv(file: Path, sand: Sand, rule: PackingRule) -> Packing:
+def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[[], None] = lambda: None) -> Packing:
     """Make a packing of the disks in a file.
 
     The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
@@ -47,6 +47,8 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule) -> Packing:
         Material; its friction is replaced by the rule's one of preparation while the disks come to rest.
     rule
         Width, stress, damping and balance are taken from it; its sizes and porosity are the file's business.
+    check
+        Called every fraction of a second; may raise to end the work.
 
     Raises
     ------
@@ -55,16 +57,28 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule) -> Packing:
     PackingError
         If the disks don't come to rest.
     """
-    x, y, radius, lines = read_disks(file)
-    check_walls(file, lines, x, y, radius, rule.width)
-    check_overlaps(file, lines, x, y, radius)
+    x, y, radius = checked_disks(file, rule.width)
     height = float(np.max(y + radius))
     boxed = replace(rule, height=height)
     slippery = replace(sand, friction=rule.friction_preparation)
     walls = box_walls(rule.width, height, rule.stress * rule.width)
     cost = Cost()
     scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
-    return finished(relax(scene, None, boxed, cost, filling=False), boxed, cost)
+    return finished(relax(scene, None, boxed, cost, check, filling=False), boxed, cost)
+
+
+def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
+    """Return x, y, radius (N,) of the disks in a file, none of which overlaps another or the walls of a box too far.
+
+    Raises
+    ------
+    PackingFileError
+        Naming the line.
+    """
+    x, y, radius, lines = read_disks(file)
+    check_walls(file, lines, x, y, radius, width)
+    check_overlaps(file, lines, x, y, radius)
+    return x, y, radius
 
 
 def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:

@@ -1,5 +1,6 @@
 """Letting cemented samples come to rest again after bonds were installed that changed the forces."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ class SettlingError(RuntimeError):
     """A cemented sample did not come to rest."""
 
 
-def settled(state: State, balance: float, most_steps: int) -> State:
+def settled(state: State, balance: float, most_steps: int, check: Callable[[], None] = lambda: None) -> State:
     """State in which every lane is at rest under the lid's servo; steps are counted from zero again.
 
     A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
@@ -29,6 +30,8 @@ def settled(state: State, balance: float, most_steps: int) -> State:
         Unbalanced-force ratio to reach.
     most_steps
         Steps after which it is given up.
+    check
+        Called every fraction of a second; may raise to end the run.
 
     Raises
     ------
@@ -46,6 +49,7 @@ def settled(state: State, balance: float, most_steps: int) -> State:
     )
     current = duplicate(current)
     while open_lanes.any():
+        check()
         if current.steps >= most_steps:
             raise SettlingError(
                 f"a cemented sample is not at rest after {most_steps} steps: "

@@ -224,7 +224,7 @@ def send_once(
         skin_fraction=wave_skin(packing, rule, frequency),
     )
     if bonds is not None and installation != "preserve":
-        state = settled(state, rule.balance, rule.most_settling_steps)
+        state = settled(state, rule.balance, rule.most_settling_steps, check)
     refuse_restless(state, rule.amplitude)
     longest_step = float(state.time_step.max())
     require(

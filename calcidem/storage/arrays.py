@@ -3,13 +3,18 @@
 import dataclasses
 import io
 import math
+import zipfile
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 __all__ = ["ComparedByValue", "frozen_array", "pack_arrays", "plain_finite_numbers", "unpack_arrays"]
+
+COMPRESSION_LEVEL = 1
+"""Of zlib. On cement patterns level 6, the usual one, takes four times as long and saves 4 % of the bytes."""
 
 
 class ComparedByValue:
@@ -78,23 +83,32 @@ def plain_finite_numbers(record: object) -> None:
     ValueError
         Naming the field.
     """
-    for field in dataclasses.fields(record):  # type: ignore[arg-type]  # every caller is a dataclass
-        value = getattr(record, field.name)
+    for name in _field_names(type(record)):  # type: ignore[arg-type]  # a class is hashable, whatever its objects are
+        value = getattr(record, name)
         if isinstance(value, np.generic):
             value = value.item()
-            object.__setattr__(record, field.name, value)
+            object.__setattr__(record, name, value)
         if isinstance(value, float) and not math.isfinite(value):
             owner = type(record).__name__
-            raise ValueError(f"{owner}.{field.name} is {value}; a missing number is None, never NaN or infinity.")
+            raise ValueError(f"{owner}.{name} is {value}; a missing number is None, never NaN or infinity.")
+
+
+@cache  # it is asked for each of a million records
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Compress named arrays into the bytes of a NumPy ``.npz`` file.
 
-    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``.
+    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``. It is what
+    `numpy.savez_compressed` writes, but for the level of compression, which that function doesn't let one choose.
     """
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **dict(arrays))
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION_LEVEL) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
     return buffer.getvalue()
 
 

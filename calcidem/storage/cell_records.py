@@ -118,6 +118,8 @@ class CellResult:
         Content the whole contacts and clusters add up to [%].
     p_contacts, c_contacts, clusters, bonded_contacts : int or None
         P contacts, contacts in C clusters, C clusters, and all bonded contacts.
+    retry : str or None
+        Problem for which the sample was sent a second time, with half the step; None if the first time was good.
     seconds : float or None
         Computing time of this cell [s].
     rank, host : int or None, str or None
@@ -157,6 +159,7 @@ class CellResult:
     c_contacts: int | None = None
     clusters: int | None = None
     bonded_contacts: int | None = None
+    retry: str | None = None
     seconds: float | None = None
     rank: int | None = None
     host: str | None = None
@@ -170,6 +173,7 @@ class CellResult:
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         object.__setattr__(self, "status", CellStatus(self.status))
+        object.__setattr__(self, "retry", self.retry or None)
         plain_finite_numbers(self)
         if self.status not in STORED_STATUSES:
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")

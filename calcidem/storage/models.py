@@ -267,6 +267,7 @@ class Result(Base):
     c_contacts: Mapped[int | None]
     clusters: Mapped[int | None]
     bonded_contacts: Mapped[int | None]
+    retry: Mapped[str | None]
 
 
 class SignalRow(Base):

@@ -129,11 +129,11 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     for start in range(0, len(seeds), SEEDS_IN_MEMORY):
         rows = slice(start, start + SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
-        columns = {name: file[name][rows] for name in VALUE_NAMES if name in file.variables}
+        columns = {name: _plain(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
         for i, j in np.argwhere(~np.isin(status[rows], without_outcome)).tolist():
             key = CellKey(seeds[start + i], contents[j])
             values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
-            values |= {name: _plain(name, column[i, j]) for name, column in columns.items()}
+            values |= {name: column[i, j] for name, column in columns.items()}
             of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in PATH_NAMES}
             of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in GRAPH_NAMES}
             features = None
@@ -150,11 +150,10 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
             )
 
 
-def _plain(name: str, value: Any) -> Any:  # noqa: ANN401 - int, float or str, as the quantity is
-    """Value of a quantity of one cell, None where missing."""
+def _plain(name: str, values: NDArray[Any]) -> NDArray[np.object_]:
+    """Values of a quantity as Python's own int, float or str, None where missing."""
     kind = QUANTITY_BY_NAME[name].kind
-    if kind == "text":
-        return str(value) or ("" if name == "reason" else None)
-    if kind == "whole":
-        return None if value < 0 else int(value)
-    return None if np.isnan(value) else float(value)
+    plain = values.astype(object)
+    missing = plain == "" if kind == "text" else values < 0 if kind == "whole" else np.isnan(values)
+    plain[missing] = "" if name == "reason" else None
+    return plain

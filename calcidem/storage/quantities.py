@@ -88,6 +88,7 @@ QUANTITIES = (
     Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", Result.c_contacts),
     Quantity("clusters", "whole", "1", "number of C clusters", Result.clusters),
     Quantity("bonded_contacts", "whole", "1", "number of bonded contacts", Result.bonded_contacts),
+    Quantity("retry", "text", "", "why the sample was sent again, with half the time step", Result.retry),
     Quantity("packing_index", "whole", "1", "which of the campaign's packings", Result.packing_index),
     Quantity("seconds", "real", "s", "computing time", Attempt.seconds),
     Quantity("rank", "whole", "1", "MPI rank that computed it", Attempt.rank),

@@ -166,7 +166,7 @@ def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) 
 
 def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
     """All attempts at the cells, by seed, content and number."""
-    statement = select(Cell.seed, Cell.content, Attempt).join(Cell, Attempt.cell_id == Cell.id)
+    statement = select(Cell.seed, Cell.content, *rows.ATTEMPT_COLUMNS).join(Cell, Attempt.cell_id == Cell.id)
     statement = statement.where(Cell.id.in_(cell_ids)).order_by(Cell.seed, Cell.content, Attempt.number)
     yield from (rows.attempt_record(row) for row in session.execute(statement))
 

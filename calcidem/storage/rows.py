@@ -22,6 +22,7 @@ from calcidem.storage.records import (
 )
 
 __all__ = [
+    "ATTEMPT_COLUMNS",
     "PATH_FIELDS",
     "RESULT_COLUMNS",
     "attempt_record",
@@ -57,6 +58,9 @@ RESULT_COLUMNS = (
     *(getattr(GraphRow, name).label(GRAPH_PREFIX + name) for name in GRAPH_FIELDS),
 )
 """Columns that `cell_result` needs besides seed and content."""
+
+ATTEMPT_COLUMNS = tuple(getattr(Attempt, f.name) for f in fields(AttemptRecord) if f.name != "key")
+"""Columns that `attempt_record` needs behind seed and content, in the order of the record's fields."""
 
 
 def cell_result(
@@ -133,20 +137,9 @@ def cement_pattern(row: CementRow) -> CementPattern:
 
 
 def attempt_record(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
-    """Build an attempt from a row of seed, content and the `Attempt`."""
-    attempt: Attempt = row.Attempt
-    return AttemptRecord(
-        key=CellKey(row.seed, row.content),
-        number=attempt.number,
-        outcome=attempt.outcome,
-        reason=attempt.reason,
-        rank=attempt.rank,
-        host=attempt.host,
-        seconds=attempt.seconds,
-        recorded=attempt.recorded,
-        run_id=attempt.run_id,
-        forgiven=attempt.forgiven,
-    )
+    """Build an attempt from a row of seed, content and `ATTEMPT_COLUMNS`."""
+    seed, content, *values = row
+    return AttemptRecord(CellKey(seed, content), *values)
 
 
 def packing_row(campaign_id: int, packing: PackingRecord) -> Packing:

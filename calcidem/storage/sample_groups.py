@@ -6,12 +6,15 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.groups import Column, Group, append, counted_slices, read_columns
+from calcidem.storage.groups import Column, Group, append, read_columns
 from calcidem.storage.records import CellKey, CellResult, CementPattern, Signal
 
 __all__ = ["CellArrays", "append_samples", "cement_reader", "path_reader", "signal_reader"]
 
 T = TypeVar("T")
+
+BLOCK = 500
+"""Cells whose arrays are in memory at a time."""
 
 
 def append_samples(file: Group, results: Sequence[CellResult]) -> None:
@@ -105,23 +108,36 @@ class CellArrays(Generic[T]):
     ) -> None:
         self._group = file.groups.get(name)
         self._build = build
-        self._slices: dict[str, list[slice]] = {}
-        self._row: dict[CellKey, int] = {}
+        self._ends: dict[str, NDArray[np.int64]] = {}
+        self._row: dict[tuple[int, float], int] = {}
+        self._block = range(0)
+        self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
             self._cells = read_columns(self._group, "cell")
-            self._slices = {name: counted_slices(self._cells[f"{name}_count"]) for name in dimensions}
+            self._ends = {name: np.concatenate(([0], np.cumsum(self._cells[f"{name}_count"]))) for name in dimensions}
             keys = zip(self._cells["seed"].tolist(), self._cells["content"].tolist(), strict=True)
-            self._row = {CellKey(seed, content): i for i, (seed, content) in enumerate(keys)}
+            self._row = {key: row for row, key in enumerate(keys)}
 
     def get(self, key: CellKey) -> T | None:
         """Return the record of a cell, None if it has none."""
-        row = self._row.get(key)
+        row = self._row.get((key.seed, key.content))
         if row is None:
             return None
+        if row not in self._block:
+            self._read_block(row)
         arrays: dict[str, NDArray[Any]] = {}
-        for dimension, slices in self._slices.items():
-            arrays |= read_columns(self._group, dimension, slices[row])
+        for dimension, ends in self._ends.items():
+            first, end = ends[[row, row + 1]] - ends[self._block.start]
+            arrays |= {name: values[first:end] for name, values in self._arrays[dimension].items()}
         return self._build({name: column[row] for name, column in self._cells.items()}, arrays)
+
+    def _read_block(self, row: int) -> None:
+        """Read a cell together with those after it, since a file is mostly read in its order."""
+        self._block = range(row, min(row + BLOCK, len(self._row)))
+        self._arrays = {
+            dimension: read_columns(self._group, dimension, slice(ends[row], ends[self._block.stop]))
+            for dimension, ends in self._ends.items()
+        }
 
 
 def path_reader(file: Group) -> CellArrays[tuple[int, ...]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import product
+from itertools import islice, product
 from typing import NamedTuple
 
 from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
@@ -246,7 +246,8 @@ def make_pending(
 
 def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[AttemptRecord]) -> None:
     """See `Store.restore_attempts`."""
-    for chunk in chunks(list(attempts)):
+    remaining = iter(attempts)
+    while chunk := list(islice(remaining, CHUNK)):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
         listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(Attempt.cell_id, Attempt.number).where(listed)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ValueT = TypeVar("ValueT")
 
 EXIT_CODE_FILE_VARIABLE = "CALCIDEM_EXIT_CODE_FILE"
-"""Names a file into which rank 0 writes its exit code as its last act.
+"""Names a file into which rank 0 writes its exit code as its last act, and the signal that asked it to stop, if any.
 
 mpirun's own exit code can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM
 it is 1 whatever the ranks return. A launcher script that finds no such file knows that the run was cut off, if there is
@@ -165,7 +165,7 @@ class Session:
         sys.stderr.flush()
         path = os.environ.get(EXIT_CODE_FILE_VARIABLE)
         if path and self.rank == 0:
-            Path(path).write_text(f"{exit_code}\n", encoding="ascii")
+            Path(path).write_text(f"{exit_code} {self.stop_request.reason}".strip() + "\n", encoding="ascii")
 
     def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
         """End the other ranks, if there are any left."""

@@ -81,10 +81,11 @@ class Workshop:
         text = SMALL.format(seeds=_toml(seeds), contents=_toml(contents), wave=wave)
         (self.folder / name).write_text(text, encoding="utf-8")
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        """Start the command and return at once."""
+    def start(self, *arguments: str, program: str = "") -> subprocess.Popen[str]:
+        """Start the command, or a program in Python that does, and return at once."""
+        command = ["-c", program] if program else ["-m", "calcidem.app"]
         return subprocess.Popen(
-            [sys.executable, "-m", "calcidem.app", *arguments],
+            [sys.executable, *command, *arguments],
             cwd=self.folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,14 +48,15 @@ def test_order_and_company_do_not_change_a_bit(workshop: Workshop, expected: Cel
 
 @pytest.mark.parametrize(("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 1)])
 def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number: str, ranks: int) -> None:
-    """After a signal the exit code is 75, and the same command completes the campaign with the same bits."""
+    """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits."""
     workshop.configure()
-    command = ("run", "c.toml", "--ranks", str(ranks))
+    command = ("run", "c.toml", "--ranks", str(ranks), *(("--restarts", "3") if ranks > 1 else ()))
     process = workshop.start(*command)
     workshop.wait_for_cells(2)
     process.send_signal(signal.Signals[number])
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors
+    assert "Restart" not in stopped.errors
     assert workshop.leaves_no_process()
     kept = workshop.cells()
     assert 0 < len(kept) < len(expected)
@@ -160,6 +162,52 @@ def test_a_launcher_that_fails_is_an_error(workshop: Workshop) -> None:
     workshop.configure()
     workshop.variables["MPIRUN"] = "false"
     assert workshop.run("run", "c.toml", "--ranks", "2").code == 1
+    assert not workshop.database.exists()
+
+
+def test_restarts_come_to_an_end(workshop: Workshop) -> None:
+    """A run that is cut off every time is started again as often as asked for, and no more."""
+    workshop.configure()
+    launcher = workshop.folder / "launcher"
+    launcher.write_text('#!/bin/sh\necho "$*" >> started\ntouch "$CALCIDEM_EXIT_CODE_FILE.started"\nexit 137\n')
+    launcher.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(launcher)
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "1")
+    assert ended.code == 75
+    assert (workshop.folder / "started").read_text().count("run c.toml") == 2
+    assert "Restart 1 of 1" in ended.errors
+
+
+def test_a_silent_master_is_said(workshop: Workshop) -> None:
+    """A stopped rank 0 is told on stderr with its process, nothing is killed, and once continued the run completes."""
+    workshop.configure(contents=(0.0, 5.0))
+    program = "from calcidem.app import command_line, launch; launch.SILENCE = 1.0; command_line.main()"
+    process = workshop.start("run", "c.toml", "--ranks", "2", program=program)
+    workshop.wait_for_cells(1)
+    master = workshop.processes("OMPI_COMM_WORLD_RANK=0")[0]
+    os.kill(master, signal.SIGSTOP)
+    time.sleep(4.0)
+    os.kill(master, signal.SIGCONT)
+    done = workshop.wait(process)
+    assert done.code == 0, done.errors
+    assert f"No sign of life of rank 0 (process {master}" in done.errors
+
+
+def test_a_packing_in_the_making_is_dropped_at_once(workshop: Workshop) -> None:
+    """SIGTERM while the packing is made, which takes half a minute, ends all ranks within seconds with 75."""
+    (workshop.folder / "c.toml").write_text('[campaign]\nname = "small"\nseeds = 1\n')
+    workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
+    process = workshop.start("run", "c.toml", "--ranks", "2")
+    assert process.stdout is not None
+    assert any("being made" in line for line in process.stdout)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGTERM)
+    asked = time.monotonic()
+    stopped = workshop.wait(process)
+    assert stopped.code == 75, stopped.errors
+    assert time.monotonic() - asked < 8.0
+    assert "ended before the packing was made" in stopped.output
+    assert workshop.leaves_no_process()
     assert not workshop.database.exists()
 
 

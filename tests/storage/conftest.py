@@ -124,7 +124,8 @@ class Records:
             largest_component=12,
             gap_contacts=None if seed == 0 else 2,
         )
-        return self.done(seed, content, features=features, signal=signal, cement=cement, graph=graph)
+        retry = "velocities above ten times that of the pulse"
+        return self.done(seed, content, features=features, signal=signal, cement=cement, graph=graph, retry=retry)
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401
         """Build a packing of 50 grains."""

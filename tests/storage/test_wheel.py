@@ -18,4 +18,4 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
     needed = {str(path.relative_to(ROOT)) for path in folder.rglob("*.py")} | {
         "calcidem/storage/migrations/script.py.mako"
     }
-    assert {"calcidem/storage/migrations/versions/v0002_graph_summary.py"} < needed <= names
+    assert {"calcidem/storage/migrations/versions/v0003_retry.py"} < needed <= names

@@ -73,7 +73,7 @@ class Launch:
     @property
     def noted_exit_code(self) -> int | None:
         """The exit code that rank 0 noted, or None if it didn't come to that."""
-        return int(self.exit_code_file.read_text()) if self.exit_code_file.exists() else None
+        return int(self.exit_code_file.read_text().split()[0]) if self.exit_code_file.exists() else None
 
     def wait(self) -> Launch:
         """Wait for the end and collect what the program wrote."""

@@ -8,9 +8,11 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from calcidem.app.campaign import run
+from calcidem.app.cell_computation import cell_result
 from calcidem.app.configuration import CampaignPlan, Configuration
 from calcidem.app.opened_campaign import open_campaign
 from calcidem.app.verification import Verdict, compared, random_cells, verify
+from calcidem.dem.measurement import measure
 from calcidem.dem.packing import PackingRule
 from calcidem.dem.wave import WaveRule
 from calcidem.storage.records import CellKey
@@ -55,6 +57,17 @@ def test_a_changed_database_is_found_out(small: Path, invoke: Invoke, tmp_path: 
     engine.dispose()
     output = invoke("verify", changed, "--cells", 4, exit_code=1)
     assert "different (vs" in output
+
+
+def test_why_a_sample_was_sent_again_is_kept(small: Path) -> None:
+    """The problem for which the wave was sent a second time goes from the wave's record into the outcome."""
+    with open_campaign(small) as campaign:
+        experiment = campaign.experiment(0)
+    (measured,) = measure(experiment, 0.66, [1])
+    again = dataclasses.replace(measured, record=dataclasses.replace(measured.record, retry="the energy grew"))
+    pairs = experiment.packing.pairs
+    assert cell_result(measured, pairs, store_signals=False).retry is None
+    assert cell_result(again, pairs, store_signals=False).retry == "the energy grew"
 
 
 def test_another_kind_of_cpu_may_differ_within_the_error(small: Path) -> None:

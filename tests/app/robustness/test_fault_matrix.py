@@ -54,6 +54,21 @@ def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, fault_cache:
     assert not verdict.complaints, "\n".join(verdict.complaints)
 
 
+def test_restarts_go_on_without_ulfm(tmp_path: Path, fault_cache: Path, undisturbed: Cells) -> None:
+    """With --restarts a worker killed under an MPI without ULFM costs a new start, which is said, and no cell."""
+    trial = Trial(tmp_path, fault_cache)
+    try:
+        ended = trial.run("--restarts", "2", case=Case("SIGKILL", "worker", "after", ulfm=False))
+        assert trial.leaves_no_process()
+    finally:
+        trial.kill_all()
+    assert ended.code == 0, ended.output
+    assert "Restart 1 of 2" in ended.output
+    assert "Restart 2" not in ended.output
+    assert trial.cells() == undisturbed
+    assert trial.acknowledged() == trial.settled()
+
+
 def test_the_selection_is_part_of_the_matrix() -> None:
     """Every case that is tested here is one of the whole matrix, which has at least 50."""
     assert set(SELECTION) <= set(all_cases())

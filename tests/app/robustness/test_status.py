@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from calcidem.app.campaign_status import campaign_status, is_being_written
 from calcidem.app.commands.status import look
 from calcidem.app.status_view import status_view
 from calcidem.storage.campaign import open_campaign
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql_store import open_store
 
 if TYPE_CHECKING:
@@ -34,6 +36,20 @@ def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[
     assert "seed 9, 2.55 %: quarantined, 2 attempts, 1 worker lost: what went wrong is quarantined" in output
     assert output.index("quarantined, 2") < output.index("failed, 1 attempt:")
     assert "calcidem retry" in output
+
+
+def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[..., str]) -> None:
+    """A done cell that needed half the step is shown with the reason, which is found by a query, too."""
+    why = "the energy grew"
+    with open_store(complete) as store:
+        store.use_campaign()
+        cell = next(result for result in store.results() if result.key == CellKey(3, 5.0))
+        store.record_results([replace(cell, retry=why)], replace_done=True)
+    assert f"seed 3, 5 %: done, 1 attempt, sent again with half the step ({why})" in invoke("status", complete)
+    (trouble,) = json.loads(invoke("status", complete, "--json"))["troubles"]
+    assert trouble["retry"] == why
+    with open_campaign(complete) as campaign:
+        assert [(found.key, found.retry) for found in campaign.select(where="retry is not None")] == [(cell.key, why)]
 
 
 def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:

@@ -165,8 +165,8 @@ class Trial:
         """Database of the campaign."""
         return self.folder / "results" / "small.db"
 
-    def start(self, *, case: Case | None = None, ranks: int = 3) -> subprocess.Popen[str]:
-        """Start the campaign, or go on with it, and return at once."""
+    def start(self, *options: str, case: Case | None = None, ranks: int = 3) -> subprocess.Popen[str]:
+        """Start the campaign, or go on with it, with these options of the command, and return at once."""
         variables = {"FAULT": case.fault, "VICTIM": case.victim, "MOMENT": case.moment} if case else {}
         if case is not None and not case.ulfm:
             variables["WITHOUT_ULFM"] = "1"
@@ -177,7 +177,7 @@ class Trial:
             "MPIRUN": str(self.folder / "launcher"),
             "FAULT_FOLDER": str(self.folder),  # marks all its processes as well
         }
-        command = [sys.executable, "-m", "calcidem.app", "run", "c.toml", "--ranks", str(ranks)]
+        command = [sys.executable, "-m", "calcidem.app", "run", "c.toml", "--ranks", str(ranks), *options]
         with (self.folder / "output").open("w") as output:
             return subprocess.Popen(
                 command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
@@ -193,9 +193,9 @@ class Trial:
             process.wait()
         return Ended(process.returncode, (self.folder / "output").read_text(), time.monotonic() - begin)
 
-    def run(self, *, case: Case | None = None, ranks: int = 3) -> Ended:
+    def run(self, *options: str, case: Case | None = None, ranks: int = 3) -> Ended:
         """Run the campaign, or go on with it."""
-        return self.wait(self.start(case=case, ranks=ranks))
+        return self.wait(self.start(*options, case=case, ranks=ranks))
 
     def cells(self) -> Cells:
         """Everything about each cell that physics decides, signals and cement included."""

@@ -1,0 +1,57 @@
+"""Long computations ask between chunks of work whether they are to end: also while disks come to rest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from calcidem.dem.material import Sand
+from calcidem.dem.packing import Packing, PackingRule, box_walls, make_packing
+from calcidem.dem.scene import Scene
+from calcidem.dem.settling import SettlingError, settled
+from calcidem.dem.state import start
+
+RULE = PackingRule(width=0.02, height=0.02, balance=1e-3)
+
+
+class EndedError(Exception):
+    """What a check raises."""
+
+
+@dataclass
+class Check:
+    """Ends the work at a call."""
+
+    at_call: int
+    calls: int = 0
+
+    def __call__(self) -> None:
+        """Count, and end the work when it is time."""
+        self.calls += 1
+        if self.calls == self.at_call:
+            raise EndedError
+
+
+@pytest.fixture(scope="module")
+def packing() -> Packing:
+    """Some 60 disks."""
+    return make_packing(RULE, Sand(), np.random.default_rng(3))
+
+
+def test_a_packing_that_is_made_can_be_ended() -> None:
+    """What the check raises ends the making of a packing."""
+    check = Check(3)
+    with pytest.raises(EndedError):
+        make_packing(RULE, Sand(), np.random.default_rng(3), check)
+    assert check.calls == 3
+
+
+def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
+    """What the check raises ends the settling, which would have been given up after two chunks of steps."""
+    walls = box_walls(packing.width, packing.height, RULE.stress * packing.width)
+    scene = Scene(packing.x, packing.y, packing.radius, Sand(), walls, damping=RULE.damping)
+    state = start(scene, preload=packing.preload)
+    with pytest.raises(SettlingError):
+        settled(state, balance=1e-15, most_steps=1000)
+    with pytest.raises(EndedError):
+        settled(state, balance=1e-15, most_steps=1000, check=Check(2))
