@@ -18,7 +18,8 @@ WALKS: dict[str, tuple[float, ...]] = {
     "content": (0.0, 0.1, 0.3, 0.6, 0.9, 1.0),
     "confinement": (1.0, 1e2, 1e4, 1e6, 1e8),
     "missing": (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
-    "strength": (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e4),
+    "strength": (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
+    "floating": (0, 1, 2, 3),
 }
 """Values of each quantity; all others stay as `Extreme` has them."""
 
