@@ -12,7 +12,8 @@ from calcidem.app.configuration import Configuration
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.opened_campaign import open_campaign
 from calcidem.app.packing_source import provide_packing
-from calcidem.app.stability.command import stability
+from calcidem.app.stability.command import random_scenes, stability
+from calcidem.app.stability.verdict import Verdict
 from calcidem.dem.packing import Packing
 
 Folder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for figure, tables and JSON.")]
@@ -76,6 +77,18 @@ def stored_velocities(db: Path, contents: Sequence[float]) -> dict[float, list[f
         return {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
 
 
-def map_stability(out: Folder = None, as_data: AsData = False) -> None:
+def map_stability(
+    scenes: Annotated[
+        int, typer.Option(min=0, help="Judge so many scenes of each box drawn at random, instead of the maps.")
+    ] = 0,
+    draw: Annotated[int, typer.Option(min=0, help="Seed of the draw.")] = 1,
+    out: Folder = None,
+    as_data: AsData = False,
+) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
-    stability(out=out, json=as_data, say=typer.echo, progress=tell)
+    if scenes:
+        judgements = random_scenes(scenes, draw, json=as_data, say=typer.echo, progress=tell)
+        if any(judgement.verdict == Verdict.WRONG for judgement in judgements):
+            raise typer.Exit(1)
+    else:
+        stability(out=out, json=as_data, say=typer.echo, progress=tell)

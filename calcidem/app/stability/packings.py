@@ -14,7 +14,7 @@ from calcidem.dem.packing import Packing, PackingRule, make_packing
 from calcidem.dem.scene import Regime
 from calcidem.dem.wave import WaveRule
 
-STRESSES = (1.0, 1.0e2, 5.0e3, 5.0e5)  # Pa
+STRESSES = (1.0e2, 5.0e3, 5.0e5)  # Pa
 FRICTIONS = (0.0, 0.2, 1.0)  # while packing
 CONTENTS = (0.0, 2.0)  # percent
 WIDTH, HEIGHT = 0.025, 0.04  # m
