@@ -134,7 +134,7 @@ def run_study(
         summaries=summarised(cells, compared, seconds),
         references=tuple(cell for row in exact.values() for cell in row.cells),
         reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
-        seconds=seconds,
+        seconds={name: dict(row) for name, row in seconds.items()},
     )
 
 

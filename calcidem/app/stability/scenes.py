@@ -36,15 +36,15 @@ RANGES = {
 """Lower and upper end of every quantity of `Extreme`; powers of ten for those of `POWERS`."""
 PLAUSIBLE = {
     "step_fraction": (0.5, 1.0),
-    "contrast": (0.0, 5.0),
-    "damping": (0.0, 0.7),
-    "amplitude": (-8.0, -3.5),
-    "frequency": (-1.3, -0.4),
-    "size_ratio": (-0.5, 0.9),
-    "content": (0.0, 1.0),
-    "confinement": (4.0, 8.0),
-    "missing": (-0.6, 0.06),
-    "strength": (0.0, 6.0),
+    "contrast": (0.0, 4.5),
+    "damping": (0.0, 0.5),
+    "amplitude": (-7.5, -4.5),
+    "frequency": (-1.0, -0.45),
+    "size_ratio": (-0.5, 0.5),
+    "content": (0.0, 0.5),
+    "confinement": (3.3, 5.3),
+    "missing": (-0.6, 0.01),
+    "strength": (1.0, 6.0),
 }
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
