@@ -11,7 +11,7 @@ from calcidem.app.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.accuracy.figure import error_against_run_time
 from calcidem.app.accuracy.report import Findings, as_json, name_of, tables
 from calcidem.app.accuracy.scatter import SAMPLES, quick_campaign, scatter_rows
-from calcidem.app.accuracy.settings import DEFAULT, settings
+from calcidem.app.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.accuracy.study import Study, cheapest, run_study
 from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing
@@ -95,15 +95,25 @@ def accuracy(
 
 def narrow(task: Task, only: Sequence[str], progress: Say) -> Findings:
     """Compare the default and some settings with the reference."""
-    known = {setting.name: setting for setting in settings(task.experiment)}
+    study = run_study(
+        task.experiment,
+        task.contents,
+        task.seeds,
+        chosen=chosen_settings(task.experiment, only),
+        lanes=task.lanes,
+        rounds=1,
+        progress=progress,
+    )
+    return Findings(task.campaign_hash, study)
+
+
+def chosen_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
+    """Give the default and the settings of these names; `ValueError` if there is none of a name."""
+    known = {setting.name: setting for setting in settings(experiment)}
     for name in only:
         if name not in known:
             raise ValueError(f"only = {name}: choose among {', '.join(known)}")
-    chosen = [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
-    study = run_study(
-        task.experiment, task.contents, task.seeds, chosen=chosen, lanes=task.lanes, rounds=1, progress=progress
-    )
-    return Findings(task.campaign_hash, study)
+    return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
 
 
 def full(task: Task, progress: Say) -> Findings:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.accuracy.command import Task, accuracy
+from calcidem.app.accuracy.command import Task, accuracy, chosen_settings, share
 from calcidem.app.configuration import Configuration
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.opened_campaign import open_campaign
@@ -60,6 +60,11 @@ def measure_accuracy(
         stored=None if db is None else stored_velocities(db, contents),
         lanes=loaded.run.lanes,
     )
+    try:
+        chosen_settings(task.experiment, only or ())
+        share(target or "1%")
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
     accuracy(task, only=only or (), out=out, json=as_data, target=target, say=typer.echo, progress=tell)
 
 
