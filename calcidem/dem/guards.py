@@ -85,9 +85,10 @@ def too_stiff(state: State, motion: Floats, overlap: float) -> Iterator[tuple[in
 
 def largest(field: Floats) -> Floats:
     """(L,) largest absolute value of the translations in each lane; not a number if one of them is none."""
-    translations = field[:, :2]
-    both_ways: Floats = np.maximum(translations.max(axis=(0, 1)), -translations.min(axis=(0, 1)))
-    return both_ways
+    # All components of a disk at once, rotation too: a long contiguous row is reduced much faster.
+    translations: Floats = np.abs(field).max(axis=0)[:2]
+    both: Floats = translations.max(axis=0)
+    return both
 
 
 def lanes_where(flags: npt.NDArray[np.bool_]) -> list[int]:
