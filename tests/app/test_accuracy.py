@@ -1,15 +1,17 @@
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calcidem.app.accuracy.amplitudes import amplitude_rows
 from calcidem.app.accuracy.command import share
-from calcidem.app.accuracy.converged import HALVING
+from calcidem.app.accuracy.converged import FINEST, HALVING
 from calcidem.app.accuracy.convergence import convergence
 from calcidem.app.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.accuracy.figure import error_against_run_time
+from calcidem.app.accuracy.measured import measured_errors
 from calcidem.app.accuracy.report import Findings, as_json, tables
 from calcidem.app.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.accuracy.study import Study, Summary, cheapest, pareto, run_study
@@ -38,7 +40,7 @@ def study(experiment: Experiment) -> Study:
     """Give a study of the default and of single precision."""
     single = Setting("precision", "float32", with_wave(experiment, precision="float32"))
     chosen = [Setting(DEFAULT, "", experiment), single]
-    return run_study(experiment, CONTENTS, SEEDS, chosen=chosen, rounds=1)
+    return run_study(experiment, CONTENTS, SEEDS, chosen=chosen, coarsest=0.1, rounds=1)
 
 
 def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
@@ -73,10 +75,25 @@ def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
 
 
 def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> None:
-    """Every cell states by how much the last halving moved its velocity, and that is below 1e-4."""
-    changes = [cell.halving for cell in study.references if cell.halving is not None]
-    assert len(changes) >= 30
-    assert max(abs(change) for change in changes) < HALVING
+    """The last halving moved every velocity by less than 1e-4, unless the finest step was reached."""
+    cells = [cell for cell in study.references if cell.halving is not None]
+    assert len(cells) >= 30
+    assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= FINEST for cell in cells)
+    assert np.median([abs(cell.halving or 0.0) for cell in cells]) < HALVING
+
+
+def test_errors_are_read_back_for_the_same_campaign_only(study: Study, tmp_path: Path) -> None:
+    """What a study wrote says the largest error of a setting at a content, and refuses to speak for other physics."""
+    file = tmp_path / "accuracy.json"
+    file.write_text(as_json(Findings("a" * 64, study)))
+    measured = measured_errors("a" * 64, file)
+    assert measured is not None
+    errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 5.0)]
+    assert measured.of(DEFAULT, 5.0) == pytest.approx(max(errors), rel=1e-4)
+    assert measured.of(DEFAULT, 4.0) is None
+    with pytest.raises(ValueError, match="another campaign"):
+        measured_errors("b" * 64, file)
+    assert measured_errors("b" * 64) is None
 
 
 def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
@@ -86,22 +103,24 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
     assert all(short.vs == long.vs for short, long in pairs)
 
 
-def test_the_signal_converges_to_second_order_without_damping_and_to_first_with_it(experiment: Experiment) -> None:
-    """The sign in local damping turns over within a step, which is all that keeps the scheme from second order."""
-    undamped = convergence(experiment, 5.0, SEEDS[:4], 1300.0, damped=False)
-    damped = convergence(experiment, 5.0, SEEDS[:4], 1300.0, damped=True)
-    assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.1)
-    assert damped.orders == pytest.approx([1.0, 1.0], abs=0.25)
+def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
+    """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
+    undamped = convergence(experiment, 5.0, SEEDS, 1300.0, damped=False)
+    damped = convergence(experiment, 5.0, SEEDS, 1300.0, damped=True)
+    assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.05)
+    # The sign in local damping turns over at some instant within a step.
+    assert 0.5 < np.mean(damped.orders) < 1.6
+    assert damped.changes[0] > 100.0 * undamped.changes[0]
 
 
-def test_the_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
-    """Constant stiffness and fixed geometry are good to 1 % at 1 mm/s; 10 cm/s gives another velocity or none."""
-    rows = {(row.amplitude, row.regime): row for row in amplitude_rows(experiment, [2.55], SEEDS[:4], [1e-3, 1e-1])}
-    for regime in ("linear", "small"):
-        assert (rows[1e-3, regime].median or 1.0) < 0.01
-    assert rows[1e-3, "finite"].worst == 0.0
-    assert rows[1e-1, "linear"].lost > 0
-    assert (rows[1e-1, "finite"].worst or 0.0) > 0.01
+def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
+    """Constant stiffness is good to 1 % at 1 mm/s; at 10 cm/s it gives no velocity, and the sample itself another."""
+    rows = amplitude_rows(experiment, [2.55], SEEDS, [1e-3, 1e-1], regimes=["linear"])
+    found = {(row.amplitude, row.regime): row for row in rows}
+    assert (found[1e-3, "linear"].median or 1.0) < 0.01
+    assert found[1e-3, "finite"].worst == 0.0
+    assert found[1e-1, "linear"].lost > 0
+    assert (found[1e-1, "finite"].worst or 0.0) > 0.01
 
 
 def test_a_better_balanced_packing_gives_the_same_velocity(experiment: Experiment) -> None:
@@ -111,7 +130,7 @@ def test_a_better_balanced_packing_gives_the_same_velocity(experiment: Experimen
         rule = PackingRule(width=0.03, height=0.06, balance=balance)
         return make_packing(rule, Sand(), np.random.default_rng(1))
 
-    rows = equilibrium_rows(experiment, [2.55], SEEDS[:4], packing_of, (1e-4, 1e-6, 1e-7))
+    rows = equilibrium_rows(experiment, [2.55], SEEDS, packing_of, (1e-4, 1e-6, 1e-7))
     assert rows[0].worst > rows[1].worst
     assert rows[1].worst < 1e-3
     assert rows[2].worst == 0.0

@@ -57,17 +57,18 @@ def amplitude_rows(
     seeds: Sequence[int],
     amplitudes: Sequence[float] = AMPLITUDES,
     *,
+    regimes: Sequence[Regime] = ("linear", "small"),
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AmplitudeRow, ...]:
-    """Measure the three regimes at several amplitudes."""
+    """Measure some regimes at several amplitudes against the finite one."""
     own, _ = measured(experiment, "finite", experiment.wave.amplitude, contents, seeds, lanes)
     rows = []
     for amplitude in amplitudes:
         progress(f"regimes at {amplitude:g} m/s")
         finite, refusal = measured(experiment, "finite", amplitude, contents, seeds, lanes)
         rows.append(row_of(amplitude, "finite", finite, own, refusal))
-        for regime in ("linear", "small"):
+        for regime in regimes:
             found, refusal = measured(experiment, regime, amplitude, contents, seeds, lanes)
             rows.append(row_of(amplitude, regime, found, finite, refusal))
     return tuple(rows)

@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calcidem.app.accuracy.batches import timed
+import numpy as np
+
+from calcidem.app.accuracy.batches import fitting_lanes, timed
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import reference
 from calcidem.dem.measurement import Experiment, Measurement
 
 HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
 COARSEST = 0.4  # step over the limit that is tried first
-FINEST = 0.025  # and that is not gone below
+FINEST = 0.05  # and that is not gone below
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +50,29 @@ class Reference:
 def converged(
     experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
 ) -> Reference:
-    """Measure a content exactly: the step is halved until Vs changes by less than `HALVING` in every cell."""
-    step = coarsest
-    before, _ = timed(reference(experiment, step), content, seeds, lanes)
-    while True:
+    """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
+
+    A cell that is still moving at `FINEST` stays with that, and says by how much.
+    """
+    step, waiting = coarsest, list(seeds)
+    before, _ = by_seed(experiment, step, content, waiting, lanes)
+    done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
+    while waiting:
         step /= 2.0
-        now, seconds = timed(reference(experiment, step), content, seeds, lanes)
-        changes = [relative(fine.vs, coarse.vs) for fine, coarse in zip(now, before, strict=True)]
-        if step <= FINEST or max((abs(change) for change in changes if change is not None), default=0.0) < HALVING:
-            break
+        now, seconds = by_seed(experiment, step, content, waiting, lanes)
+        for seed in waiting:
+            change = relative(now[seed].vs, before[seed].vs)
+            if change is None or abs(change) < HALVING or step <= FINEST:
+                done[seed] = now[seed], ReferenceCell(seed, content, now[seed].vs, step, change), seconds
+        waiting = [seed for seed in waiting if seed not in done]
         before = now
-    cells = (
-        ReferenceCell(cell.seed, content, cell.vs, step, change) for cell, change in zip(now, changes, strict=True)
-    )
-    return Reference(now, tuple(cells), seconds)
+    rows = [done[seed] for seed in seeds]
+    return Reference(tuple(row[0] for row in rows), tuple(row[1] for row in rows), float(np.mean([r[2] for r in rows])))
+
+
+def by_seed(
+    experiment: Experiment, step: float, content: float, seeds: Sequence[int], lanes: int
+) -> tuple[dict[int, Measurement], float]:
+    """Measurements with a step, and processor time of a cell, s."""
+    found, seconds = timed(reference(experiment, step), content, seeds, fitting_lanes(seeds, lanes))
+    return {cell.seed: cell for cell in found}, seconds

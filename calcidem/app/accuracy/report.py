@@ -85,8 +85,8 @@ def content_table(study: Study) -> list[str]:
     """Give reference and default at each content."""
     lines = [
         (
-            "| content % | cells | reference's step / limit | Vs by its last halving, largest | default: median "
-            "| worst | within estimate | estimate, median |"
+            "| content % | cells | reference's step / limit, smallest | Vs by its last halving, largest "
+            "| default: median | worst | within estimate | estimate, median |"
         ),
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -97,9 +97,10 @@ def content_table(study: Study) -> list[str]:
         if not errors:
             continue
         halving = max((abs(cell.halving) for cell in exact if cell.halving is not None), default=np.nan)
+        finest = min(cell.step_fraction for cell in exact)
         estimate = np.median([cell.estimate for cell in found if cell.estimate is not None])
         lines.append(
-            f"| {content:g} | {len(errors)} | {exact[0].step_fraction:g} | {halving:.1e} | {np.median(errors):.1e} "
+            f"| {content:g} | {len(errors)} | {finest:g} | {halving:.1e} | {np.median(errors):.1e} "
             f"| {max(errors):.1e} | {100 * covered(found):.0f} % | {estimate:.1e} |"
         )
     return lines

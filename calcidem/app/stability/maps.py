@@ -30,7 +30,7 @@ WALKS: dict[str, tuple[float, ...]] = {
     "floating": (0, 1, 2, 3),
 }
 """Values of each quantity; all others stay as `Extreme` has them, except those of `BASES`."""
-BASES = {"floating": Extreme(content=1.0), "strength": Extreme(content=0.9, amplitude=1e-3)}
+BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(content=0.9, amplitude=1e-3)}
 """Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
 
