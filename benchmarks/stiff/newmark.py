@@ -4,26 +4,33 @@ The linear regime has a constant stiffness matrix, which is the best case for an
 factorisation (Newmark, beta = 1/4, unconditionally stable) and two triangular solves a step, with steps that the pulse
 alone decides. Local damping is no part of it (its force is not linear in the velocity), so both run without.
 
-    python benchmarks/stiff/newmark.py PACKING.pickle
+    python benchmarks/stiff/newmark.py examples/quick.toml
 """
 
-import pickle
 import sys
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from scipy import sparse
+from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
 
+from calcidem.app.accuracy.comparison import sample_times
+from calcidem.app.accuracy.settings import with_wave
+from calcidem.app.configuration_file import load_configuration
+from calcidem.app.packing_source import provide_packing
 from calcidem.dem.arrival import record_duration
-from calcidem.dem.cement import CementRule
 from calcidem.dem.measurement import Experiment, measure
 from calcidem.dem.pulse import Pulse
 from calcidem.dem.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.state import State, choose_features, start
-from calcidem.dem.wave import TRANSMITTER, lane_bonds, listening_disks, wave_scene
+from calcidem.dem.wave import TRANSMITTER, WaveRecord, lane_bonds, listening_disks, wave_scene
+
+SEEDS = range(1, 9)
+SAMPLES = 400  # in a period of the pulse
+SETTLED = 0.01  # part of the record that is left out at its start, where a spline has nothing to lean on
 
 
 def springs(state: State) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
@@ -76,10 +83,10 @@ def newmark(
     state: State, pulse: Pulse, listeners: np.ndarray, duration: float, step: float
 ) -> tuple[np.ndarray, float, float]:
     """Mean velocity of the listeners at every step; seconds to factorise, seconds to step."""
-    began = perf_counter()
+    began = process_time()
     stiffness, push, inertia = springs(state)
     solver = splu((sparse.diags_array(inertia) + 0.25 * step**2 * stiffness).tocsc())
-    ready = perf_counter()
+    ready = process_time()
     place, speed, gain = np.zeros_like(inertia), np.zeros_like(inertia), np.zeros_like(inertia)
     rank = np.argsort(state.assembly.order)
     heard, received = 3 * rank[listeners] + 1, []
@@ -90,32 +97,41 @@ def newmark(
         speed = speed + 0.5 * step * (gain + new)
         gain = new
         received.append(speed[heard].mean())
-    return np.array(received), ready - began, perf_counter() - ready
+    return np.array(received), ready - began, process_time() - ready
+
+
+def explicit(experiment: Experiment, content: float, fraction: float) -> tuple[WaveRecord, float]:
+    """First sample's record with the lane kernel, and processor seconds of a cell in a full batch."""
+    setting = with_wave(experiment, step_fraction=fraction, samples_per_period=SAMPLES)
+    measure(setting, content, SEEDS[:1])
+    began = process_time()
+    record = measure(setting, content, SEEDS)[0].record
+    return record, (process_time() - began) / len(SEEDS)
 
 
 def main() -> None:
     """Print error and run time of both on contents 5 and 9 %."""
-    packing = pickle.loads(Path(sys.argv[1]).read_bytes())  # noqa: S301 - a file of one's own
-    experiment = Experiment(packing, stiffness_factor=13.0, cement_rule=CementRule(p_share=0.77, cluster_area=3.6e-6))
+    configuration = load_configuration(Path(sys.argv[1]))
+    experiment = configuration.experiment(provide_packing(configuration, None, print))
     wave = replace(experiment.wave, damping=0.0, boundary_damping=0.0, slowest=500.0)
     bare = replace(experiment, wave=wave, early_stop=False)
+    print("| content % | method | step over the limit | s a cell | signal error (L2) |")
+    print("|---|---|---|---|---|")
     for content in (5.0, 9.0):
-        exact = measure(replace(bare, wave=replace(wave, step_fraction=0.1, samples_per_period=400)), content, [1])[0]
-        measure(bare, content, [1])
-        began = perf_counter()
-        explicit = measure(bare, content, range(1, 9))
-        cell = (perf_counter() - began) / 8
-        time = (np.arange(len(exact.record.velocity)) + 1) * exact.record.interval - 0.5 * exact.record.time_step
+        exact = measure(with_wave(bare, step_fraction=0.025, samples_per_period=SAMPLES), content, SEEDS[:1])[0]
+        true = CubicSpline(sample_times(exact.record), exact.record.velocity)
+        end = sample_times(exact.record)[-1]
 
         def distance(
-            at: np.ndarray, signal: np.ndarray, time: np.ndarray = time, exact: np.ndarray = exact.record.velocity
+            at: np.ndarray, signal: np.ndarray, true: CubicSpline = true, end: float = end, first: float = SETTLED
         ) -> float:
-            true = np.interp(at, time, exact)
-            return float(np.linalg.norm(signal - true) / np.linalg.norm(true))
+            inside = (at > first * end) & (at < end)
+            return float(np.linalg.norm(signal[inside] - true(at[inside])) / np.linalg.norm(true(at[inside])))
 
-        own = explicit[0].record
-        at = (np.arange(len(own.velocity)) + 1) * own.interval - 0.5 * own.time_step
-        print(f"{content} % explicit, 8 lanes: {cell:.2f} s a cell, signal error {distance(at, own.velocity):.1e}")
+        for fraction in (0.8, 0.4, 0.2):
+            record, seconds = explicit(bare, content, fraction)
+            error = distance(sample_times(record), record.velocity)
+            print(f"| {content:g} | explicit, 8 lanes | {fraction:g} | {seconds:.2f} | {error:.1e} |", flush=True)
         stiffened, sand = bare.stiffened()
         bonds = lane_bonds(stiffened, bare.cement, [exact.cement.bonded], 1, "preserve")
         scene = wave_scene(stiffened, sand, wave, bonds)
@@ -127,8 +143,7 @@ def main() -> None:
             signal, setup, run = newmark(state, pulse, listening_disks(stiffened, wave), duration, step)
             error = distance((np.arange(len(signal)) + 1) * step, signal)
             print(
-                f"{content} % Newmark, step {step / state.limit[0]:.0f} limits: "
-                f"{setup:.2f} s + {run:.2f} s a cell, signal error {error:.1e}"
+                f"| {content:g} | Newmark | {step / state.limit[0]:.0f} | {setup + run:.2f} | {error:.1e} |", flush=True
             )
 
 

@@ -1,6 +1,7 @@
 """What the scenes of a campaign need, what is left out of them, and what leaving it out saves and costs.
 
-Nothing here is taken on trust: each row is a measurement of the same cells with and without.
+Nothing here is taken on trust: each row is a measurement of the same cells with and without. Beside it stands the error
+of both ways against a converged reference, where `calcidem accuracy` has measured that.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,6 +11,8 @@ from time import perf_counter
 
 import numpy as np
 
+from calcidem.app.accuracy.measured import MeasuredErrors
+from calcidem.app.accuracy.settings import DEFAULT
 from calcidem.dem.measurement import Experiment, Measurement, measure
 
 ROUNDS = 3
@@ -29,12 +32,15 @@ class Alternative:
         Why it is needed, or why it is safe to leave it out.
     opposite
         The experiment with it if it is left out, without it if it is needed; None if there is no such thing.
+    setting
+        Name of the opposite among the settings of `calcidem accuracy`, empty if it is none of them.
     """
 
     what: str
     needed: bool
     why: str
     opposite: Experiment | None
+    setting: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +57,17 @@ class Explanation:
         Run time of the opposite over that of the campaign's own way, median of interleaved rounds.
     difference
         Largest relative difference in Vs between the two; None if no cell has a velocity both ways.
+    error, other_error
+        Largest relative error of Vs against a converged reference, the campaign's own way and the other; None where it
+        has not been measured.
     """
 
     content: float
     alternative: Alternative
     time_ratio: float | None
     difference: float | None
+    error: float | None = None
+    other_error: float | None = None
 
 
 def explain(
@@ -64,6 +75,7 @@ def explain(
     contents: Sequence[float],
     seeds: Sequence[int],
     lanes: int,
+    measured: MeasuredErrors | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Explanation]:
     """Measure what each alternative saves and costs.
@@ -76,6 +88,8 @@ def explain(
         Cells to measure; at most ``lanes`` seeds, which share a batch.
     lanes
         Width of the kernel.
+    measured
+        Errors against a converged reference.
     progress
         Told what is being measured.
     """
@@ -83,8 +97,16 @@ def explain(
     for content in contents:
         for alternative in alternatives(experiment, content):
             progress(f"{content:g} %: {alternative.what}")
-            rows.append(explained(experiment, alternative, content, seeds, lanes))
+            rows.append(with_errors(explained(experiment, alternative, content, seeds, lanes), measured))
     return rows
+
+
+def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanation:
+    """Row with the errors of both ways, if they were measured."""
+    if measured is None or not row.alternative.setting:
+        return row
+    own = measured.of(DEFAULT, row.content)
+    return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
 
 
 def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
@@ -124,9 +146,14 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
             needed=False,
             why=f"{small}, so contacts keep their stiffness",
             opposite=replace(experiment, wave=replace(wave, regime="small")),
+            setting="regime small",
         ),
         Alternative(
-            "new normals and overlaps", needed=False, why=f"{small}, and far less of the radii", opposite=finite
+            "new normals and overlaps",
+            needed=False,
+            why=f"{small}, and far less of the radii",
+            opposite=finite,
+            setting="regime finite",
         ),
         Alternative(
             "contact search",
@@ -145,6 +172,7 @@ def early_stop(experiment: Experiment) -> Alternative:
         needed=False,
         why=why,
         opposite=replace(experiment, early_stop=not experiment.early_stop),
+        setting=f"early_stop {not experiment.early_stop}",
     )
 
 
@@ -153,7 +181,8 @@ def precision(experiment: Experiment) -> Alternative:
     double = experiment.wave.precision == "float64"
     other = replace(experiment, wave=replace(experiment.wave, precision="float32" if double else "float64"))
     why = "the default; single precision pays with 16 lanes" if double else "the configuration asks for float32"
-    return Alternative("double precision", needed=double, why=why, opposite=other)
+    setting = f"precision {other.wave.precision}"
+    return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
 
 
 def explained(

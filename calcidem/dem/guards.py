@@ -4,7 +4,10 @@ An unstable explicit scheme grows by a constant factor each step: 1 % above the 
 steps, so whatever starts between two looks is beyond every bound at the second.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
+import numpy.typing as npt
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import require
@@ -17,39 +20,81 @@ RESTLESS = 1e-3  # velocity that unbalanced forces make over the amplitude of th
 NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 
 
-def problem_of(state: State, lane: int, amplitude: float, overlap: float) -> str:
-    """Why a lane cannot be trusted any more, empty if it can.
+def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
+    """Why each lane cannot be trusted any more, empty for those that can.
 
     Parameters
     ----------
-    state, lane
-        What to look at.
+    state
+        What to look at; all lanes are looked at together, which costs hardly more than one.
     amplitude
         Of the pulse, m/s; nothing moves much faster in a sample that was at rest.
     overlap
         Mean overlap of the contacts at the start, m.
     """
-    speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
+    problems = [""] * state.features.lanes
     # NaN compares with nothing, so it is asked for by what it is not.
-    if not speed.max() <= BLOW_UP * amplitude:
-        return f"{named(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
-    motion = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
+    for lane in lanes_where(~(largest(state.motion.velocity) <= BLOW_UP * amplitude)):
+        speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
+        problems[lane] = f"{named(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
     if state.features.linear:
-        return ""
-    if not state.features.search and state.features.finite and motion.max() > 0.5 * state.skin:
-        return f"{named(state, motion)} moved {motion.max():.3g} m, out of reach of its list of neighbours"
+        return problems
+    motion = largest(state.motion.displacement)
+    for find in (out_of_reach, broken_bonds, too_stiff):
+        for lane, problem in find(state, motion, overlap):
+            problems[lane] = problems[lane] or problem
+    return problems
+
+
+def out_of_reach(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+    """Give the lanes in which a disk may have met one that is not in the list of pairs."""
+    if state.features.search or not state.features.finite:
+        return
+    for lane in lanes_where(motion > 0.5 * state.skin):
+        moved = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
+        yield lane, f"{named(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
+
+
+def broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+    """Give the lanes in which bonds broke."""
     broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
-    count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))
-    if count:
-        return f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower wave.amplitude"
-    if motion.max() > NOTICEABLE * overlap:
-        limit = float(present_limit(state)[lane])
-        if state.time_step[lane] > limit:
-            return (
-                f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
-                f"after {state.steps} steps, {limit:.3g} s: lower wave.step_fraction or wave.amplitude"
+    if not broken.any():
+        return
+    for lane in range(state.features.lanes):
+        count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))
+        if count:
+            yield (
+                lane,
+                f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower wave.amplitude",
             )
-    return ""
+
+
+def too_stiff(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
+    """Give the lanes whose step is above the limit of the contacts as they are pressed now."""
+    noticed = motion > NOTICEABLE * overlap
+    if not noticed.any():
+        return
+    limit = present_limit(state)
+    for lane in lanes_where(noticed & (state.time_step > limit)):
+        problem = (
+            f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
+            f"after {state.steps} steps, {limit[lane]:.3g} s: lower wave.step_fraction or wave.amplitude"
+        )
+        yield lane, problem
+
+
+def largest(field: Floats) -> Floats:
+    """(L,) largest absolute value of the translations in each lane; not a number if one of them is none."""
+    # All components of a disk at once, rotation too: a long contiguous row is reduced much faster.
+    translations: Floats = np.abs(field).max(axis=0)[:2]
+    both: Floats = translations.max(axis=0)
+    return both
+
+
+def lanes_where(flags: npt.NDArray[np.bool_]) -> list[int]:
+    """Lanes in which something is true."""
+    found: list[int] = np.flatnonzero(flags).tolist()
+    return found
 
 
 def refuse_restless(state: State, amplitude: float) -> None:

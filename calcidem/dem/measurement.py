@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from calcidem.dem.arrival import PickRule, Picks, Signals, arrived, read_arrival
+from calcidem.dem.arrival import PickFailure, PickRule, Picks, Signals, arrived, read_arrival
 from calcidem.dem.cement import CementOrdering, CementRule, PlacedCement, draw_cement
 from calcidem.dem.material import Cement, Sand, require
 from calcidem.dem.packing import Packing
@@ -21,6 +21,8 @@ STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse /
 SLIP = 1.0  # error of contacts that do not slip over (shear stress of the wave / confining stress)^3
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
+INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
+NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower wave.amplitude or the frequency"
 SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
@@ -247,19 +249,22 @@ def judged(
             outcome = Outcome.NO_ARRIVAL
             reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         else:
-            error = discretisation_error(experiment, record, frequency, reading.travel_time)
+            noisy = picks.first_arrival.failure == PickFailure.NOISE
+            error = discretisation_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
             if error > LARGEST_ERROR:
                 outcome, error = Outcome.NO_ARRIVAL, None
-                reason = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
+                reason = NOISY if noisy else INEXACT
             else:
                 outcome, vs = Outcome.DONE, reading.velocity
     return Measurement(seed, content, outcome, reason, vs, picks, frequency, error, cement, record, seconds)
 
 
-def discretisation_error(experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float) -> float:
-    """Estimated relative error of a velocity by step, sampling, regime and precision.
+def discretisation_error(
+    experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool = False
+) -> float:
+    """Estimated relative error of a velocity by step, sampling, regime, precision and noise.
 
-    Four parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
+    Five parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
     measured against converged runs of the same cells (docs/accuracy.md), each so that it covers 95 % of the cells.
 
     - Step: local damping looks at velocities half a step old, an error of first order; leapfrog shifts frequencies by
@@ -270,6 +275,9 @@ def discretisation_error(experiment: Experiment, record: WaveRecord, frequency: 
       overlap over radius; constant stiffnesses miss what the stroke of the pulse, compared with the overlap, changes,
       and the slip that begins where the shear stress of the wave, ``2 rho V v0``, nears the confining stress.
     - Precision: rounding of single precision moves broad peaks.
+    - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
+      frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
+      onset level: chattering contacts make it, and another step another one.
     """
     wave, packing = experiment.wave, experiment.packing
     omega = 2.0 * np.pi * frequency
@@ -285,4 +293,5 @@ def discretisation_error(experiment: Experiment, record: WaveRecord, frequency: 
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
     # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
-    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision]))
+    noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
+    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision, noise]))

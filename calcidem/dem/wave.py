@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
-from calcidem.dem.guards import problem_of, refuse_restless
+from calcidem.dem.guards import problems_of, refuse_restless
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
@@ -211,6 +211,22 @@ def send_once(
     check: Callable[[], None],
 ) -> list[WaveRecord]:
     """Do what `send_waves` does, with one step."""
+    recorder = prepared(packing, sand, cement, bonded, frequency, rule, heard_enough, lanes, installation)
+    return recorder.run(packing.width, check)
+
+
+def prepared(
+    packing: Packing,
+    sand: Sand,
+    cement: Cement,
+    bonded: Sequence[Flags],
+    frequency: float,
+    rule: WaveRule,
+    heard_enough: Callable[[WaveRecord], bool],
+    lanes: int,
+    installation: Installation,
+) -> "Recorder":
+    """Batch that is ready to be sent; see `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
     scene = wave_scene(packing, sand, rule, bonds)
@@ -236,8 +252,7 @@ def send_once(
     )
     stride = samples_stride(packing, sand, rule, bonds, frequency)
     listeners = listening_disks(packing, rule)
-    recorder = Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)
-    return recorder.run(packing.width, check)
+    return Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)
 
 
 def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: float, lanes: int) -> Features:
@@ -272,6 +287,7 @@ class Recorder:
         self.rule = rule
         self.heard_enough = heard_enough
         self.stride = stride
+        self.steps_per_look = SAMPLES_PER_CHUNK * stride
         self.overlap = float(np.mean(np.maximum(overlaps(state), 0.0)))
         rank = np.argsort(state.assembly.order)
         self.listeners = np.sort(rank[listeners])
@@ -285,13 +301,14 @@ class Recorder:
         while self.open:
             check()
             self.signals.append(self.chunk())
+            problems = problems_of(self.state, self.rule.amplitude, self.overlap)
             for lane in sorted(self.open):
-                self.look_at(lane, longest)
+                self.look_at(lane, problems[lane], longest)
         return [self.records[lane] for lane in sorted(self.records)]
 
     def chunk(self) -> Floats:
         """Advance by one chunk; (samples, 2, L) shear force and velocity."""
-        steps = SAMPLES_PER_CHUNK * self.stride
+        steps = self.steps_per_look
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
@@ -306,16 +323,16 @@ class Recorder:
         self.state = carried_on(self.state, steps, recording)
         return recording.samples
 
-    def look_at(self, lane: int, longest: float) -> None:
+    def look_at(self, lane: int, problem: str, longest: float) -> None:
         """Close the record of a lane that is done or in trouble."""
-        record = self.record_of(lane)
+        record = self.record_of(lane, problem)
         time = len(record.sent) * record.interval
         if record.problem or time >= longest or self.heard_enough(record):
             self.records[lane] = record
             self.open.discard(lane)
 
-    def record_of(self, lane: int) -> WaveRecord:
-        """What a lane has recorded so far."""
+    def record_of(self, lane: int, problem: str) -> WaveRecord:
+        """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
         signals = np.concatenate([chunk[:, :, lane] for chunk in self.signals]).astype(float)
         step = float(self.state.time_step[lane])
         # A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
@@ -329,5 +346,5 @@ class Recorder:
             time_step=step,
             stability_limit=float(self.state.limit[lane]),
             steps=self.state.steps,
-            problem=problem_of(self.state, lane, self.rule.amplitude, self.overlap),
+            problem=problem,
         )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.measurement import Measurement
@@ -29,8 +30,6 @@ class CellError:
         See `signal_distance`.
     estimate
         The relative error the cell itself states.
-    seconds
-        Wall time of its share of the batch.
     """
 
     setting: str
@@ -42,7 +41,6 @@ class CellError:
     arrival_error: float | None
     signal_error: float
     estimate: float | None
-    seconds: float
 
 
 def cell_error(
@@ -59,7 +57,6 @@ def cell_error(
         arrival_error=relative(first_arrival(found), first_arrival(exact)),
         signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
         estimate=found.error_estimate,
-        seconds=found.seconds,
     )
 
 
@@ -76,14 +73,22 @@ def first_arrival(measurement: Measurement) -> float | None:
 def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exact_amplitude: float) -> float:
     """Normalised L2 distance of two received signals, each over its amplitude, on the time that both cover.
 
-    ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated linearly.
+    ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
     """
     times = [sample_times(record) for record in (found, exact)]
     coarser = max(times, key=lambda time: float(time[1] - time[0]))
-    common = coarser[coarser <= min(times[0][-1], times[1][-1])]
-    first = np.interp(common, times[0], found.velocity / amplitude)
-    second = np.interp(common, times[1], exact.velocity / exact_amplitude)
+    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
+    common = coarser[(coarser >= begin) & (coarser <= end)]
+    first = at_times(common, times[0], found.velocity / amplitude)
+    second = at_times(common, times[1], exact.velocity / exact_amplitude)
     return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+def at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
+    """Values between samples, by a cubic spline; where they are not finite there is none."""
+    if not np.all(np.isfinite(values)):
+        return np.full(len(wanted), np.nan)
+    return np.asarray(CubicSpline(time, values)(wanted))
 
 
 def sample_times(record: WaveRecord) -> Floats:

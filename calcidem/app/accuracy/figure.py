@@ -15,7 +15,7 @@ SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes noth
 
 @styled
 def error_against_run_time(study: Study) -> "Figure":
-    """Draw median and largest error of Vs against the wall time of a cell."""
+    """Draw median and largest error of Vs against the processor time of a cell."""
     figure = new_figure(3.6)
     axes = figure.subplots()
     rows = [row for row in study.summaries if row.numerical and row.cells]
@@ -25,7 +25,10 @@ def error_against_run_time(study: Study) -> "Figure":
         mark(axes, row, on_front=row in front)
     axes.axvline(study.reference_seconds, color=GREY, linestyle=":", label="reference")
     axes.set(
-        xscale="log", yscale="log", xlabel="wall time of a cell (s)", ylabel="relative error of $V_s$: median to worst"
+        xscale="log",
+        yscale="log",
+        xlabel="processor time of a cell (s)",
+        ylabel="relative error of $V_s$: median to worst",
     )
     axes.legend(loc="lower left")
     return figure

@@ -1,16 +1,22 @@
-"""Runs a study: the reference, every setting against it, convergence, and the scatter of the samples beside it."""
+"""Runs a study: the reference of every cell, then every setting against it."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
+from calcidem.app.accuracy.batches import Compiled, fitting_lanes, timed, warm_up
 from calcidem.app.accuracy.comparison import CellError, cell_error
-from calcidem.app.accuracy.settings import DEFAULT, REFERENCE_STEP, Setting, reference, settings, with_wave
-from calcidem.dem.measurement import Experiment, Measurement, measure
+from calcidem.app.accuracy.converged import COARSEST, Reference, ReferenceCell, converged
+from calcidem.app.accuracy.settings import DEFAULT, Setting, settings
+from calcidem.dem.measurement import Experiment
 
-HALVING = 1.0e-4  # relative change of Vs by which halving the reference's step may move it
+ROUNDS = 3
+PATIENCE = 3.0  # settings that take this many times the default's time are timed only once
+
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +35,10 @@ class Summary:
         Of Vs.
     arrival, signal
         Medians of the errors of the first arrival and of the whole signal.
+    covered
+        Share of the cells whose error of Vs is at most the estimate they state.
     seconds
-        Wall time of a cell.
+        Processor time of a cell.
     """
 
     setting: str
@@ -41,6 +49,7 @@ class Summary:
     worst: float
     arrival: float
     signal: float
+    covered: float
     seconds: float
 
 
@@ -54,16 +63,24 @@ class Study:
         Every cell of every setting.
     summaries
         One for each setting, over all contents.
+    references
+        One for each cell.
     reference_seconds
-        Wall time of a cell of the reference.
-    halving
-        Largest relative change of Vs when the step of the reference is halved.
+        Processor time of a cell of the reference.
+    seconds
+        Processor time of a cell by setting and content.
     """
 
     cells: tuple[CellError, ...]
     summaries: tuple[Summary, ...]
+    references: tuple[ReferenceCell, ...]
     reference_seconds: float
-    halving: float
+    seconds: Mapping[str, Mapping[float, float]]
+
+    @property
+    def halving(self) -> float:
+        """Largest relative change of Vs by the last halving of the reference's step."""
+        return max((abs(cell.halving) for cell in self.references if cell.halving is not None), default=0.0)
 
 
 def run_study(
@@ -72,9 +89,10 @@ def run_study(
     seeds: Sequence[int],
     *,
     chosen: Iterable[Setting] | None = None,
-    reference_step: float = REFERENCE_STEP,
+    coarsest: float = COARSEST,
     lanes: int = 8,
-    progress: Callable[[str], None] = lambda _: None,
+    rounds: int = ROUNDS,
+    progress: Say = lambda _: None,
 ) -> Study:
     """Measure the errors of settings.
 
@@ -87,97 +105,87 @@ def run_study(
     seeds
         Samples at each content.
     chosen
-        Settings to compare; all of `settings.settings` by default.
-    reference_step
-        Step of the reference as a part of the stability limit.
+        Settings to compare, the experiment's own first; all of `settings.settings` by default.
+    coarsest
+        Step over the limit from which the reference is sought.
     lanes
-        Width of the kernel.
+        Width of the kernel; a narrower one is taken for fewer seeds.
+    rounds
+        How often settings are timed, taking turns, so that what else the machine does falls on all of them.
     progress
         Told what is done.
     """
     compared = tuple(settings(experiment) if chosen is None else chosen)
-    exact_way = reference(experiment, reference_step)
-    exact: dict[float, tuple[Measurement, ...]] = {}
-    halving = 0.0
-    for content in contents:
-        progress(f"reference at {content:g} %")
-        warm_up(exact_way, content, seeds, lanes)
-        exact[content] = in_batches(exact_way, content, seeds, lanes)
-        halving = max(halving, halved_step(exact_way, content, seeds, lanes))
+    width = fitting_lanes(seeds, lanes)
+    compiled: Compiled = set()
+    exact: dict[float, Reference] = {}
     cells: list[CellError] = []
-    for setting in compared:
-        progress(setting.name)
-        for content in contents:
-            try:
-                warm_up(setting.experiment, content, seeds, lanes)
-                found = in_batches(setting.experiment, content, seeds, lanes)
-            except ValueError as refused:
-                progress(f"{setting.name} at {content:g} %: {refused}")
-                continue
-            amplitudes = setting.experiment.wave.amplitude, exact_way.wave.amplitude
-            cells += [
-                cell_error(setting.name, cell, amplitudes[0], other, amplitudes[1])
-                for cell, other in zip(found, exact[content], strict=True)
-            ]
+    seconds: dict[str, dict[float, float]] = defaultdict(dict)
+    for content in contents:
+        progress(f"{content:g} %: reference")
+        exact[content] = converged(experiment, content, seeds, width, coarsest)
+        progress(f"{content:g} %: {len(compared)} settings")
+        found, times = all_settings(compared, content, exact[content], width, compiled, rounds, progress)
+        cells += found
+        for name, value in times.items():
+            seconds[name][content] = value
     return Study(
         cells=tuple(cells),
-        summaries=summarised(cells, compared),
-        reference_seconds=float(np.mean([cell.seconds for row in exact.values() for cell in row])),
-        halving=halving,
+        summaries=summarised(cells, compared, seconds),
+        references=tuple(cell for row in exact.values() for cell in row.cells),
+        reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
+        seconds={name: dict(row) for name, row in seconds.items()},
     )
 
 
-def in_batches(experiment: Experiment, content: float, seeds: Sequence[int], lanes: int) -> tuple[Measurement, ...]:
-    """Measure any number of seeds."""
-    found: list[Measurement] = []
-    for start in range(0, len(seeds), lanes):
-        found += measure(experiment, content, seeds[start : start + lanes], lanes=lanes)
-    return tuple(found)
+def all_settings(
+    compared: Sequence[Setting],
+    content: float,
+    exact: Reference,
+    lanes: int,
+    compiled: Compiled,
+    rounds: int,
+    progress: Say,
+) -> tuple[list[CellError], dict[str, float]]:
+    """Errors of all settings at one content, and their processor time of a cell, s."""
+    seeds = [cell.seed for cell in exact.cells]
+    amplitude = compared[0].experiment.wave.amplitude
+    cells: list[CellError] = []
+    times: dict[str, list[float]] = {}
+    for round_ in range(rounds):
+        for setting in compared:
+            if round_ and (setting.name not in times or times[setting.name][0] > PATIENCE * times[compared[0].name][0]):
+                continue
+            try:
+                warm_up(setting, content, seeds, lanes, compiled)
+                found, taken = timed(setting.experiment, content, seeds, lanes)
+            except ValueError as refused:
+                progress(f"{setting.name} at {content:g} %: {refused}")
+                continue
+            times.setdefault(setting.name, []).append(taken)
+            if round_ == 0:
+                cells += [
+                    cell_error(setting.name, cell, setting.experiment.wave.amplitude, other, amplitude)
+                    for cell, other in zip(found, exact.measurements, strict=True)
+                ]
+    return cells, {name: median(values) for name, values in times.items()}
 
 
-def warm_up(experiment: Experiment, content: float, seeds: Sequence[int], lanes: int) -> None:
-    """Compile the kernel this way of computing needs, so that no run time contains it."""
-
-    class CompiledError(Exception):
-        """Ends the run once the kernel has run."""
-
-    calls = 0
-
-    def stop() -> None:
-        nonlocal calls
-        calls += 1
-        if calls > 1:
-            raise CompiledError
-
-    try:
-        measure(experiment, content, seeds[:1], lanes=lanes, check=stop)
-    except CompiledError:
-        return
-
-
-def halved_step(exact_way: Experiment, content: float, seeds: Sequence[int], lanes: int) -> float:
-    """Largest relative change of Vs when the step of the reference is halved.
-
-    Measured in the linear regime, which has the same step and costs a fraction: what the step does to a wave is the
-    same in both.
-    """
-    linear = with_wave(exact_way, regime="linear")
-    finer = with_wave(linear, step_fraction=0.5 * linear.wave.step_fraction)
-    pairs = zip(in_batches(linear, content, seeds, lanes), in_batches(finer, content, seeds, lanes), strict=True)
-    changes = [abs(a.vs / b.vs - 1.0) for a, b in pairs if a.vs is not None and b.vs is not None]
-    return max(changes, default=0.0)
-
-
-def summarised(cells: Iterable[CellError], compared: Iterable[Setting]) -> tuple[Summary, ...]:
+def summarised(
+    cells: Iterable[CellError], compared: Iterable[Setting], seconds: Mapping[str, Mapping[float, float]]
+) -> tuple[Summary, ...]:
     """Summaries of the settings, in their order."""
     rows = defaultdict(list)
     for cell in cells:
         rows[cell.setting].append(cell)
-    return tuple(summary(setting.name, setting.numerical, rows[setting.name]) for setting in compared)
+    return tuple(
+        summary(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
+        for setting in compared
+    )
 
 
-def summary(name: str, numerical: bool, cells: Sequence[CellError]) -> Summary:
-    """Summary of the cells of one setting."""
+def summary(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
+    """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
     return Summary(
@@ -189,8 +197,17 @@ def summary(name: str, numerical: bool, cells: Sequence[CellError]) -> Summary:
         worst=max(errors, default=np.inf),
         arrival=float(np.median(arrivals)) if arrivals else np.inf,
         signal=float(np.median([cell.signal_error for cell in cells])) if cells else np.inf,
-        seconds=float(np.mean([cell.seconds for cell in cells])) if cells else np.inf,
+        covered=covered(cells),
+        seconds=float(np.mean(seconds)) if seconds else np.inf,
     )
+
+
+def covered(cells: Iterable[CellError]) -> float:
+    """Share of the cells with a velocity whose error is at most their own estimate."""
+    honest = [
+        abs(cell.vs_error) <= cell.estimate for cell in cells if cell.vs_error is not None and cell.estimate is not None
+    ]
+    return float(np.mean(honest)) if honest else np.nan
 
 
 def cheapest(study: Study, target: float) -> Summary | None:

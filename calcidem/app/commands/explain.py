@@ -8,6 +8,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from calcidem.app.accuracy.measured import MeasuredErrors, measured_errors
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.explanation import Explanation, explain
 from calcidem.app.packing_source import provide_packing
@@ -24,12 +25,20 @@ def explain_campaign(
     content: Annotated[
         list[float] | None, typer.Option(help="Only this content, in percent; may be repeated. By default three.")
     ] = None,
+    accuracy: Annotated[
+        Path | None, typer.Option(metavar="JSON", help="What 'calcidem accuracy' found for this campaign.")
+    ] = None,
 ) -> None:
     """Show what each content needs of the kernel and what is left out: why that is safe, what it saves and costs.
 
-    Every number is measured here and now, on cells of the campaign.
+    Times and differences are measured here and now, on cells of the campaign; errors are those that 'calcidem accuracy'
+    measured against a converged reference.
     """
     loaded = load_configuration(configuration)
+    try:
+        measured = measured_errors(loaded.hash, accuracy)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
     packing = provide_packing(loaded, None, typer.echo)
     contents = sorted(loaded.campaign.contents)
     chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
@@ -39,11 +48,23 @@ def explain_campaign(
         chosen,
         seeds,
         loaded.run.lanes,
+        measured,
         progress=lambda text: typer.echo(f"measuring {text}", err=True),
     )
     console = make_console()
     for value in chosen:
         console.print(explanation_table(value, [row for row in rows if row.content == value]))
+    console.print(where_from(measured, str(configuration)))
+
+
+def where_from(measured: MeasuredErrors | None, configuration: str) -> str:
+    """Say where the errors are from, or how to get them."""
+    if measured is None:
+        return (
+            f"The errors of this campaign have not been measured: calcidem accuracy {configuration} --out DIR, "
+            "then add --accuracy DIR/accuracy.json."
+        )
+    return f"Errors: largest of the cells measured by calcidem accuracy, own way and other way, from {measured.source}."
 
 
 def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
@@ -54,6 +75,7 @@ def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
     table.add_column("why")
     table.add_column("time the other way", justify="right")
     table.add_column("difference in Vs", justify="right")
+    table.add_column("error of Vs, own and other way", justify="right")
     for row in rows:
         table.add_row(
             row.alternative.what,
@@ -61,5 +83,11 @@ def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
             row.alternative.why,
             "-" if row.time_ratio is None else f"{row.time_ratio:.2f} x",
             "-" if row.difference is None else f"{100.0 * row.difference:.2g} %",
+            f"{percent(row.error)}, {percent(row.other_error)}" if row.alternative.setting else "-",
         )
     return table
+
+
+def percent(error: float | None) -> str:
+    """Error in percent, or that it is not known."""
+    return "?" if error is None else f"{100.0 * error:.2g} %"

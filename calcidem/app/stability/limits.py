@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.stability.scenes import Extreme, content_of, experiment_of
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.state import State, choose_features, no_recording, run_sweep, start
 from calcidem.dem.wave import lane_bonds, wave_scene
 
@@ -39,13 +40,25 @@ def limits(scene: Extreme) -> Limits:
 
 
 def fastest_mode(state: State) -> float:
-    """Largest angular frequency of a scene in the linear regime, rad/s.
+    """Largest angular frequency of a scene in the linear regime, rad/s."""
+    root = np.sqrt(inertia_of(state))
+    # Rotations are scaled so that the matrix is symmetric up to rounding.
+    symmetric = root[:, None] * acceleration_matrix(state) / root
+    return float(np.sqrt(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.T))[-1]))
 
-    The columns of ``M^-1 K`` are what one step of the kernel does to the velocities when one coordinate is displaced.
-    Rotations are scaled so that the matrix is symmetric up to rounding.
+
+def inertia_of(state: State) -> Floats:
+    """(3 N,) mass, mass and moment of inertia of each disk, in memory order."""
+    scene = state.scene
+    return np.column_stack([scene.mass, scene.mass, scene.inertia])[state.assembly.order].ravel()
+
+
+def acceleration_matrix(state: State) -> Floats:
+    """``M^-1 K`` of a scene in the linear regime, (3 N, 3 N) 1/s2; the state is used up.
+
+    Its columns are what one step of the kernel does to the velocities when one coordinate is displaced.
     """
     count, step = state.scene.count, float(state.time_step[0])
-    inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[state.assembly.order].ravel()
     matrix = np.zeros((3 * count, 3 * count))
     displacement, velocity = state.motion.displacement, state.motion.velocity
     for column in range(3 * count):
@@ -53,6 +66,4 @@ def fastest_mode(state: State) -> float:
         displacement[column // 3, column % 3, 0] = 1.0
         run_sweep(state, 1, no_recording(state))
         matrix[:, column] = -velocity[:, :, 0].ravel() / step
-    root = np.sqrt(inertia)
-    symmetric = root[:, None] * matrix / root
-    return float(np.sqrt(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.T))[-1]))
+    return matrix

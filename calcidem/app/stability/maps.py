@@ -1,11 +1,19 @@
-"""Walks along one quantity of an extreme scene at a time."""
+"""Walks along one quantity of an extreme scene at a time, and a map of small packings."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
+from calcidem.app.stability.packings import (
+    CONTENTS,
+    FRICTIONS,
+    STRESSES,
+    Packed,
+    packed_experiment,
+    small_packing,
+)
 from calcidem.app.stability.scenes import REGIMES, Extreme
-from calcidem.app.stability.verdict import Judgement, judge
+from calcidem.app.stability.verdict import Judgement, judge, judge_packed
 from calcidem.dem.scene import Regime
 
 WALKS: dict[str, tuple[float, ...]] = {
@@ -18,9 +26,12 @@ WALKS: dict[str, tuple[float, ...]] = {
     "content": (0.0, 0.1, 0.3, 0.6, 0.9, 1.0),
     "confinement": (1.0, 1e2, 1e4, 1e6, 1e8),
     "missing": (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
-    "strength": (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e4),
+    "strength": (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
+    "floating": (0, 1, 2, 3),
 }
-"""Values of each quantity; all others stay as `Extreme` has them."""
+"""Values of each quantity; all others stay as `Extreme` has them, except those of `BASES`."""
+BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(content=0.9, amplitude=1e-3)}
+"""Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
 
 def walks(
@@ -36,5 +47,22 @@ def walks(
 
 def turned(name: str, value: float, regime: Regime) -> Extreme:
     """Return the plain scene with one quantity changed."""
-    changes: dict[str, Any] = {name: value}
-    return replace(Extreme(regime=regime), **changes)
+    changes: dict[str, Any] = {name: value, "regime": regime}
+    return replace(BASES.get(name, Extreme()), **changes)
+
+
+def packing_map(
+    stresses: Iterable[float] = STRESSES, progress: Callable[[str], None] = lambda _: None
+) -> tuple[Judgement, ...]:
+    """Judge samples of small packings from nearly unjammed to well pressed, bare and cemented, in all regimes."""
+    found = []
+    for stress in stresses:
+        for friction in FRICTIONS:
+            progress(f"packing under {stress:g} Pa, friction {friction:g}")
+            packing = small_packing(stress, friction)
+            found += [
+                judge_packed(Packed(stress, friction, content, regime), packed_experiment(packing, regime))
+                for content in CONTENTS
+                for regime in REGIMES
+            ]
+    return tuple(found)

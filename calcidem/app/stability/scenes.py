@@ -1,12 +1,14 @@
 """Small extreme scenes: a lattice of disks in a box, with everything that may go wrong as a number."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
 
 from calcidem.dem.assembly import near_pairs
 from calcidem.dem.cement import CementRule
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand
 from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing, PackingReport
@@ -31,7 +33,23 @@ RANGES = {
     "missing": (-0.6, 0.3),
     "strength": (-2.0, 6.0),
 }
-"""Lower and upper end of every quantity of `Extreme`; powers of ten where the comment there says so."""
+"""Lower and upper end of every quantity of `Extreme`; powers of ten for those of `POWERS`."""
+PLAUSIBLE = {
+    "step_fraction": (0.5, 1.0),
+    "contrast": (0.0, 4.5),
+    "damping": (0.0, 0.5),
+    "amplitude": (-7.5, -4.5),
+    "frequency": (-1.0, -0.45),
+    "size_ratio": (-0.5, 0.5),
+    "content": (0.0, 0.5),
+    "confinement": (3.3, 5.3),
+    "missing": (-0.6, 0.01),
+    "strength": (1.0, 6.0),
+}
+"""The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
+BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
+POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
+FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +78,8 @@ class Extreme:
         Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing. Below 0 none is.
     strength
         Strength of bonds over the stress of the pulse in them.
+    floating
+        Tiny disks in the pore in the middle: they touch each other, if they are several, and nothing else.
     regime
         See `state.start`.
     seed
@@ -76,18 +96,19 @@ class Extreme:
     confinement: float = 1.0e5
     missing: float = 0.0
     strength: float = 1.0e6
+    floating: int = 0
     regime: Regime = "linear"
     seed: int = 1
 
 
-def drawn(count: int, seed: int) -> tuple[Extreme, ...]:
-    """Latin hypercube over all quantities of `RANGES`, with regimes taking turns."""
-    sample = qmc.scale(qmc.LatinHypercube(len(RANGES), rng=seed).random(count), *np.array(list(RANGES.values())).T)
-    powers = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
+def drawn(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
+    """Latin hypercube over all quantities of one of the `BOXES`, with regimes taking turns."""
+    ranges = BOXES[box]
+    sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
     scenes = []
     for number, row in enumerate(sample):
-        values = {
-            name: float(10.0**value if name in powers else value) for name, value in zip(RANGES, row, strict=True)
+        values: dict[str, Any] = {
+            name: float(10.0**value if name in POWERS else value) for name, value in zip(ranges, row, strict=True)
         }
         scenes.append(Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number))
     return tuple(scenes)
@@ -160,7 +181,7 @@ def lattice(extreme: Extreme, sand: Sand) -> Packing:
         x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
         radius = np.append(radius, np.full(len(hosts), small))
     inside = (x < spacing * (COLUMNS - 1) + 1.1 * to_wall) & (y < spacing * (ROWS - 1) + 1.1 * to_wall)
-    x, y, radius = x[inside], y[inside], radius[inside]
+    x, y, radius = with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
     pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
     return Packing(
         x,
@@ -170,6 +191,21 @@ def lattice(extreme: Extreme, sand: Sand) -> Packing:
         height=spacing * (ROWS - 1) + 2.0 * to_wall,
         preload=Preload(pairs, np.zeros(len(pairs))),
         report=report_of(extreme, overlap),
+    )
+
+
+def with_floaters(
+    count: int, x: Floats, y: Floats, radius: Floats, to_wall: float, spacing: float
+) -> tuple[Floats, Floats, Floats]:
+    """Disks and a row of floating ones in the pore in the middle of the lattice."""
+    own = FLOATER * RADIUS
+    # They overlap by rounding alone, so that they touch without pushing.
+    along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
+    middle = to_wall + spacing * np.array([COLUMNS // 2 - 0.5, ROWS // 2 - 0.5])
+    return (
+        np.append(x, middle[0] + along),
+        np.append(y, np.full(count, middle[1])),
+        np.append(radius, np.full(count, own)),
     )
 
 

@@ -1,9 +1,11 @@
 """Runs an extreme scene and says what became of it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from calcidem.app.accuracy.comparison import signal_distance
+from calcidem.app.stability.packings import Packed
 from calcidem.app.stability.scenes import Extreme, content_of, experiment_of
 from calcidem.dem.measurement import Experiment, Measurement, Outcome, measure
 
@@ -27,7 +29,7 @@ class Verdict(StrEnum):
 class Judgement:
     """Verdict on a scene, with its reason in words, the velocity if there is one, and its true relative error."""
 
-    scene: Extreme
+    scene: Extreme | Packed
     verdict: Verdict
     reason: str = ""
     vs: float | None = None
@@ -36,9 +38,23 @@ class Judgement:
 
 def judge(scene: Extreme) -> Judgement:
     """Run a scene as a user would, and once more with a far smaller step, for longer, if it gave a velocity."""
-    try:
+
+    def make() -> tuple[Experiment, float]:
         experiment = experiment_of(scene)
-        content = content_of(scene, experiment)
+        return experiment, content_of(scene, experiment)
+
+    return judged(scene, make)
+
+
+def judge_packed(scene: Packed, experiment: Experiment) -> Judgement:
+    """Do the same on a real packing."""
+    return judged(scene, lambda: (experiment, scene.content))
+
+
+def judged(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
+    """Run what ``make`` gives: an experiment, and a content in percent."""
+    try:
+        experiment, content = make()
         found = measured(experiment, content, scene)
     except ValueError as error:
         return Judgement(scene, Verdict.REFUSED, str(error))
@@ -53,12 +69,12 @@ def judge(scene: Extreme) -> Judgement:
     return compared(scene, experiment, found, measured(replace(experiment, wave=finer), content, scene))
 
 
-def measured(experiment: Experiment, content: float, scene: Extreme) -> Measurement:
+def measured(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
     """Measure the scene's one sample."""
     return measure(experiment, content, [scene.seed], lanes=1)[0]
 
 
-def compared(scene: Extreme, experiment: Experiment, found: Measurement, exact: Measurement) -> Judgement:
+def compared(scene: Extreme | Packed, experiment: Experiment, found: Measurement, exact: Measurement) -> Judgement:
     """Hold a velocity against that of a far smaller step."""
     if found.vs is None or exact.vs is None:
         amplitude = experiment.wave.amplitude

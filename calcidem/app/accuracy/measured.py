@@ -1,0 +1,63 @@
+"""Errors that `calcidem accuracy` measured, read back: its JSON, or the one that calcidem brings for its examples."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+PACKAGED = Path(__file__).with_name("measured.json")
+"""Made by ``calcidem accuracy examples/paper.toml``, see docs/accuracy.md."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredErrors:
+    """Largest relative errors of Vs against a converged reference.
+
+    Attributes
+    ----------
+    source
+        File that they are from.
+    worst
+        By name of the setting and content in percent.
+    """
+
+    source: Path
+    worst: dict[tuple[str, float], float]
+
+    def of(self, setting: str, content: float) -> float | None:
+        """Error of a setting at a content, None if it was not measured."""
+        return self.worst.get((setting, content))
+
+
+def measured_errors(campaign_hash: str, path: Path | None = None) -> MeasuredErrors | None:
+    """Errors measured for a campaign's physics.
+
+    Parameters
+    ----------
+    campaign_hash
+        Identity of that physics.
+    path
+        JSON of `calcidem accuracy`; by default the packaged one, if it is about the same physics.
+
+    Raises
+    ------
+    ValueError
+        If the given file is none, or about another campaign.
+    """
+    source = path or PACKAGED
+    try:
+        found = json.loads(source.read_text())
+        measured_hash, cells = found["campaign_hash"], found["study"]["cells"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
+    if measured_hash != campaign_hash:
+        if path is None:
+            return None
+        raise ValueError(
+            f"accuracy = {source}: it is about another campaign; measure this one with 'calcidem accuracy'"
+        )
+    worst: dict[tuple[str, float], float] = {}
+    for cell in cells:
+        if cell["vs_error"] is not None:
+            key = (cell["setting"], cell["content"])
+            worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
+    return MeasuredErrors(source, worst)
