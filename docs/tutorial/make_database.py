@@ -1,4 +1,3 @@
-
 """Make the small real database of the tutorial, from the configuration beside it.
 
     python docs/tutorial/make_database.py
