@@ -17,11 +17,11 @@ from calcidem.analysis.published import published_study
 from calcidem.storage.campaign import open_campaign
 
 HERE = Path(__file__).parent
-BANDS = "bands of 5 mm half-width"
+BANDS = "receiver of 10 mm half-width"
 CURVES = {
-    f"{BANDS}: alone": ("narrow bands", SKY),
-    f"{BANDS}: with clusters of 18 mm": ("narrow bands, clusters of 18 mm", VERMILION),
-    f"{BANDS}: with C alone above the threshold": ("narrow bands, P not kept", GREEN),
+    f"{BANDS}: alone": ("receiver of 10 mm", SKY),
+    f"{BANDS}: with clusters of 18 mm": ("receiver of 10 mm, clusters of 18 mm", VERMILION),
+    f"{BANDS}: with C alone above the threshold": ("receiver of 10 mm, P not kept", GREEN),
 }
 
 
