@@ -37,14 +37,14 @@ def test_unread_cells_are_left_out_on_both_sides() -> None:
 
 
 def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
-    """Of 100 pairs of independent samples with a true ratio of 1.5, most intervals hold it."""
+    """Of 40 pairs of independent samples with a true ratio of 1.5, most intervals hold it."""
     generator = np.random.default_rng(3)
     held = 0
-    for _ in range(100):
+    for _ in range(40):
         pair = generator.normal(0.0, 1.0, (2, 40)) * [[1.5], [1.0]] + 100.0
         (change,) = compare(velocities(pair[0]), velocities(pair[1]))
         held += change.deviation_ratio_interval.contains(1.5)
-    assert held >= 85
+    assert held >= 33
 
 
 def test_variance_parts_recover_what_a_table_was_made_of() -> None:
