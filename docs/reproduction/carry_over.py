@@ -14,6 +14,7 @@ from calcidem.analysis.fits import PowerLawFit, fit_power_law
 from calcidem.analysis.sensitivity import variance_parts
 from calcidem.app.sensitivity.plan import REFERENCE, Variant, load_plan
 from calcidem.storage.campaign import open_campaign
+from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("beyond.toml")
 
@@ -25,8 +26,11 @@ def main() -> None:
     database = parser.parse_args().database
     cells = {}
     for variant in load_plan(PLAN, database):
-        with open_campaign(database, variant.name) as campaign:
-            cells[variant] = campaign.to_xarray()
+        try:
+            with open_campaign(database, variant.name) as campaign:
+                cells[variant] = campaign.to_xarray()
+        except UnknownCampaignError:
+            print(f"not computed: {variant.name}")
     packings = [found for variant, found in cells.items() if variant.choice in {REFERENCE, "packing"}]
     print_parts(packings)
     print_carry_over(cells)
