@@ -5,8 +5,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from numba import njit
-
+from calcidem.dem.kernels.compiling import compiled
 from calcidem.dem.kernels.sweep import sweep
 from calcidem.dem.state import State, no_recording, run_sweep
 
@@ -54,7 +53,7 @@ def kind_of(line: str) -> str | None:
 
 def assembly_of(state: State) -> str:
     """Machine code of the kernel for the features of a state; compiled anew, because a cached one has no text."""
-    fresh: Any = njit(error_model="numpy")(sweep.py_func)
+    fresh: Any = compiled(error_model="numpy")(sweep.py_func)
     arguments = captured_arguments(state)
     fresh(*arguments)
     text: str = next(iter(fresh.inspect_asm().values()))
@@ -98,5 +97,10 @@ def innermost_loops(text: str) -> list[Loop]:
 
 
 def pair_loop(text: str, register: str) -> Loop:
-    """Loop over the pairs of one disk: the innermost loop with the most vector instructions."""
-    return max(innermost_loops(text), key=lambda loop: len(loop.packed(register)))
+    """Loop over the pairs of a block of disks: the innermost loop with the most vector arithmetic."""
+
+    def arithmetic(loop: Loop) -> int:
+        kinds = loop.kinds(register)
+        return sum(count for kind, count in kinds.items() if kind not in {"load or store", "broadcast"})
+
+    return max(innermost_loops(text), key=arithmetic)

@@ -59,14 +59,14 @@ def bytes_of_a_step(state: State) -> tuple[int, int]:
     """Bytes a step reads and writes (each array once), and the size of the arrays it touches."""
     pairs, motion, features = state.assembly.pairs, state.motion, state.features
     changed = [motion.displacement, motion.velocity]
-    read = [pairs.second, pairs.geometry]
+    read = [pairs.first, pairs.second, pairs.geometry]
     if features.linear:
         read += [pairs.tangent]
     else:
         changed += [pairs.shear]
         read += [pairs.hertz, pairs.friction]
     if features.rescaling:
-        changed += [pairs.root if hasattr(pairs, "root") else pairs.inverse_root]
+        changed += [pairs.inverse_root]
     if features.bonds:
         read += [pairs.bond, pairs.intact]
         changed += [] if features.linear else [pairs.bond_force]
@@ -103,6 +103,7 @@ def examine(case: str, problem: Problem, regime: Regime, ceilings: Ceilings) -> 
         time_step=problem.time_step,
         velocity=problem.velocity,
         spin=problem.spin,
+        skin_fraction=problem.skin,
     )
     touching = len(touching_pairs(problem.x, problem.y, problem.radius))
     listed = len(state.assembly.pairs.second)

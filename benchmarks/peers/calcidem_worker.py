@@ -35,6 +35,7 @@ class Calcidem(Engine):
             time_step=self.problem.time_step,
             velocity=self.problem.velocity,
             spin=self.problem.spin,
+            skin_fraction=self.problem.skin,
         )
         self.first = self.centred
 

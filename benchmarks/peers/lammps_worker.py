@@ -65,7 +65,7 @@ class Lammps(Engine):
         margin = 4.0 * problem["radius"].max()
         sides = [problem["x"].min(), problem["x"].max(), problem["y"].min(), problem["y"].max()]
         low_x, high_x, low_y, high_y = (float(s + sign * margin) for s, sign in zip(sides, (-1, 1, -1, 1), strict=True))
-        skin = 0.2 * float(problem["radius"].mean())
+        skin = float(problem["skin"] * problem["radius"].mean())
         newton = "newton on off" if self.bonded else "newton off"
         style = "bpm/sphere" if self.bonded else "sphere"
         bonds = "bond/types 1 extra/bond/per/atom 12 extra/special/per/atom 12" if self.bonded else ""

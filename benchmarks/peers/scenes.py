@@ -42,6 +42,8 @@ class Problem:
         Local damping factor.
     time_step
         s.
+    skin
+        Pairs are listed up to this part of the mean radius apart; no disk moves as far.
     """
 
     x: Floats
@@ -58,6 +60,7 @@ class Problem:
     shear_modulus: float = 6.5e11
     poisson_ratio: float = 0.25
     density: float = 2650.0
+    skin: float = 0.005
 
     def save(self, path: Path) -> Path:
         """Write it where the other programs read it."""

@@ -53,7 +53,9 @@ class Yade(Engine):
         self.add_disks()
         O.dt = float(problem["time_step"])
         integrator = NewtonIntegrator(damping=float(problem["damping"]), gravity=(0, 0, 0))
-        skin = 0.1 * float(problem["radius"].mean())  # each box grows by it, so boxes touch at calcidem's skin
+        skin = 0.5 * float(
+            problem["skin"] * problem["radius"].mean()
+        )  # each box grows by it, so boxes touch at calcidem's skin
         O.engines = [
             ForceResetter(),
             InsertionSortCollider([Bo1_Sphere_Aabb()], verletDist=skin),

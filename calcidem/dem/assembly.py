@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from calcidem.dem.kernels.laws import NO_OVERLAP
 from calcidem.dem.kernels.layout import Floats, Grains, Integers, Pairs, WallPairs, Walls
 from calcidem.dem.material import require
 from calcidem.dem.scene import Scene
@@ -170,10 +171,11 @@ def assemble_pairs(
         np.bitwise_or.at(cemented, np.searchsorted(keys, pair_keys(cement[0], scene.count)), cement[1])
         bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
         linear[:, :2] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
-        strength = scene.bonds.cement.strength(radius[first], radius[second])
+        strength = breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
     used = np.uint32(2**lanes - 1)
     return Pairs(
         start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
+        first=aligned_copy(first.astype(np.int32)),
         second=aligned_copy(second.astype(np.int32)),
         geometry=aligned_copy(np.column_stack([apart / distance[:, None], distance, overlap]).astype(dtype)),
         hertz=aligned_copy(hertz.astype(dtype)),
@@ -185,9 +187,22 @@ def assemble_pairs(
         cemented=cemented & used,
         intact=cemented & used,
         shear=aligned_zeros((count, lanes), dtype),
-        root=aligned_zeros((count, lanes), dtype),
+        inverse_root=inverse_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
     )
+
+
+def inverse_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
+    """(M, L) inverse square roots of overlaps (M,), the same in all lanes."""
+    values = 1.0 / np.sqrt(np.maximum(overlap, NO_OVERLAP))
+    return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
+
+
+def breaking_limits(strength: Floats) -> Floats:
+    """(M, 4) as in `layout.Pairs.strength`, from bond radius, tensile strength, cohesion and friction slope."""
+    bond_radius, tensile_strength, cohesion, slope = strength.T
+    area = 2.0 * bond_radius
+    return np.column_stack([tensile_strength * area, cohesion * area, slope, 3.0 / bond_radius])
 
 
 def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
@@ -221,12 +236,13 @@ def assemble_wall_pairs(
     shear = np.where(np.minimum(friction, scene.sand.friction) > 0.0, scene.sand.shear_ratio * tangent, 0.0)
     return WallPairs(
         start=np.searchsorted(disk, np.arange(scene.count + 1)).astype(np.int64),
+        disk=aligned_copy(disk.astype(np.int32)),
         wall=aligned_copy(wall_index.astype(np.int32)),
         overlap=aligned_copy(overlap.astype(dtype)),
         hertz=aligned_copy(hertz.astype(dtype)),
         tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         shear=aligned_zeros((len(disk), lanes), dtype),
-        root=aligned_zeros((len(disk), lanes), dtype),
+        inverse_root=inverse_roots(np.zeros(len(disk)), lanes, dtype),
     )
 
 

@@ -10,7 +10,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import require
 from calcidem.dem.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.stability import critical_time_step
-from calcidem.dem.state import SKIN, State
+from calcidem.dem.state import State
 
 BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
 RESTLESS = 1e-3  # velocity that unbalanced forces make over the amplitude of the pulse
@@ -36,7 +36,7 @@ def problem_of(state: State, lane: int, amplitude: float, overlap: float) -> str
     motion = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
     if state.features.linear:
         return ""
-    if not state.features.search and state.features.finite and motion.max() > SKIN * float(state.scene.radius.min()):
+    if not state.features.search and state.features.finite and motion.max() > 0.5 * state.skin:
         return f"{named(state, motion)} moved {motion.max():.3g} m, out of reach of its list of neighbours"
     broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
     count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))

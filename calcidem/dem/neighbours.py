@@ -37,11 +37,11 @@ def renewed(scene: Scene, old: Assembly, displacement: Floats, skin: float) -> A
     fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old.walls.motion[:, 0].astype(float))
     new_keys, old_keys = (pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old))
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("intact", "linear", "shear", "root", "bond_force"):
+    for name in ("intact", "linear", "shear", "inverse_root", "bond_force"):
         getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
     new_walls, old_walls = (wall_keys(assembly) for assembly in (fresh, old))
     _, new_place, old_place = np.intersect1d(new_walls, old_walls, assume_unique=True, return_indices=True)
-    for name in ("shear", "root"):
+    for name in ("shear", "inverse_root"):
         getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
     return replace(fresh, walls=old.walls)
 

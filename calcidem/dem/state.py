@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from calcidem.dem.assembly import Assembly, aligned_copy, aligned_zeros, assemble, pair_keys
+from calcidem.dem.assembly import Assembly, aligned_copy, aligned_zeros, assemble, inverse_roots, pair_keys
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Integers, Motion, Recording, Watch
+from calcidem.dem.kernels.layout import Floats, Front, Integers, Motion, Recording, Watch
 from calcidem.dem.kernels.sweep import sweep
 from calcidem.dem.material import require
 from calcidem.dem.neighbours import listed_pairs, renewed
@@ -18,6 +18,9 @@ Precision = Literal["float64", "float32"]
 SAFETY = 0.8  # default step as a part of the stability limit
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
 REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
+REACH_TOGETHER = 0.35  # the same where several steps are under way then
+STEPS_TOGETHER = 4
+SMALLEST_BLOCK = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,8 @@ class State:
         (L,) s, the stability limit at the start.
     steps
         Steps done.
+    skin
+        Rims of disks up to this far apart are listed as pairs, m; zero where nothing new can touch.
     assembly
         Neighbours and histories of the contacts, in memory order.
     motion
@@ -70,6 +75,7 @@ class State:
     time_step: Floats
     limit: Floats
     steps: int
+    skin: float
     assembly: Assembly
     motion: Motion
     origin: Floats
@@ -140,6 +146,7 @@ def start(
     velocity: Floats | None = None,
     spin: Floats | None = None,
     preload: Preload | None = None,
+    skin_fraction: float | None = None,
 ) -> State:
     """State of a scene at time zero.
 
@@ -161,6 +168,9 @@ def start(
         (N, 2) m/s and (N,) rad/s at time zero.
     preload
         Shear forces of the reference state.
+    skin_fraction
+        Pairs are listed up to this part of the mean radius apart. Small where disks move little, since listed pairs
+        cost time; large where they move far, since a new list costs more. By default 0.2, or 0 without contact search.
 
     Raises
     ------
@@ -169,7 +179,9 @@ def start(
     """
     chosen = features or choose_features(scene, regime)
     dtype = np.dtype(precision)
-    skin = 0.0 if not chosen.search else SKIN * float(np.mean(scene.radius))
+    if skin_fraction is None:
+        skin_fraction = SKIN if chosen.search else 0.0
+    skin = skin_fraction * float(np.mean(scene.radius)) if chosen.finite else 0.0
     centres = np.column_stack([scene.x, scene.y])[:, :, None]
     assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
@@ -186,7 +198,6 @@ def start(
     motion = Motion(
         displacement=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
         velocity=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
-        force=force_slots(assembly, chosen.lanes),
     )
     for name, values, components in (("velocity", velocity, slice(2)), ("spin", spin, 2)):
         if values is not None:
@@ -200,6 +211,7 @@ def start(
         time_step=np.array(step, dtype=float),
         limit=limit,
         steps=0,
+        skin=skin,
         assembly=assembly,
         motion=motion,
         origin=aligned_zeros((scene.count, 2, chosen.lanes), dtype),
@@ -208,11 +220,22 @@ def start(
     )
 
 
-def force_slots(assembly: Assembly, lanes: int) -> Floats:
-    """Empty sums of forces, see `layout.Motion`."""
-    span = int((listed_pairs(assembly) @ [-1, 1]).max(initial=0)) + 1
-    slots = 1 << span.bit_length()
-    return aligned_zeros((slots, 3, lanes), assembly.grains.radius.dtype)
+def front_of(state: State) -> Front:
+    """Empty scratch for the steps in flight, see `layout.Front`."""
+    features, assembly = state.features, state.assembly
+    # A servo answers to the forces of the step before, and an account is summed up in the order of the steps.
+    together = 1 if features.servo or features.account else STEPS_TOGETHER
+    block = max(SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
+    slot_bits = (2 * block - 1).bit_length()
+    walls, lanes, dtype = len(state.scene.walls), features.lanes, state.motion.velocity.dtype
+    return Front(
+        levels=together,
+        block=block,
+        slot_bits=slot_bits,
+        force=aligned_zeros((3 * together << slot_bits, lanes), dtype),
+        wall_motion=aligned_zeros((together + 1, walls, 4, lanes), dtype),
+        reaction=aligned_zeros((together, walls, 3, lanes), dtype),
+    )
 
 
 def install(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> Assembly:
@@ -224,9 +247,9 @@ def install(scene: Scene, assembly: Assembly, features: Features, preload: Prelo
         # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
         pairs.hertz[pairs.geometry[:, 3] <= 0.0] = 0.0
     overlap = np.maximum(pairs.geometry[:, 3], 0.0)[:, None]
-    pairs.root[...] = np.sqrt(overlap)
-    wall_overlap = np.maximum(assembly.wall_pairs.overlap, 0.0)[:, None]
-    assembly.wall_pairs.root[...] = np.sqrt(wall_overlap)
+    pairs.inverse_root[...] = inverse_roots(pairs.geometry[:, 3], features.lanes, pairs.shear.dtype)
+    walls = assembly.wall_pairs
+    walls.inverse_root[...] = inverse_roots(walls.overlap, features.lanes, walls.shear.dtype)
     if preload is not None:
         pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
     if scene.bonds is None:
@@ -293,20 +316,27 @@ def carried_on(state: State, steps: int, recording: Recording) -> State:
 def run_sweep(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
     dtype = state.motion.velocity.dtype
-    reach = REACH * SKIN * float(np.mean(state.scene.radius))
+    front = front_of(state)
+    reach = (REACH if front.levels == 1 else REACH_TOGETHER) * state.skin
     return sweep(
         state.features,
         steps,
         state.time_step.astype(dtype).reshape(1, -1),
         state.scene.sand.shear_ratio,
         state.assembly.grains,
-        state.motion,
-        state.assembly.pairs,
+        Motion(*(rows(array) for array in state.motion)),
+        state.assembly.pairs._replace(bond_force=rows(state.assembly.pairs.bond_force)),
         state.assembly.wall_pairs,
         state.assembly.walls,
+        front,
         recording,
         Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
     )
+
+
+def rows(array: Floats) -> Floats:
+    """View of an array as rows of lanes, the shape in which kernels find their way fastest."""
+    return array.reshape(-1, array.shape[-1])
 
 
 def no_recording(state: State) -> Recording:
@@ -332,10 +362,12 @@ def duplicate(state: State) -> State:
         pairs=pairs._replace(
             intact=pairs.intact.copy(),
             shear=aligned_copy(pairs.shear),
-            root=aligned_copy(pairs.root),
+            inverse_root=aligned_copy(pairs.inverse_root),
             bond_force=aligned_copy(pairs.bond_force),
         ),
-        wall_pairs=wall_pairs._replace(shear=aligned_copy(wall_pairs.shear), root=aligned_copy(wall_pairs.root)),
+        wall_pairs=wall_pairs._replace(
+            shear=aligned_copy(wall_pairs.shear), inverse_root=aligned_copy(wall_pairs.inverse_root)
+        ),
         walls=walls._replace(motion=aligned_copy(walls.motion), reaction=aligned_copy(walls.reaction)),
     )
     motion = Motion(*(aligned_copy(array) for array in state.motion))
@@ -369,11 +401,10 @@ def launched(state: State) -> State:
 def with_new_neighbours(state: State) -> State:
     """Return the same state with its pair list made anew."""
     displacement = state.motion.displacement[:, :2]
-    assembly = renewed(state.scene, state.assembly, displacement, SKIN * float(np.mean(state.scene.radius)))
+    assembly = renewed(state.scene, state.assembly, displacement, state.skin)
     return replace(
         state,
         assembly=assembly,
-        motion=state.motion._replace(force=force_slots(assembly, state.features.lanes)),
         origin=aligned_copy(displacement),
         wall_origin=aligned_copy(assembly.walls.motion[:, 0]),
     )

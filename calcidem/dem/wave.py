@@ -221,6 +221,7 @@ def send_once(
         precision=rule.precision,
         preload=packing.preload,
         step_fraction=rule.step_fraction,
+        skin_fraction=wave_skin(packing, rule, frequency),
     )
     if bonds is not None and installation != "preserve":
         state = settled(state, rule.balance, rule.most_settling_steps)
@@ -241,11 +242,16 @@ def send_once(
 
 def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: float, lanes: int) -> Features:
     """What the wave needs of the kernel, and what the rule keeps all the same."""
-    # A pulse that moves the grains far less than the skin of the pair list needs no contact search.
-    motion = LARGEST_MOTION * Pulse(rule.amplitude, frequency).stroke
-    search = rule.regime == "finite" and motion > SKIN * float(packing.radius.min())
+    # A pulse that moves the grains little needs no contact search: the pairs that can meet are listed from the start.
+    search = rule.regime == "finite" and wave_skin(packing, rule, frequency) >= SKIN
     features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=search)
     return replace(features, **dict.fromkeys(rule.keep, True))
+
+
+def wave_skin(packing: Packing, rule: WaveRule, frequency: float) -> float:
+    """How far apart, in mean radii, two disks may be that meet during the pulse; not more than `state.SKIN`."""
+    motion = LARGEST_MOTION * Pulse(rule.amplitude, frequency).stroke
+    return min(SKIN, 2.0 * motion / float(packing.radius.mean()))
 
 
 class Recorder:

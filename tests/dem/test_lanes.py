@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from scenes import GROUPED, jumble, throw
 
+import calcidem.dem.state as state_module
+from calcidem.dem.kernels.compiling import compiled
 from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.lanes import inverse_root_of, load, store
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.state import Precision, State, advance, start
@@ -107,3 +110,41 @@ def test_speeds_too_small_for_normal_numbers_do_no_harm() -> None:
     state = run(scene, {1: np.full((scene.count, 3), 1e-310), 2: np.full((scene.count, 3), -1e-310)})
     for lane in (1, 2):
         np.testing.assert_array_equal(state.velocity(lane), state.velocity(3))
+
+
+@pytest.mark.parametrize("together", [2, 4, 7])
+@pytest.mark.parametrize("features", [EIGHT, replace(EIGHT, finite=False, search=False)])
+def test_steps_in_flight_together_change_no_bit(
+    features: Features, together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps that run through the disks one behind the other give the bits of one step after the other."""
+    scene = scene_of()
+    velocities = {lane: thrown(scene, lane) for lane in range(WIDTH)}
+    monkeypatch.setattr(state_module, "SMALLEST_BLOCK", 3)  # several blocks even in a small heap
+    monkeypatch.setattr(state_module, "STEPS_TOGETHER", 1)
+    one_by_one = run(scene, velocities, features)
+    monkeypatch.setattr(state_module, "STEPS_TOGETHER", together)
+    in_flight = run(scene, velocities, features)
+    assert state_module.front_of(in_flight).levels == together
+    assert 3 * state_module.front_of(in_flight).block <= scene.count
+    for lane in range(WIDTH):
+        assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)
+
+
+@compiled()
+def inverse_roots_of(lanes: Features, values: Floats, results: Floats) -> None:
+    """Compiled loop over rows of lanes."""
+    for item in range(values.shape[0]):
+        store(results, (item,), inverse_root_of(load(values, (item,), lanes.lanes)))
+
+
+@pytest.mark.parametrize("lanes", [1, 4, 8, 16, 32])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_inverse_roots_are_accurate_in_every_width(precision: Precision, lanes: int) -> None:
+    """From the smallest overlap that counts to the square of a large distance, to four units in the last place."""
+    exponents = np.random.default_rng(1).uniform(-30.0, 6.0, (200, lanes))
+    values = (10.0**exponents).astype(precision)
+    results = np.zeros_like(values)
+    inverse_roots_of(Features(lanes=lanes), values, results)
+    exact = 1.0 / np.sqrt(values.astype(np.longdouble))
+    assert np.abs(results / exact - 1.0).max() < 4.0 * np.finfo(precision).eps / 2.0

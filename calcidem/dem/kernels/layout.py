@@ -35,13 +35,9 @@ class Motion(NamedTuple):
     """What moves, lane by lane. Components are x, y and rotation."""
 
     displacement: Floats
-    """(N, 3, L) m, m, rad, measured from the reference positions"""
+    """(3 N, L) m, m, rad, measured from the reference positions"""
     velocity: Floats
-    """(N, 3, L) m/s, m/s, rad/s at the half step before the displacement"""
-    force: Floats
-    """(K, 3, L) N/m, N/m, N: sum over the pairs already visited in the running step; zero between steps. Disk i has
-    slot i modulo K, a power of two above the largest distance in memory between two disks of a pair, so that the
-    sums stay in the fastest cache."""
+    """(3 N, L) m/s, m/s, rad/s at the half step before the displacement"""
 
 
 class Pairs(NamedTuple):
@@ -49,6 +45,8 @@ class Pairs(NamedTuple):
 
     start: Integers
     """(N + 1,) the pairs of first disk i are start[i] to start[i + 1] - 1"""
+    first: Integers
+    """(M,)"""
     second: Integers
     """(M,)"""
     geometry: Floats
@@ -64,17 +62,18 @@ class Pairs(NamedTuple):
     linear: Floats
     """(M, 3) linear group: normal stiffness, shear stiffness (N/m), reference overlap (m)"""
     strength: Floats
-    """(M, 4) bond radius (m), tensile strength, cohesion (Pa), tangent of the friction angle"""
+    """(M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle,
+    tension at the rim times that area over bending moment (1/m)"""
     cemented: Integers
     """(M,) bit l: the pair of lane l follows the cement's laws"""
     intact: Integers
     """(M,) bit l: its bond is not broken"""
     shear: Floats
     """(M, L) shear force of the frictional part on the second disk, N/m"""
-    root: Floats
-    """(M, L) square root of the previous overlap, for shear rescaling only"""
+    inverse_root: Floats
+    """(M, L) inverse square root of the previous overlap (1e15 where there was none), for shear rescaling only"""
     bond_force: Floats
-    """(M, 3, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond"""
+    """(3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond"""
 
 
 class WallPairs(NamedTuple):
@@ -82,6 +81,8 @@ class WallPairs(NamedTuple):
 
     start: Integers
     """(N + 1,) the wall pairs of disk i are start[i] to start[i + 1] - 1"""
+    disk: Integers
+    """(V,)"""
     wall: Integers
     """(V,)"""
     overlap: Floats
@@ -92,7 +93,7 @@ class WallPairs(NamedTuple):
     """(V, 2) as in Pairs"""
     shear: Floats
     """(V, L) as in Pairs"""
-    root: Floats
+    inverse_root: Floats
     """(V, L) as in Pairs"""
 
 
@@ -109,6 +110,24 @@ class Walls(NamedTuple):
     """(W, 3, L) normal and shear force of the disks on the wall (N/m), normal stiffness (N/m)"""
     servo: Floats
     """(W, 3) gain (zero: no servo), target normal force (N/m), largest speed (m/s)"""
+
+
+class Front(NamedTuple):
+    """Scratch of the steps in flight: ``T`` consecutive steps run through the disks one behind the other."""
+
+    levels: int
+    """T"""
+    block: int
+    """disks that one step is ahead of the next; at least the largest distance in memory between two disks of a pair"""
+    slot_bits: int
+    """K = 2^slot_bits slots for forces in each step"""
+    force: Floats
+    """(3 T K, L) N/m, N/m, N: sums over the pairs already visited by each step; zero between calls. Disk i has slot i
+    modulo K. They hold a block and all disks its pairs reach, no more, so that the sums stay in the fastest cache."""
+    wall_motion: Floats
+    """(T + 1, W, 4, L) as in Walls, at the start of each step and after the last"""
+    reaction: Floats
+    """(T, W, 3, L) as in Walls, of each step"""
 
 
 class Recording(NamedTuple):

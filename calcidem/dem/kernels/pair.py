@@ -2,17 +2,22 @@
 
 from typing import TypeAlias
 
+from calcidem.dem.kernels.compiling import inlined
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, mask_of_bits, select, square_root, store
-from calcidem.dem.kernels.laws import (
-    bond_fails,
-    coulomb_limit,
-    hertz_normal,
-    inlined,
-    mindlin_shear,
-    rescaled_shear,
+from calcidem.dem.kernels.lanes import (
+    Vector,
+    bits_of_mask,
+    inverse_root_of,
+    load,
+    mask_of_bits,
+    number,
+    row,
+    select,
+    store,
 )
-from calcidem.dem.kernels.layout import Grains, Motion, Pairs, Watch
+from calcidem.dem.kernels.laws import bond_fails, coulomb_limit, hertz_normal, mindlin_shear, rescaled_shear
+from calcidem.dem.kernels.layout import Front, Grains, Motion, Pairs, Watch
+from calcidem.dem.kernels.motion import add_force
 
 Geometry: TypeAlias = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
 
@@ -20,19 +25,18 @@ Geometry: TypeAlias = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
 @inlined
 def pair_forces(
     features: Features,
-    first: int,
     pair: int,
+    level: int,
     dt: Vector,
     shear_ratio: float,
     grains: Grains,
     motion: Motion,
     pairs: Pairs,
+    front: Front,
     watch: Watch,
-    force: tuple[Vector, Vector, Vector],
-) -> tuple[Vector, Vector, Vector]:
-    """Add the force of one pair to its second disk (in memory) and to the first (returned)."""
-    lanes = features.lanes
-    second = pairs.second[pair]
+) -> None:
+    """Add the force of one pair to its two disks."""
+    first, second = number(pairs.first, (pair,)), number(pairs.second, (pair,))
     geometry = pair_geometry(features, first, second, pair, grains, motion, pairs)
     if features.linear:
         normal, shear, moment = linear_law(features, first, second, pair, geometry, motion, pairs)
@@ -43,14 +47,16 @@ def pair_forces(
     normal_x, normal_y, _, arm_first, arm_second, _ = geometry
     along_x = normal * normal_x - shear * normal_y
     along_y = normal * normal_y + shear * normal_x
-    slot = second & (motion.force.shape[0] - 1)
-    store(motion.force, (slot, 0), load(motion.force, (slot, 0), lanes) + along_x)
-    store(motion.force, (slot, 1), load(motion.force, (slot, 1), lanes) + along_y)
-    turning = force[2]
-    if features.rotation:
-        store(motion.force, (slot, 2), load(motion.force, (slot, 2), lanes) + (moment - shear * arm_second))
-        turning = turning - (moment + shear * arm_first)
-    return force[0] - along_x, force[1] - along_y, turning
+    add_force(features, first, 0, level, -along_x, front)
+    add_force(features, first, 1, level, -along_y, front)
+    add_force(features, second, 0, level, along_x, front)
+    add_force(features, second, 1, level, along_y, front)
+    if features.rotation and features.bonds:
+        add_force(features, first, 2, level, -(moment + shear * arm_first), front)
+        add_force(features, second, 2, level, moment - shear * arm_second, front)
+    elif features.rotation:
+        add_force(features, first, 2, level, -(shear * arm_first), front)
+        add_force(features, second, 2, level, -(shear * arm_second), front)
 
 
 @inlined
@@ -65,24 +71,28 @@ def pair_geometry(
     accurate: overlaps are a ten-thousandth of a radius, and their changes far less. The contact lies in
     the middle of the overlap, so the arms add up to the distance and angular momentum is conserved.
     """
-    reference_x, reference_y = pairs.geometry[pair, 0], pairs.geometry[pair, 1]
-    reference_distance, overlap = pairs.geometry[pair, 2], pairs.geometry[pair, 3]
+    reference_x, reference_y = number(pairs.geometry, (pair, 0)), number(pairs.geometry, (pair, 1))
+    reference_distance, overlap = number(pairs.geometry, (pair, 2)), number(pairs.geometry, (pair, 3))
     apart_x, apart_y = relative(features, first, second, motion.displacement)
+    if features.finite:
+        before_x, before_y = reference_x * reference_distance, reference_y * reference_distance
+        x, y = apart_x + before_x, apart_y + before_y
+        square = x * x + y * y
+        inverse = inverse_root_of(square)
+        # By how much the distance grew: the root of a large number first, then one of Newton's steps on
+        # ``longer (2 reference + longer) = x^2 - reference^2``, whose right side is free of cancellation.
+        grown = (x + before_x) * apart_x + (y + before_y) * apart_y
+        longer = square * inverse - reference_distance
+        longer = longer + 0.5 * inverse * (grown - longer * (longer + 2.0 * reference_distance))
+        depth = overlap - longer
+        arm_first = number(grains.radius, (first,)) - 0.5 * depth
+        arm_second = number(grains.radius, (second,)) - 0.5 * depth
+        return x * inverse, y * inverse, depth, arm_first, arm_second, inverse
     nothing = apart_x * 0.0
     normal_x, normal_y = nothing + reference_x, nothing + reference_y
     along = normal_x * apart_x + normal_y * apart_y
-    if features.finite:
-        x = reference_x * reference_distance + apart_x
-        y = reference_y * reference_distance + apart_y
-        distance = square_root(x * x + y * y)
-        inverse = 1.0 / distance
-        grown = 2.0 * reference_distance * along + (apart_x * apart_x + apart_y * apart_y)
-        depth = overlap - grown / (distance + reference_distance)
-        arm_first = grains.radius[first] - 0.5 * depth
-        arm_second = grains.radius[second] - 0.5 * depth
-        return x * inverse, y * inverse, depth, arm_first, arm_second, inverse
-    arm_first = nothing + (grains.radius[first] - 0.5 * overlap)
-    arm_second = nothing + (grains.radius[second] - 0.5 * overlap)
+    arm_first = nothing + (number(grains.radius, (first,)) - 0.5 * overlap)
+    arm_second = nothing + (number(grains.radius, (second,)) - 0.5 * overlap)
     return normal_x, normal_y, overlap - along, arm_first, arm_second, nothing
 
 
@@ -91,8 +101,8 @@ def relative(features: Features, first: int, second: int, field: Vector) -> tupl
     """Components of the second disk's translation less the first's."""
     lanes = features.lanes
     return (
-        load(field, (second, 0), lanes) - load(field, (first, 0), lanes),
-        load(field, (second, 1), lanes) - load(field, (first, 1), lanes),
+        load(field, (row(second, 0),), lanes) - load(field, (row(first, 0),), lanes),
+        load(field, (row(second, 1),), lanes) - load(field, (row(first, 1),), lanes),
     )
 
 
@@ -106,8 +116,8 @@ def slide_and_twist(
     apart_x, apart_y = relative(features, first, second, field)
     slide = normal_x * apart_y - normal_y * apart_x
     if features.rotation:
-        turn_first = load(field, (first, 2), lanes)
-        turn_second = load(field, (second, 2), lanes)
+        turn_first = load(field, (row(first, 2),), lanes)
+        turn_second = load(field, (row(second, 2),), lanes)
         return slide - arm_first * turn_first - arm_second * turn_second, turn_second - turn_first
     return slide, slide * 0.0
 
@@ -124,19 +134,19 @@ def linear_law(
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment that constant stiffnesses add to the reference state."""
     slide, twist = slide_and_twist(features, first, second, geometry, motion.displacement)
-    closer = geometry[2] - pairs.geometry[pair, 3]
+    closer = geometry[2] - number(pairs.geometry, (pair, 3))
     nothing = twist * 0.0
     if features.bonds:
-        intact = mask_of_bits(pairs.intact[pair], features.lanes)
-        normal_stiffness, shear_stiffness = pairs.bond[pair, 0], pairs.bond[pair, 1]
+        intact = mask_of_bits(number(pairs.intact, (pair,)), features.lanes)
+        normal_stiffness, shear_stiffness = number(pairs.bond, (pair, 0)), number(pairs.bond, (pair, 1))
         if features.linear_group:
-            normal_stiffness = normal_stiffness + pairs.linear[pair, 0]
-            shear_stiffness = shear_stiffness + pairs.linear[pair, 1]
-        normal = select(intact, nothing + normal_stiffness, pairs.tangent[pair, 0])
-        shear = select(intact, nothing + shear_stiffness, pairs.tangent[pair, 1])
-        bending = select(intact, nothing + pairs.bond[pair, 2], 0.0)
+            normal_stiffness = normal_stiffness + number(pairs.linear, (pair, 0))
+            shear_stiffness = shear_stiffness + number(pairs.linear, (pair, 1))
+        normal = select(intact, nothing + normal_stiffness, number(pairs.tangent, (pair, 0)))
+        shear = select(intact, nothing + shear_stiffness, number(pairs.tangent, (pair, 1)))
+        bending = select(intact, nothing + number(pairs.bond, (pair, 2)), 0.0)
         return normal * closer, -(shear * slide), -(bending * twist)
-    return closer * pairs.tangent[pair, 0], slide * -pairs.tangent[pair, 1], nothing
+    return closer * number(pairs.tangent, (pair, 0)), slide * -number(pairs.tangent, (pair, 1)), nothing
 
 
 @inlined
@@ -159,9 +169,12 @@ def general_law(
         normal, shear = frictional_law(features, pair, shear_ratio, geometry[2], slide, pairs, watch)
         return normal, shear, slide * 0.0
     approach = relative_approach(features, first, second, geometry, dt, motion)
-    bond = bond_forces(features, pair, slide, spin * dt, approach, geometry[2], pairs, watch)
-    normal, shear = frictional_law(features, pair, shear_ratio, geometry[2], slide, pairs, watch)
-    return normal + bond[0], shear + bond[1], bond[2]
+    normal, shear, moment = bond_forces(features, pair, slide, spin * dt, approach, geometry[2], pairs, watch)
+    if features.linear_group or number(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
+        # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
+        friction = frictional_law(features, pair, shear_ratio, geometry[2], slide, pairs, watch)
+        normal, shear = normal + friction[0], shear + friction[1]
+    return normal, shear, moment
 
 
 @inlined
@@ -179,38 +192,38 @@ def frictional_law(
     Without a linear group an intact bond takes the place of the sand's contact; a broken one gives it back.
     """
     lanes = features.lanes
-    normal, root = hertz_normal(overlap, pairs.hertz[pair])
-    stiffness = root * (1.5 * pairs.hertz[pair] * shear_ratio)
+    normal, root, inverse_root = hertz_normal(overlap, number(pairs.hertz, (pair,)))
+    stiffness = root * (1.5 * number(pairs.hertz, (pair,)) * shear_ratio)
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
     if features.rescaling:
-        carried = rescaled_shear(old, root, load(pairs.root, (pair,), lanes))
+        carried = rescaled_shear(old, root, inverse_root, load(pairs.inverse_root, (pair,), lanes))
     if features.linear_group:
-        cemented = mask_of_bits(pairs.cemented[pair], lanes)
-        depth = overlap - pairs.linear[pair, 2]
+        cemented = mask_of_bits(number(pairs.cemented, (pair,)), lanes)
+        depth = overlap - number(pairs.linear, (pair, 2))
         pressed = select(depth > 0.0, depth, 0.0)
-        normal = select(cemented, pressed * pairs.linear[pair, 0], normal)
-        stiffness = select(cemented, stiffness * 0.0 + pairs.linear[pair, 1], stiffness)
+        normal = select(cemented, pressed * number(pairs.linear, (pair, 0)), normal)
+        stiffness = select(cemented, stiffness * 0.0 + number(pairs.linear, (pair, 1)), stiffness)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
     shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)
     if features.slip:
-        shear = coulomb_limit(shear, normal * pairs.friction[pair])
-    elif pairs.friction[pair] <= 0.0:
+        shear = coulomb_limit(shear, normal * number(pairs.friction, (pair,)))
+    elif number(pairs.friction, (pair,)) <= 0.0:
         shear = shear * 0.0
     if features.bonds and not features.linear_group:
-        intact = mask_of_bits(pairs.intact[pair], lanes)
+        intact = mask_of_bits(number(pairs.intact, (pair,)), lanes)
         normal = select(intact, normal * 0.0, normal)
         shear = select(intact, shear * 0.0, shear)
     store(pairs.shear, (pair,), shear)
     if features.account:
-        before = load(pairs.root, (pair,), lanes) * (1.5 * pairs.hertz[pair] * shear_ratio)
+        before = (1.5 * number(pairs.hertz, (pair,)) * shear_ratio) / load(pairs.inverse_root, (pair,), lanes)
         if features.linear_group:
-            before = select(mask_of_bits(pairs.cemented[pair], lanes), stiffness, before)
+            before = select(mask_of_bits(number(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)
     if features.rescaling or features.account:
-        store(pairs.root, (pair,), root)
+        store(pairs.inverse_root, (pair,), inverse_root)
     return normal, shear
 
 
@@ -260,15 +273,20 @@ def bond_forces(
 ) -> tuple[Vector, Vector, Vector]:
     """Return the forces of the parallel bond after one more increment; break it where it is too weak."""
     lanes = features.lanes
-    intact = mask_of_bits(pairs.intact[pair], lanes)
-    normal = load(pairs.bond_force, (pair, 0), lanes) + approach * pairs.bond[pair, 0]
-    shear = load(pairs.bond_force, (pair, 1), lanes) - slide * pairs.bond[pair, 1]
-    moment = load(pairs.bond_force, (pair, 2), lanes) - twist * pairs.bond[pair, 2]
+    intact = mask_of_bits(number(pairs.intact, (pair,)), lanes)
+    normal = load(pairs.bond_force, (row(pair, 0),), lanes) + approach * number(pairs.bond, (pair, 0))
+    shear = load(pairs.bond_force, (row(pair, 1),), lanes) - slide * number(pairs.bond, (pair, 1))
+    moment = load(pairs.bond_force, (row(pair, 2),), lanes) - twist * number(pairs.bond, (pair, 2))
     if features.breakage:
         broken = bond_fails(
-            normal, shear, moment,
-            pairs.strength[pair, 0], pairs.strength[pair, 1], pairs.strength[pair, 2], pairs.strength[pair, 3],
-        )  # fmt: skip
+            normal,
+            shear,
+            moment,
+            tension_limit=number(pairs.strength, (pair, 0)),
+            shear_limit=number(pairs.strength, (pair, 1)),
+            friction_slope=number(pairs.strength, (pair, 2)),
+            bending=number(pairs.strength, (pair, 3)),
+        )
         if features.account:
             add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
         intact = intact & ~broken
@@ -276,9 +294,9 @@ def bond_forces(
     normal = select(intact, normal, 0.0)
     shear = select(intact, shear, 0.0)
     moment = select(intact, moment, 0.0)
-    store(pairs.bond_force, (pair, 0), normal)
-    store(pairs.bond_force, (pair, 1), shear)
-    store(pairs.bond_force, (pair, 2), moment)
+    store(pairs.bond_force, (row(pair, 0),), normal)
+    store(pairs.bond_force, (row(pair, 1),), shear)
+    store(pairs.bond_force, (row(pair, 2),), moment)
     return normal, shear, moment
 
 
@@ -293,10 +311,10 @@ def add_breakage_loss(
     watch: Watch,
 ) -> None:
     """Add the energy of a breaking bond to the account, less that of the sand's contact which takes over."""
-    lost = bond[0] * bond[0] / pairs.bond[pair, 0]
-    lost = lost + bond[1] * bond[1] / pairs.bond[pair, 1]
-    lost = 0.5 * (lost + bond[2] * bond[2] / pairs.bond[pair, 2])
+    lost = bond[0] * bond[0] / number(pairs.bond, (pair, 0))
+    lost = lost + bond[1] * bond[1] / number(pairs.bond, (pair, 1))
+    lost = 0.5 * (lost + bond[2] * bond[2] / number(pairs.bond, (pair, 2)))
     if not features.linear_group:
-        normal, _ = hertz_normal(overlap, pairs.hertz[pair])
+        normal, _, _ = hertz_normal(overlap, number(pairs.hertz, (pair,)))
         lost = lost - 0.4 * normal * overlap
     store(watch.account, (1,), load(watch.account, (1,), features.lanes) + select(broken, lost, 0.0))

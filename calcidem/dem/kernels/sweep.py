@@ -1,35 +1,44 @@
 """The one loop of calcidem: advance all lanes by some steps.
 
-A step is a single sweep over the disks. Pairs are stored once, with their first disk, and a disk is
-finished as soon as its own row of pairs is done: every pair with a lower first disk has been visited
-before, and no later row touches it. So forces, damping and the leapfrog update share one pass, and the
-state of a disk travels through the cache once a step.
+Pairs are stored once, sorted by their first disk. A step visits the disks block by block: the pairs of a block, its
+contacts with walls, then the update of its disks. Every pair with a lower first disk has been visited before, and no
+later one touches a disk of this block, so forces, damping and leapfrog share one pass.
+
+That order leaves room behind a step. Once it has left a block, and the next block in which the pairs of that one may
+end, the following step can start there. So several steps run through the disks one behind the other, and what a block
+needs stays in the cache from the first of them to the last, instead of coming from memory for each:
+
+    block         0    1    2    3
+    step n        1    2    4    6        (numbers: order of the visits)
+    step n + 1         3    5    7 ...    (step n + 1 is a block behind: it visits block 0 third)
+
+Every force is summed up in the same order as if the steps were done one after the other: not a bit depends on it.
 
 Leapfrog (explicit central differences): ``v(n + 1/2) = v(n - 1/2) + dt a(x(n), v(n - 1/2))``,
 ``x(n + 1) = x(n) + dt v(n + 1/2)``. Shear forces and bonds grow by the displacement between the two
 last positions, ``dt v(n - 1/2)``, so they belong to ``x(n)`` as the overlap does.
 """
 
-from numba import njit
-
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
+from calcidem.dem.kernels.compiling import compiled, inlined
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
     flush_tiny_numbers,
     load,
-    magnitude,
+    number,
     restore_control_word,
+    row,
     store,
 )
-from calcidem.dem.kernels.laws import damped, inlined
-from calcidem.dem.kernels.layout import Floats, Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
+from calcidem.dem.kernels.layout import Floats, Front, Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
+from calcidem.dem.kernels.motion import integrate
 from calcidem.dem.kernels.pair import pair_forces
-from calcidem.dem.kernels.wall import move_wall, wall_forces
+from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(cache=True, error_model="numpy")
 def sweep(
     features: Features,
     steps: int,
@@ -40,6 +49,7 @@ def sweep(
     pairs: Pairs,
     wall_pairs: WallPairs,
     walls: Walls,
+    front: Front,
     recording: Recording,
     watch: Watch,
 ) -> int:
@@ -55,7 +65,7 @@ def sweep(
         (1, L) s, each lane has its own.
     shear_ratio
         Hertz-Mindlin k_s / k_n = 2 (1 - nu) / (2 - nu).
-    grains, motion, pairs, wall_pairs, walls, recording, watch
+    grains, motion, pairs, wall_pairs, walls, front, recording, watch
         See `layout`.
 
     Returns
@@ -64,14 +74,14 @@ def sweep(
     """
     word = flush_tiny_numbers()
     done = sweep_steps(
-        features, steps, time_step, shear_ratio, grains, motion, pairs, wall_pairs, walls, recording, watch
+        features, steps, time_step, shear_ratio, grains, motion, pairs, wall_pairs, walls, front, recording, watch
     )
     restore_control_word(word)
     return done
 
 
 @inlined
-def sweep_steps(  # noqa: C901 - the branches are compile-time switches
+def sweep_steps(
     features: Features,
     steps: int,
     time_step: Floats,
@@ -81,118 +91,70 @@ def sweep_steps(  # noqa: C901 - the branches are compile-time switches
     pairs: Pairs,
     wall_pairs: WallPairs,
     walls: Walls,
+    front: Front,
     recording: Recording,
     watch: Watch,
 ) -> int:
-    """Do the steps of `sweep`."""
-    lanes = features.lanes
-    dt = load(time_step, (0,), lanes)
-    for step in range(steps):
-        for wall in range(walls.normal.shape[0]):
-            for component in range(3):
-                store(walls.reaction, (wall, component), dt * 0.0)
-        far = dt < 0.0
-        for grain in range(grains.radius.shape[0]):
-            force = taken_force(features, grain, grains, motion)
-            for pair in range(pairs.start[grain], pairs.start[grain + 1]):
-                force = pair_forces(features, grain, pair, dt, shear_ratio, grains, motion, pairs, watch, force)
-            for pair in range(wall_pairs.start[grain], wall_pairs.start[grain + 1]):
-                force = wall_forces(
-                    features, grain, pair, dt, shear_ratio, grains, motion, wall_pairs, walls, watch, force
-                )
-            far = far | integrate(features, grain, dt, grains, motion, watch, force)
-        for wall in range(walls.normal.shape[0]):
-            move_wall(features, wall, recording.offset + step, dt, walls, recording, watch)
-            if features.search:
+    """Do the steps of `sweep`, some at a time."""
+    dt = load(time_step, (0,), features.lanes)
+    step = 0
+    while step < steps:
+        together = steps_in_flight(features, steps, step, front, recording)
+        start_walls(features, together, recording.offset + step, dt, walls, front, recording, watch)
+        far = sweep_together(
+            features, together, dt, shear_ratio, grains, motion, pairs, wall_pairs, walls, front, watch
+        )
+        step += together
+        finish_walls(features, together, recording.offset + step - 1, dt, walls, front, recording, watch)
+        if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
+            if (recording.offset + step) % recording.stride == 0:
+                write_sample(features, (recording.offset + step) // recording.stride - 1, motion, walls, recording)
+        if features.search:
+            for wall in range(walls.normal.shape[0]):
                 far = far | wall_is_far(features, wall, walls, watch)
-        if features.recording:
-            done = recording.offset + step + 1
-            if done % recording.stride == 0:
-                write_sample(features, done // recording.stride - 1, motion, walls, recording)
-        if features.search:  # noqa: SIM102 - known to the compiler, unlike the condition within
             if bits_of_mask(far) != 0:
-                return step + 1
+                return step
     return steps
 
 
 @inlined
-def taken_force(features: Features, grain: int, grains: Grains, motion: Motion) -> tuple[Vector, Vector, Vector]:
-    """Return the force of earlier rows of pairs and of the load on a disk; clear its slot for a later disk."""
-    lanes = features.lanes
-    slot = grain & (motion.force.shape[0] - 1)
-    x = load(motion.force, (slot, 0), lanes)
-    y = load(motion.force, (slot, 1), lanes)
-    turning = load(motion.force, (slot, 2), lanes)
-    for component in range(3):
-        store(motion.force, (slot, component), x * 0.0)
-    return x + grains.load[grain, 0], y + grains.load[grain, 1], turning + grains.load[grain, 2]
+def steps_in_flight(features: Features, steps: int, step: int, front: Front, recording: Recording) -> int:
+    """Steps that may run together: not more than fit, and not beyond the next sample."""
+    together = min(front.levels, steps - step)
+    if features.recording:
+        together = min(together, recording.stride - (recording.offset + step) % recording.stride)
+    return together
 
 
 @inlined
-def integrate(
+def sweep_together(
     features: Features,
-    grain: int,
+    together: int,
     dt: Vector,
+    shear_ratio: float,
     grains: Grains,
     motion: Motion,
+    pairs: Pairs,
+    wall_pairs: WallPairs,
+    walls: Walls,
+    front: Front,
     watch: Watch,
-    force: tuple[Vector, Vector, Vector],
 ) -> Vector:
-    """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
-    lanes = features.lanes
-    square = dt * 0.0
-    inverse = grains.inverse_mass[grain]
-    x = kick(features, grain, 0, inverse, dt, grains, motion, watch, force[0])
-    y = kick(features, grain, 1, inverse, dt, grains, motion, watch, force[1])
-    if features.rotation:
-        kick(features, grain, 2, grains.inverse_inertia[grain], dt, grains, motion, watch, force[2])
-    if features.search:
-        moved_x = x - load(watch.origin, (grain, 0), lanes)
-        moved_y = y - load(watch.origin, (grain, 1), lanes)
-        square = moved_x * moved_x + moved_y * moved_y
-    return square > watch.reach * watch.reach
-
-
-@inlined
-def wall_is_far(features: Features, wall: int, walls: Walls, watch: Watch) -> Vector:
-    """Return the lanes in which a wall left the reach of the pair list."""
-    lanes = features.lanes
-    moved = load(walls.motion, (wall, 0), lanes) - load(watch.wall_origin, (wall,), lanes)
-    return magnitude(moved) > watch.reach
-
-
-@inlined
-def kick(
-    features: Features,
-    grain: int,
-    component: int,
-    inverse: float,
-    dt: Vector,
-    grains: Grains,
-    motion: Motion,
-    watch: Watch,
-    force: Vector,
-) -> Vector:
-    """Leapfrog update of one degree of freedom; return the new displacement."""
-    lanes = features.lanes
-    velocity = load(motion.velocity, (grain, component), lanes)
-    driving = force
-    if features.damping:
-        driving = damped(force, velocity, grains.damping[grain])
-    faster = velocity + (dt * inverse) * driving
-    store(motion.velocity, (grain, component), faster)
-    moved = load(motion.displacement, (grain, component), lanes) + dt * faster
-    store(motion.displacement, (grain, component), moved)
-    if features.account:
-        path = 0.5 * dt * (velocity + faster)
-        if inverse > 0.0:
-            store(watch.account, (2,), load(watch.account, (2,), lanes) + (force - driving) * path)
-        else:
-            # Whoever holds a disk that moves opposes every force on it.
-            store(watch.account, (0,), load(watch.account, (0,), lanes) - force * path)
-        gained = load(watch.account, (3,), lanes) + grains.load[grain, component] * path
-        store(watch.account, (3,), gained)
-    return moved
+    """Lead ``together`` steps through all blocks; return the lanes in which a disk left the reach of the pair list."""
+    far = dt < 0.0
+    count = grains.radius.shape[0]
+    blocks = (count + front.block - 1) // front.block
+    for leading in range(blocks + together - 1):
+        for level in range(max(0, leading - blocks + 1), min(together, leading + 1)):
+            begin = (leading - level) * front.block
+            end = min(count, begin + front.block)
+            for pair in range(number(pairs.start, (begin,)), number(pairs.start, (end,))):
+                pair_forces(features, pair, level, dt, shear_ratio, grains, motion, pairs, front, watch)
+            for pair in range(number(wall_pairs.start, (begin,)), number(wall_pairs.start, (end,))):
+                wall_forces(features, pair, level, dt, shear_ratio, grains, motion, wall_pairs, walls, front, watch)
+            for grain in range(begin, end):
+                far = far | integrate(features, grain, level, dt, grains, motion, front, watch)
+    return far
 
 
 @inlined
@@ -202,6 +164,6 @@ def write_sample(features: Features, sample: int, motion: Motion, walls: Walls, 
     store(recording.samples, (sample, 0), load(walls.reaction, (recording.receiver, 1), lanes))
     total = load(walls.reaction, (recording.receiver, 1), lanes) * 0.0
     for listener in recording.listeners:
-        total = total + load(motion.velocity, (listener, 1), lanes)
+        total = total + load(motion.velocity, (row(listener, 1),), lanes)
     count = max(1, recording.listeners.shape[0])
     store(recording.samples, (sample, 1), total * (1.0 / count))

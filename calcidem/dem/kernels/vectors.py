@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv import Conversion
@@ -24,6 +25,8 @@ from numba.np.arrayobj import make_array
 
 CONTRACT = ("contract",)
 ON_X86 = platform.machine().lower() in {"x86_64", "amd64"}
+ON_AVX512 = ON_X86 and bool(get_host_cpu_features().get("avx512f"))
+REGISTER_BITS = 512
 FLUSH_BITS = 0x8040  # of MXCSR: flush results to zero, take operands as zero
 
 
@@ -162,14 +165,25 @@ for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), 
     register_logic(_function, _instruction)
 
 
-def element_pointer(context: Any, builder: Any, array_type: Any, array: Any, index_type: Any, index: Any) -> Any:
-    """Pointer to the first lane of row ``index`` of a C-contiguous array whose last axis is the lane."""
+def integers(context: Any, builder: Any, index_type: Any, index: Any) -> list[Any]:
+    """Entries of a compiled index tuple as machine integers; none is negative, so none needs wrapping around."""
+    values = zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
+    return [context.cast(builder, value, kind, types.intp) for value, kind in values]
+
+
+def row_pointer(
+    context: Any, builder: Any, array_type: Any, array: Any, index_type: Any, index: Any, vector: Any
+) -> Any:
+    """Pointer to row ``index``, an LLVM vector, of a C-contiguous array whose last axis is the lane.
+
+    The length of that axis is known to the compiler, so the address takes a shift where strides would take products.
+    """
     view = make_array(array_type)(context, builder, array)
-    indices = [
-        context.cast(builder, value, kind, types.intp)
-        for value, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
-    ]
-    return cgutils.get_item_pointer(context, builder, array_type, view, [*indices, ir.Constant(ir.IntType(64), 0)])
+    shape = cgutils.unpack_tuple(builder, view.shape)
+    row, *others = integers(context, builder, index_type, index)
+    for value, length in zip(others, shape[1:-1], strict=True):
+        row = builder.add(builder.mul(row, length), value)
+    return builder.gep(builder.bitcast(view.data, vector.as_pointer()), [row])
 
 
 @intrinsic(prefer_literal=True)
@@ -179,9 +193,8 @@ def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
     lane = LaneType(array.dtype, width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
         vector = context.get_value_type(lane)
-        pointer = builder.bitcast(pointer, vector.as_pointer())
+        pointer = row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], vector)
         return builder.load(pointer, align=array.dtype.bitwidth // 8)
 
     return lane(array, index, width), codegen
@@ -193,12 +206,24 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     del typingctx
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        pointer = element_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1])
-        pointer = builder.bitcast(pointer, args[2].type.as_pointer())
+        pointer = row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], args[2].type)
         builder.store(args[2], pointer, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
     return types.void(array, index, value), codegen
+
+
+@intrinsic
+def load_number(typingctx: Any, array: Any, index: Any) -> Any:
+    """Compiled side of `number`."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        view = make_array(sig.args[0])(context, builder, args[0])
+        place = integers(context, builder, sig.args[1], args[1])
+        return builder.load(cgutils.get_item_pointer(context, builder, sig.args[0], view, place))
+
+    return array.dtype(array, index), codegen
 
 
 @intrinsic(prefer_literal=True)
@@ -276,6 +301,56 @@ def unary_intrinsic(name: str) -> Any:
     return call
 
 
+def has_estimates(lane: LaneType) -> bool:
+    """Whether the processor estimates inverses of a lane type: AVX-512, and one, two or four whole registers of it."""
+    return ON_AVX512 and lane.width * lane.dtype.bitwidth in {REGISTER_BITS, 2 * REGISTER_BITS, 4 * REGISTER_BITS}
+
+
+def estimate_intrinsic(name: str) -> Any:
+    """Make an intrinsic of an AVX-512 instruction that estimates inverses to 14 bits, ``rsqrt14`` or ``rcp14``."""
+
+    @intrinsic
+    def call(typingctx: Any, value: Any) -> Any:
+        del typingctx
+        size = REGISTER_BITS // value.dtype.bitwidth
+
+        def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+            del context, sig
+            register, mask = ir.VectorType(args[0].type.element, size), ir.IntType(size)
+            kind = ir.FunctionType(register, [register, register, mask])
+            letter = "d" if value.dtype == types.float64 else "s"
+            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.avx512.{name}.p{letter}.512")
+            parts = [
+                builder.call(function, [part, ir.Constant(register, None), ir.Constant(mask, -1)])
+                for part in split(builder, args[0], size)
+            ]
+            return joined(builder, parts)
+
+        return value(value), codegen
+
+    return call
+
+
+def picked(builder: Any, first: Any, second: Any, lanes: range) -> Any:
+    """Lanes of two LLVM vectors, numbered through, as one vector."""
+    numbers = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
+    return builder.shuffle_vector(first, second, numbers)
+
+
+def split(builder: Any, value: Any, size: int) -> list[Any]:
+    """An LLVM vector in pieces of ``size`` lanes."""
+    return [picked(builder, value, value, range(at, at + size)) for at in range(0, value.type.count, size)]
+
+
+def joined(builder: Any, parts: list[Any]) -> Any:
+    """One LLVM vector of the lanes of 1, 2 or 4 equal ones."""
+    if len(parts) == 1:
+        return parts[0]
+    half = len(parts) // 2
+    first, second = joined(builder, parts[:half]), joined(builder, parts[half:])
+    return picked(builder, first, second, range(2 * first.type.count))
+
+
 @intrinsic
 def read_control_word(typingctx: Any) -> Any:
     """Control word MXCSR of the vector unit; 0 on other processors."""
@@ -321,4 +396,5 @@ def flush_tiny() -> Any:
 
 
 sqrt_vector = unary_intrinsic("llvm.sqrt")
+inverse_root_estimate = estimate_intrinsic("rsqrt14")
 absolute_vector = unary_intrinsic("llvm.fabs")

@@ -1,0 +1,21 @@
+"""How the functions of the kernel are compiled."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
+    """Return numba's ``njit``, without the counting of references to arrays.
+
+    The kernel allocates nothing and keeps nothing, so the counts are of no use. Numba drops them itself, but not
+    around a branch that depends on data; there, counting for each pair costs several times what the physics does.
+    """
+    decorate: Callable[[Function], Function] = njit(_nrt=False, **options)  # type: ignore[call-overload]
+    return decorate
+
+
+inlined = compiled(forceinline=True)
