@@ -1,6 +1,7 @@
 """Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand.
 
-`run` computes a campaign in this process, `open_campaign` reads one; `calcidem.dem` simulates scenes of your own.
+`run` computes a campaign in this process, `open_campaign` reads one, `load_paper_campaign` gives the numbers of the one
+that comes with the package; `calcidem.dem` simulates scenes of your own.
 """
 
 from importlib import import_module
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from calcidem.app.campaign import run
     from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
+    from calcidem.app.paper_campaign import load_paper_campaign
 
-__all__ = ["OpenedCampaign", "open_campaign", "run"]
+__all__ = ["OpenedCampaign", "load_paper_campaign", "open_campaign", "run"]
 
 HOMES = {
     "OpenedCampaign": "calcidem.app.opened_campaign",
+    "load_paper_campaign": "calcidem.app.paper_campaign",
     "open_campaign": "calcidem.app.opened_campaign",
     "run": "calcidem.app.campaign",
 }

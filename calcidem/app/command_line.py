@@ -32,12 +32,28 @@ class Preset(StrEnum):
 
     QUICK = "quick"
     PAPER = "paper"
+    PAPER_LITERAL = "paper-literal"
+    PAPER_LOCKED = "paper-locked"
+
+
+class ArrayGroup(StrEnum):
+    """Arrays of single cells in an exported file."""
+
+    PATHS = "paths"
+    SIGNALS = "signals"
+    CEMENT = "cement"
 
 
 @app.command()
 def init(
     file: Annotated[Path, typer.Argument(metavar="[FILE]", help="File to write.")] = DEFAULT_CONFIGURATION,
-    preset: Annotated[Preset, typer.Option(help="quick: 6 contents x 4 seeds; paper: all 17 x 116.")] = Preset.QUICK,
+    preset: Annotated[
+        Preset,
+        typer.Option(
+            help="quick: 6 contents x 4 seeds; paper: all 17 x 116; paper-literal: Table 1 as printed; "
+            "paper-locked: stress of preparation locked in, nothing calibrated."
+        ),
+    ] = Preset.QUICK,
 ) -> None:
     """Write an example configuration to start from."""
     from calcidem.app.presets import preset_text
@@ -106,13 +122,17 @@ def export(
     database: Database,
     netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
     campaign: CampaignName = None,
+    without: Annotated[
+        list[ArrayGroup] | None,
+        typer.Option(help="Leave out these arrays of single cells, nearly all of the file; may be repeated."),
+    ] = None,
 ) -> None:
     """Write a campaign into a NetCDF file."""
     from calcidem.storage.campaign import open_campaign
     from calcidem.storage.export import export_netcdf
 
     with open_campaign(database, campaign) as opened:
-        typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf)}")
+        typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf, without=without or ())}")
 
 
 def main() -> None:

@@ -211,7 +211,7 @@ def send_once(
     check: Callable[[], None],
 ) -> list[WaveRecord]:
     """Do what `send_waves` does, with one step."""
-    recorder = prepared(packing, sand, cement, bonded, frequency, rule, heard_enough, lanes, installation)
+    recorder = prepared(packing, sand, cement, bonded, frequency, rule, heard_enough, lanes, installation, check)
     return recorder.run(packing.width, check)
 
 
@@ -225,6 +225,7 @@ def prepared(
     heard_enough: Callable[[WaveRecord], bool],
     lanes: int,
     installation: Installation,
+    check: Callable[[], None],
 ) -> "Recorder":
     """Batch that is ready to be sent; see `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")

@@ -1,7 +1,7 @@
 """Export of a campaign to one NetCDF-4 file, and the way back."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -15,7 +15,7 @@ from calcidem.storage.campaign_groups import append_attempts, append_packing
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.quantities import QUANTITIES
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.sample_groups import append_samples
+from calcidem.storage.sample_groups import SAMPLE_GROUPS, append_samples
 from calcidem.storage.store import Store
 
 __all__ = ["export_netcdf", "replaced_atomically"]
@@ -26,7 +26,9 @@ BLOCK = 1000  # cells in memory at a time while arrays are copied
 WHOLE_NUMBER_FILL = -1
 
 
-def export_netcdf(store: Store, campaign: CampaignRecord, path: str | os.PathLike[str]) -> Path:
+def export_netcdf(
+    store: Store, campaign: CampaignRecord, path: str | os.PathLike[str], *, without: Collection[str] = ()
+) -> Path:
     """Write everything the store has about a campaign into one compressed NetCDF-4 file.
 
     The root group is the Dataset of `campaign_dataset`, which plain ``xarray.open_dataset`` opens; the
@@ -40,12 +42,24 @@ def export_netcdf(store: Store, campaign: CampaignRecord, path: str | os.PathLik
         With that campaign chosen.
     campaign : CampaignRecord
     path : str or path
+    without : collection of str
+        Groups of arrays to leave out, of ``paths``, ``signals`` and ``cement``: with them a cell takes about 50 kB,
+        without them 1 kB.
 
     Returns
     -------
     Path
         Of the file written.
+
+    Raises
+    ------
+    ValueError
+        If a group to leave out is none of these.
     """
+    unknown = sorted(set(without) - set(SAMPLE_GROUPS))
+    if unknown:
+        raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(SAMPLE_GROUPS)}")
+    wanted = [group for group in SAMPLE_GROUPS if group not in without]
     target = Path(path).absolute()
     with replaced_atomically(target) as temporary:
         dataset = campaign_dataset(store, campaign)
@@ -57,8 +71,8 @@ def export_netcdf(store: Store, campaign: CampaignRecord, path: str | os.PathLik
                     append_packing(file, packing)
             for attempts in _blocks(store.history()):
                 append_attempts(file, attempts)
-            for results in _blocks(store.results(with_arrays=True)):
-                append_samples(file, results)
+            for results in _blocks(store.results(with_arrays=bool(wanted))):
+                append_samples(file, results, wanted)
     return target
 
 

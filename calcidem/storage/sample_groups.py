@@ -1,6 +1,6 @@
 """Groups ``paths``, ``signals`` and ``cement`` of an exported file: arrays of single cells."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calcidem.storage.groups import Column, Group, append, read_columns
 from calcidem.storage.records import CellKey, CellResult, CementPattern, Signal
 
-__all__ = ["CellArrays", "append_samples", "cement_reader", "path_reader", "signal_reader"]
+__all__ = ["SAMPLE_GROUPS", "CellArrays", "append_samples", "cement_reader", "path_reader", "signal_reader"]
 
 T = TypeVar("T")
 
@@ -17,11 +17,18 @@ BLOCK = 500
 """Cells whose arrays are in memory at a time."""
 
 
-def append_samples(file: Group, results: Sequence[CellResult]) -> None:
-    """Append the paths, signals and cement patterns of some cells, those that have them."""
-    _append_paths(file, [(r.key, r.features.path) for r in results if r.features is not None])
-    _append_signals(file, [(r.key, r.signal) for r in results if r.signal is not None])
-    _append_cement(file, [(r.key, r.cement) for r in results if r.cement is not None])
+SAMPLE_GROUPS = ("paths", "signals", "cement")
+"""Groups of arrays of single cells, which make up nearly all of a file."""
+
+
+def append_samples(file: Group, results: Sequence[CellResult], groups: Collection[str] = SAMPLE_GROUPS) -> None:
+    """Append the paths, signals and cement patterns of some cells, those that have them and whose group is wanted."""
+    if "paths" in groups:
+        _append_paths(file, [(r.key, r.features.path) for r in results if r.features is not None])
+    if "signals" in groups:
+        _append_signals(file, [(r.key, r.signal) for r in results if r.signal is not None])
+    if "cement" in groups:
+        _append_cement(file, [(r.key, r.cement) for r in results if r.cement is not None])
 
 
 def _append_paths(file: Group, paths: Sequence[tuple[CellKey, tuple[int, ...]]]) -> None:

@@ -1,4 +1,4 @@
-"""Draw the gallery from a campaign: `python docs/gallery/make_gallery.py CAMPAIGN.db`."""  # noqa: INP001 - a script
+"""Draw the gallery from a campaign: `python docs/gallery/make_gallery.py CAMPAIGN.db`."""
 
 import argparse
 import io

@@ -1,4 +1,3 @@
-# ruff: noqa: INP001 - a script beside the notebook, no package
 """Make the small real database of the tutorial, from the configuration beside it.
 
     python docs/tutorial/make_database.py

@@ -167,6 +167,22 @@ def test_unusable_targets(
     assert not (tmp_path / "empty.nc").exists()
 
 
+def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, exported: Path, tmp_path: Path) -> None:
+    """Leaving out signals, cement and paths keeps the numbers of every cell, and such a file can be imported."""
+    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signals", "cement", "paths"))
+    assert small.stat().st_size < exported.stat().st_size
+    with xr.open_dataset(exported) as whole, xr.open_dataset(small) as numbers:
+        xr.testing.assert_equal(whole, numbers)
+    with netCDF4.Dataset(small) as file:
+        assert not {"signals", "cement", "paths"} & set(file.groups)
+    with open_store(tmp_path / "imported.db") as other:
+        import_netcdf(small, other)
+        assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled[0].results()}
+        assert all(r.signal is None for r in other.results(with_arrays=True))
+    with pytest.raises(ValueError, match="without = 'pictures'"):
+        export_netcdf(*filled, tmp_path / "small.nc", without=("pictures",))
+
+
 def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
     """Text, other NetCDF files and later layouts are refused with the store left empty."""
     (tmp_path / "text.nc").write_text("hello")

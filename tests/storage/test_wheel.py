@@ -19,3 +19,4 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
         "calcidem/storage/migrations/script.py.mako"
     }
     assert {"calcidem/storage/migrations/versions/v0003_retry.py"} < needed <= names
+    assert "calcidem/app/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"

@@ -26,6 +26,7 @@ COMMANDS = {
     "accuracy": ("commands.accuracy", "measure_accuracy"),
     "stability": ("commands.accuracy", "map_stability"),
     "calibrate": ("commands.calibrate", "calibrate_campaign"),
+    "sensitivity": ("commands.sensitivity", "measure_sensitivity"),
     "doctor": ("commands.doctor", "doctor"),
 }
 """Module of `calcidem.app` and function in it, by the name of the command."""

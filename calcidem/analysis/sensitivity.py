@@ -1,0 +1,160 @@
+"""How mean and scatter of Vs change when one choice of a campaign is changed and the seeds stay the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from calcidem.analysis.intervals import BOOTSTRAP_SEED, UNDEFINED, Interval
+
+REPLICATES = 4000
+FEWEST_PAIRS = 4
+"""With fewer common seeds a ratio of scatters means nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One content of a variant beside the same seeds of the reference.
+
+    Parameters
+    ----------
+    content
+        Percent.
+    planned, measured
+        Cells of the variant, and those that have a velocity.
+    mean, standard_deviation
+        Of the variant, m/s, over all that it measured.
+    mean_ratio, deviation_ratio
+        Mean and standard deviation over those of the reference, both over the seeds that have a velocity in both.
+    mean_ratio_interval, deviation_ratio_interval
+        95 % bootstrap intervals of these: seeds are drawn with replacement, the same ones on both sides.
+    """
+
+    content: float
+    planned: int
+    measured: int
+    mean: float
+    standard_deviation: float
+    mean_ratio: float
+    mean_ratio_interval: Interval
+    deviation_ratio: float
+    deviation_ratio_interval: Interval
+
+
+def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...]:
+    """Compare two matrices of Vs content by content, on the seeds that they have in common.
+
+    Parameters
+    ----------
+    variant, reference
+        Vs in m/s along (seed, content), NaN where there is none. Contents that the reference lacks are left out.
+    """
+    first, second = xr.align(variant, reference, join="inner")
+    changes = []
+    for content in first["content"].to_numpy().tolist():
+        own = variant.sel(content=content).to_numpy()
+        pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
+        measured = own[np.isfinite(own)]
+        some, several = measured.size > 0, measured.size > 1
+        ratios = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
+        changes.append(
+            Change(
+                content=content,
+                planned=own.size,
+                measured=measured.size,
+                mean=float(measured.mean()) if some else math.nan,
+                standard_deviation=float(measured.std(ddof=1)) if several else math.nan,
+                mean_ratio=ratios[0][0],
+                mean_ratio_interval=ratios[0][1],
+                deviation_ratio=ratios[1][0],
+                deviation_ratio_interval=ratios[1][1],
+            )
+        )
+    return tuple(changes)
+
+
+def _paired_ratios(pair: np.ndarray) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
+    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n), with their intervals."""
+    count = pair.shape[1]
+    if count < FEWEST_PAIRS:
+        return (math.nan, UNDEFINED), (math.nan, UNDEFINED)
+    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (REPLICATES, count))]
+    # Reference without scatter (no cement, one packing): a ratio of scatters is not defined.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = drawn[0].mean(axis=1) / drawn[1].mean(axis=1)
+        deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
+        ratio = float(np.divide(*pair.std(axis=1)))
+    return (float(np.divide(*pair.mean(axis=1))), _percentiles(means)), (ratio, _percentiles(deviations))
+
+
+def _percentiles(values: np.ndarray) -> Interval:
+    """Middle 95 % of bootstrap replicates."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return UNDEFINED
+    low, high = np.percentile(finite, [2.5, 97.5])
+    return Interval(float(low), float(high))
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceParts:
+    """Variance of Vs at one content, divided between two crossed causes, each part in (m/s)^2.
+
+    Parameters
+    ----------
+    first, second
+        Of the causes themselves; unbiased estimates, so that one of nothing may be below zero.
+    rest
+        Of both together (interaction) and of everything else.
+    mean
+        Of all values, m/s.
+    """
+
+    first: float
+    second: float
+    rest: float
+    mean: float
+
+    @property
+    def total(self) -> float:
+        """Variance of a value whose causes are both drawn anew."""
+        return self.first + self.second + self.rest
+
+    @property
+    def deviations(self) -> tuple[float, float, float]:
+        """Standard deviations of the three parts, m/s; zero for a negative estimate."""
+        parts = (max(0.0, part) ** 0.5 for part in (self.first, self.second, self.rest))
+        return next(parts), next(parts), next(parts)
+
+
+def variance_parts(values: np.ndarray) -> VarianceParts:
+    """Divide the variance of a complete table between its rows, its columns and the rest.
+
+    Two-way random-effects analysis of variance with one value in each place.
+
+    Parameters
+    ----------
+    values
+        m/s, shape (rows of the first cause, columns of the second), both at least 2, all finite.
+
+    Raises
+    ------
+    ValueError
+        If the table is too small or has gaps.
+    """
+    rows, columns = values.shape
+    if min(rows, columns) < 2 or not np.isfinite(values).all():  # noqa: PLR2004 - a variance needs two
+        raise ValueError(f"values {values.shape}: give a complete table of at least 2 x 2")
+    mean = float(values.mean())
+    by_row, by_column = values.mean(axis=1), values.mean(axis=0)
+    left = values - by_row[:, None] - by_column[None, :] + mean
+    rest = float(np.sum(left**2)) / ((rows - 1) * (columns - 1))
+    return VarianceParts(
+        first=float(by_row.var(ddof=1)) - rest / columns,
+        second=float(by_column.var(ddof=1)) - rest / rows,
+        rest=rest,
+        mean=mean,
+    )

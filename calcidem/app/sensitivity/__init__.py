@@ -1,0 +1,1 @@
+"""How much the choices of a campaign matter: variants of one configuration, computed with the same seeds."""

@@ -1,0 +1,62 @@
+"""How much of the scatter of Vs comes from the P contacts, and how much from the clusters.
+
+`python docs/reproduction/crossed_patterns.py [CONFIG] [--seeds 8]` combines the P contacts of each of some seeds with
+the clusters of each, measures all combinations, and divides the variance of Vs between the two.
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calcidem.analysis.sensitivity import variance_parts
+from calcidem.app.configuration_file import load_configuration
+from calcidem.app.packing_source import provide_packing
+from calcidem.dem.cement import CementOrdering
+from calcidem.dem.measurement import Experiment, measure
+
+HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
+
+
+@dataclass(frozen=True)
+class Crossed(Experiment):
+    """An experiment whose seed 1000 a + b has the P contacts of seed a and the clusters of seed b."""
+
+    def ordering(self, seed: int) -> CementOrdering:
+        """Order of the cement, put together from those of two seeds."""
+        first, second = divmod(seed, 1000)
+        own = super().ordering(second)
+        if first == second:
+            return own
+        other = super().ordering(first)
+        return replace(own, p_rank=other.p_rank, p_content=other.p_content)
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("configuration", nargs="?", default="examples/paper.toml")
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--contents", type=float, nargs="+", default=[0.66, 1.24, 2.55, 5.0, 9.0])
+    options = parser.parse_args()
+    configuration = load_configuration(options.configuration)
+    plain = configuration.experiment(provide_packing(configuration, None, lambda _: None))
+    experiment = Crossed(**{name: getattr(plain, name) for name in Experiment.__dataclass_fields__})
+    numbers = range(1, options.seeds + 1)
+    print(HEADER, "|---|---|---|---|---|---|", sep="\n", flush=True)
+    for content in options.contents:
+        table = np.array(
+            [
+                [cell.vs for cell in measure(experiment, content, [1000 * p + c for c in numbers], lanes=8)]
+                for p in numbers
+            ],
+            dtype=float,
+        )
+        parts = variance_parts(table)
+        shares = [f"{deviation:.1f}" for deviation in parts.deviations]
+        row = [f"{content:g}", f"{parts.mean:.0f}", f"{parts.total**0.5:.1f}", *shares]
+        print(f"| {' | '.join(row)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

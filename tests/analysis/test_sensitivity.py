@@ -1,0 +1,78 @@
+"""Comparison of variants, and the division of a variance between two causes."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.analysis.sensitivity import compare, variance_parts
+
+
+def velocities(values: np.ndarray, contents: tuple[float, ...] = (5.0,)) -> xr.DataArray:
+    """Matrix of Vs with the seeds 1, 2, ..."""
+    seeds = np.arange(1, len(values) + 1)
+    return xr.DataArray(
+        values.reshape(len(values), -1), {"seed": seeds, "content": list(contents)}, ("seed", "content")
+    )
+
+
+def test_common_seeds_tell_a_scaled_copy_exactly() -> None:
+    """A variant that doubles every deviation from the mean has a ratio of 2 whose interval has no width."""
+    reference = np.random.default_rng(1).normal(1000.0, 50.0, 24)
+    variant = reference.mean() + 2.0 * (reference - reference.mean())
+    (change,) = compare(velocities(variant), velocities(reference))
+    assert change.deviation_ratio == pytest.approx(2.0)
+    assert change.deviation_ratio_interval.half_width < 1e-9
+    assert change.mean_ratio == pytest.approx(1.0)
+
+
+def test_unread_cells_are_left_out_on_both_sides() -> None:
+    """A seed without velocity in the variant does not count in the reference either."""
+    reference = np.random.default_rng(2).normal(1000.0, 50.0, 24)
+    variant = 1.1 * reference
+    variant[3] = np.nan
+    (change,) = compare(velocities(variant), velocities(reference))
+    assert (change.measured, change.planned) == (23, 24)
+    assert change.mean_ratio == pytest.approx(1.1)
+    assert change.deviation_ratio == pytest.approx(1.1)
+
+
+def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
+    """Of 40 pairs of independent samples with a true ratio of 1.5, most intervals hold it."""
+    generator = np.random.default_rng(3)
+    held = 0
+    for _ in range(40):
+        pair = generator.normal(0.0, 1.0, (2, 40)) * [[1.5], [1.0]] + 100.0
+        (change,) = compare(velocities(pair[0]), velocities(pair[1]))
+        held += change.deviation_ratio_interval.contains(1.5)
+    assert held >= 33
+
+
+def test_variance_parts_recover_what_a_table_was_made_of() -> None:
+    """Rows of sd 3, columns of sd 10 and a rest of sd 5 come back from a large table, and sum up."""
+    generator = np.random.default_rng(4)
+    table = (
+        500.0
+        + generator.normal(0.0, 3.0, (200, 1))
+        + generator.normal(0.0, 10.0, (1, 200))
+        + generator.normal(0.0, 5.0, (200, 200))
+    )
+    parts = variance_parts(table)
+    assert parts.deviations == pytest.approx((3.0, 10.0, 5.0), rel=0.15)
+    assert parts.total == pytest.approx(sum(d**2 for d in parts.deviations))
+
+
+def test_an_additive_table_has_no_rest() -> None:
+    """If each value is its row's part plus its column's, nothing is left over."""
+    table = np.add.outer([1.0, 4.0, 2.0], [10.0, 30.0, 80.0, 20.0])
+    parts = variance_parts(table)
+    assert parts.rest == pytest.approx(0.0, abs=1e-9)
+    assert parts.first == pytest.approx(np.var([1.0, 4.0, 2.0], ddof=1))
+    assert parts.second == pytest.approx(np.var([10.0, 30.0, 80.0, 20.0], ddof=1))
+
+
+def test_gaps_and_small_tables_are_refused() -> None:
+    """A variance cannot be divided with a value missing or with one row."""
+    with pytest.raises(ValueError, match="complete table"):
+        variance_parts(np.array([[1.0, np.nan], [2.0, 3.0]]))
+    with pytest.raises(ValueError, match="complete table"):
+        variance_parts(np.array([[1.0, 2.0]]))

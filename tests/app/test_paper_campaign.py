@@ -1,0 +1,45 @@
+"""The campaign that comes with the package."""
+
+import doctest
+import tomllib
+
+import numpy as np
+import pytest
+
+import calcidem
+from calcidem.analysis.published import published_study
+from calcidem.app import paper_campaign
+from calcidem.app.configuration_file import read_configuration
+from calcidem.app.presets import preset_text
+from calcidem.storage.canonical import canonical_json
+
+
+def test_its_docstring_is_true() -> None:
+    """The example in the docstring gives what it says."""
+    result = doctest.testmod(paper_campaign)
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+def test_it_was_computed_with_the_preset() -> None:
+    """Its configuration is that of the preset `paper`, so the preset repeats it."""
+    configuration = read_configuration(tomllib.loads(preset_text("paper")))
+    attributes = calcidem.load_paper_campaign().attrs
+    assert attributes["calcidem_config"] == canonical_json(configuration.physics)
+    assert attributes["calcidem_campaign_hash"] == configuration.hash
+
+
+@pytest.mark.parametrize(("content", "printed"), [(content, row.mean) for content, row in published_study().velocities])
+def test_every_mean_is_near_the_published_one(content: float, printed: float) -> None:
+    """All 16 means of Table 3 are met within 10 %."""
+    vs = calcidem.load_paper_campaign().vs.sel(content=content)
+    assert int(vs.notnull().sum()) == published_study().seeds
+    assert float(vs.mean()) == pytest.approx(printed, rel=0.10)
+
+
+def test_scatter_grows_with_content_and_falls_again() -> None:
+    """As in Table 3, the standard deviation is largest between 4 and 7 %, and there is none without cement."""
+    scatter = calcidem.load_paper_campaign().vs.std("seed")
+    assert 4.0 <= float(scatter.idxmax()) <= 7.0
+    assert float(scatter.sel(content=0.0)) == pytest.approx(0.0, abs=1e-6)
+    assert np.all(np.isfinite(scatter))

@@ -1,0 +1,104 @@
+"""The command `sensitivity`: variants of a small campaign, computed, continued and tabulated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calcidem.app.configuration_errors import ConfigurationError
+from calcidem.app.sensitivity.plan import REFERENCE, load_plan
+from calcidem.app.sensitivity.study import changes, compute
+from calcidem.app.sensitivity.table import sensitivity_table
+
+BASE = """
+[packing]
+width = 0.03
+height = 0.06
+balance = 1e-5
+[sand]
+wave_stiffness_factor = 13.0
+[pattern]
+cluster_area = 3.6e-6
+[wave]
+receiver_half_width = 0.01
+boundary_thickness = 0.01
+"""
+
+PLAN = """
+configuration = "base.toml"
+contents = [2.55]
+seeds = 8
+[[variant]]
+choice = "modulus"
+value = "four times"
+set = { "cement.bond_modulus" = 3.2e11 }
+[[variant]]
+choice = "calcite of a cluster"
+value = "Eq. 2"
+without = ["pattern.cluster_area"]
+against = "modulus: four times"
+"""
+
+
+def planned(folder: Path, plan: str = PLAN) -> Path:
+    """Write base and plan into a folder."""
+    (folder / "base.toml").write_text(BASE, encoding="utf-8")
+    path = folder / "plan.toml"
+    path.write_text(plan, encoding="utf-8")
+    return path
+
+
+def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
+    """The reference is the base; a variant has its value, and a key left out has its default."""
+    reference, modulus, calcite = load_plan(planned(tmp_path), str(tmp_path / "all.db"))
+    assert reference.name == REFERENCE
+    assert reference.configuration.pattern.cluster_area == 3.6e-6
+    assert modulus.configuration.cement.bond_modulus == 3.2e11
+    assert modulus.configuration.pattern == reference.configuration.pattern
+    assert calcite.configuration.pattern.cluster_area is None
+    assert len({variant.configuration.hash for variant in (reference, modulus, calcite)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (("bond_modulus", "bond_modulos"), "cement.bond_modulos"),
+        (('against = "modulus: four times"', 'against = "modulus"'), "against"),
+        (("seeds = 8", "seeds = 1"), "seeds"),
+        (("seeds = 8", "seed = 8"), "seed"),
+        (('value = "Eq. 2"', 'value = "Eq/2"'), "name"),
+        (("base.toml", "lost.toml"), "lost.toml"),
+    ],
+)
+def test_mistakes_in_a_plan_are_named(change: tuple[str, str], named: str, tmp_path: Path) -> None:
+    """Whatever is wrong with a plan is told before anything is computed."""
+    path = planned(tmp_path, PLAN.replace(*change))
+    with pytest.raises(ConfigurationError, match=named):
+        load_plan(path, str(tmp_path / "all.db"))
+
+
+def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four times the modulus of the bonds raises mean Vs; a second call adds no attempt and gives the same table."""
+    monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
+    variants = load_plan(planned(tmp_path), str(tmp_path / "all.db"))[:2]
+    compute(variants, lambda _: None)
+    found = changes(variants)
+    (change,) = found[variants[1].name]
+    assert change.planned == 8
+    assert change.measured > 4  # a box this small swallows some pulses
+    assert change.mean_ratio > 1.02
+    table = sensitivity_table(variants, found)
+    assert table.count("\n") == 4
+    assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
+    compute(variants, lambda _: None)
+    assert sensitivity_table(variants, changes(variants)) == table
+
+
+def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:
+    """Every variant in the plan that the reproduction page was made with can be read."""
+    plans = Path(__file__).parents[2] / "docs" / "reproduction"
+    for plan in plans.glob("*.toml"):
+        assert len(load_plan(plan, str(tmp_path / "all.db"))) > 1
