@@ -13,7 +13,10 @@ import numpy as np
 
 from calcidem.app.accuracy.measured import MeasuredErrors
 from calcidem.app.accuracy.settings import DEFAULT
+from calcidem.dem.domain import domain_of
 from calcidem.dem.measurement import Experiment, Measurement, measure
+from calcidem.dem.wave import listening_disks
+from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 ROUNDS = 3
 
@@ -111,7 +114,8 @@ def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanatio
 
 def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
-    found = [*displacement_alternatives(experiment), early_stop(experiment), precision(experiment)]
+    found = [*displacement_alternatives(experiment), whole_domain(experiment)]
+    found += [early_stop(experiment), precision(experiment)]
     if content == 0.0:
         found.append(
             Alternative(
@@ -162,6 +166,22 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
             opposite=replace(finite, wave=replace(finite.wave, keep=("search",))),
         ),
     ]
+
+
+def whole_domain(experiment: Experiment) -> Alternative:
+    """Disks deep in the damping layers, and disks without a contact."""
+    wave, packing = experiment.wave, experiment.packing
+    listening = listening_disks(packing, wave)
+    share = 1.0 - len(domain_of(packing, wave, experiment.installation, listening).packing.x) / len(packing.x)
+    if share == 0.0:
+        why = "the layers at floor and lid are thin or damp by less than 1, or the sample settles as a whole"
+        return Alternative("disks out of reach", needed=True, why=why, opposite=None)
+    return Alternative(
+        "disks out of reach",
+        needed=False,
+        why=f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there",
+        opposite=replace(experiment, wave=replace(wave, keep=(*wave.keep, WHOLE_DOMAIN))),
+    )
 
 
 def early_stop(experiment: Experiment) -> Alternative:

@@ -107,6 +107,8 @@ def refuse_restless(state: State, amplitude: float) -> None:
         return
     for lane in range(state.features.lanes):
         force = np.hypot(*net_forces(state, lane)[:, :2].T)
+        if state.scene.held is not None:
+            force[state.scene.held] = 0.0
         speed = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(state.limit[lane]) / 2.0
         require(
             speed <= RESTLESS * amplitude,
@@ -118,8 +120,12 @@ def refuse_restless(state: State, amplitude: float) -> None:
 
 
 def named(state: State, values: Floats) -> str:
-    """Name of the disk with the largest value; the first that is not a number, if there is one."""
-    return f"disk {int(state.assembly.order[int(np.argmax(values))])}"
+    """Say which disk has the largest value; the first that is not a number, if there is one.
+
+    By its place, since disks that the wave cannot reach are left out and the others numbered anew.
+    """
+    disk = int(state.assembly.order[int(np.argmax(values))])
+    return f"the disk at ({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
 
 
 def present_limit(state: State) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
+from calcidem.dem.domain import domain_of
 from calcidem.dem.guards import problems_of, refuse_restless
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
@@ -23,7 +24,7 @@ from calcidem.dem.readout import overlaps
 from calcidem.dem.scene import Bonds, Installation, Scene, Wall
 from calcidem.dem.settling import settled
 from calcidem.dem.state import SKIN, State, carried_on, choose_features, start
-from calcidem.dem.wave_rule import FEWEST_SAMPLES, WaveRule, refuse_loud_pulse
+from calcidem.dem.wave_rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 
 __all__ = ["WaveRecord", "WaveRule", "listening_disks", "samples_stride", "send_waves", "wave_scene"]
 
@@ -229,8 +230,10 @@ def prepared(
 ) -> "Recorder":
     """Batch that is ready to be sent; see `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
+    domain = domain_of(packing, rule, installation, listening_disks(packing, rule))
+    packing, bonded = domain.packing, [flags[domain.pairs] for flags in bonded]
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
-    scene = wave_scene(packing, sand, rule, bonds)
+    scene = replace(wave_scene(packing, sand, rule, bonds), held=domain.held)
     features = wave_features(scene, rule, packing, frequency, lanes)
     state = start(
         scene,
@@ -261,7 +264,7 @@ def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: flo
     # A pulse that moves the grains little needs no contact search: the pairs that can meet are listed from the start.
     search = rule.regime == "finite" and wave_skin(packing, rule, frequency) >= SKIN
     features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=search)
-    return replace(features, **dict.fromkeys(rule.keep, True))
+    return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 
 def wave_skin(packing: Packing, rule: WaveRule, frequency: float) -> float:

@@ -8,6 +8,7 @@ from calcidem.dem.pulse import Pulse
 from calcidem.dem.scene import Regime
 from calcidem.dem.state import Precision
 
+WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
 STRONGEST_DAMPING = 0.8  # of a sample: scenes with 0.92 and more changed Vs by 20 % with the step
 LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
@@ -45,7 +46,8 @@ class WaveRule:
     balance, most_settling_steps
         Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
     keep
-        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`.
+        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`, and
+        ``whole_domain`` if disks that the wave cannot reach are to be computed too, see `domain.domain_of`.
     """
 
     amplitude: float = 1.0e-3

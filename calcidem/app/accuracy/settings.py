@@ -1,6 +1,6 @@
 """The numerical settings that are compared, each one knob away from the experiment's own.
 
-The domain is whole in every setting: no trimming exists, so there is no knob for it. Two knobs have tables of their
+Two knobs have tables of their
 own, because what they are compared with is not the reference: `amplitudes` and `equilibrium`.
 """
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calcidem.dem.measurement import Experiment
+from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 DEFAULT = "default"
 STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
@@ -51,7 +52,7 @@ def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: AN
 
 
 def reference(experiment: Experiment, step_fraction: float) -> Experiment:
-    """Return the experiment as exactly as it can be computed: float64, finite displacement, dense samples, given step.
+    """Return the experiment as exactly as it can be computed: float64, finite displacement, all disks, dense samples.
 
     Early stop keeps its setting, because it is a knob of its own that is shown to change no reading.
     """
@@ -59,6 +60,7 @@ def reference(experiment: Experiment, step_fraction: float) -> Experiment:
         experiment,
         precision="float64",
         regime="finite",
+        keep=(WHOLE_DOMAIN,),
         step_fraction=step_fraction,
         samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
     )
@@ -73,6 +75,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     yield from turned(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
         yield from turned(experiment, "regime", ("linear", "small", "finite"))
+    yield Setting("whole domain", "", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
     yield Setting(
         "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
     )

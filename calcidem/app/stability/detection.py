@@ -69,6 +69,7 @@ def forced_run(experiment: Experiment, content: float, seed: int, factor: float,
         heard_enough=lambda _: False,
         lanes=1,
         installation=experiment.installation,
+        check=lambda: None,
     )
     recorder.state = replace(recorder.state, time_step=recorder.state.time_step * 0.0 + step)
     record = recorder.run(packing.width, lambda: None)[0]

@@ -1,0 +1,90 @@
+"""Disks that a wave cannot reach are left out, and nothing that is heard depends on them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calcidem.dem.cement import CementRule, draw_cement
+from calcidem.dem.domain import domain_of
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.material import Cement, Sand
+from calcidem.dem.packing import Packing, PackingRule, make_packing
+from calcidem.dem.scene import Regime
+from calcidem.dem.state import SAFETY
+from calcidem.dem.wave import SAMPLES_PER_CHUNK, WaveRule, listening_disks, prepared
+from calcidem.dem.wave_rule import WHOLE_DOMAIN
+
+RULE = WaveRule(
+    transmitter_half_width=0.006, receiver_half_width=0.006, boundary_thickness=0.022, listening_depth=0.006
+)
+FREQUENCY = 10_000.0
+STRIDE = 20
+SAND = Sand(shear_modulus=8e12)
+
+
+@pytest.fixture(scope="module")
+def packing() -> Packing:
+    """Some 200 disks in a narrow, high box, most of it damping layers."""
+    return make_packing(PackingRule(width=0.02, height=0.06), SAND, np.random.default_rng(3))
+
+
+def bonded(packing: Packing, content: float) -> Integers:
+    """Truth values (C,) of the cemented pairs."""
+    ordering = draw_cement(
+        packing.x, packing.y, packing.radius, packing.pairs,
+        box=(packing.width, packing.height), rule=CementRule(), seed=1, root_seed=0,
+    )  # fmt: skip
+    return ordering.at(content).bonded
+
+
+def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> Floats:
+    """(S,) velocity before the receiver, with one step for all domains."""
+    cement = [bonded(packing, content)]
+    recorder = prepared(
+        packing, SAND, Cement(), cement, FREQUENCY, rule,
+        heard_enough=lambda record: len(record.sent) >= 8 * SAMPLES_PER_CHUNK,
+        lanes=1, installation="preserve", check=lambda: None,
+    )  # fmt: skip
+    assert time_step <= SAFETY * recorder.state.limit[0]
+    recorder.stride, recorder.steps_per_look = STRIDE, STRIDE * SAMPLES_PER_CHUNK
+    recorder.state = replace(recorder.state, time_step=np.array([time_step]))
+    return recorder.run(packing.width, lambda: None)[0].velocity
+
+
+@pytest.mark.parametrize(
+    ("regime", "amplitude", "content", "noise"), [("linear", 1e-3, 5.0, 1e-12), ("finite", 1e-2, 0.0, 1e-7)]
+)
+def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
+    packing: Packing, regime: Regime, amplitude: float, content: float, noise: float
+) -> None:
+    """With the same step, the signal is that of the whole packing; a finite one feels it coming to rest."""
+    rule = replace(RULE, regime=regime, amplitude=amplitude)
+    whole = replace(rule, keep=(WHOLE_DOMAIN,))
+    part = domain_of(packing, rule, "preserve", listening_disks(packing, rule)).packing
+    assert 0.4 < len(part.x) / len(packing.x) < 0.85
+    time_step = 3e-8
+    exact, trimmed = heard(packing, whole, content, time_step), heard(packing, rule, content, time_step)
+    assert np.abs(exact).max() > 1e-4 * amplitude  # so narrow a box mutes the pulse
+    np.testing.assert_allclose(trimmed, exact, atol=noise * amplitude, rtol=0)
+
+
+def test_the_whole_packing_is_kept_where_a_signal_could_come_back(packing: Packing) -> None:
+    """Layers that damp by less than 1, bonds that move the sample, and a rule that says so keep every disk."""
+    listening = listening_disks(packing, RULE)
+    for rule in (replace(RULE, keep=(WHOLE_DOMAIN,)), replace(RULE, boundary_damping=0.9, regime="finite")):
+        assert len(domain_of(packing, rule, "preserve", listening).packing.x) == len(packing.x)
+    assert len(domain_of(packing, RULE, "zero", listening).packing.x) == len(packing.x)
+
+
+def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
+    """Held are the disks that lost a neighbour, and only those; pairs and shear forces are those of the packing."""
+    rule = replace(RULE, regime="finite")
+    domain = domain_of(packing, rule, "preserve", listening_disks(packing, rule))
+    part = domain.packing
+    assert domain.held.any()
+    assert np.abs(part.y[domain.held] - packing.height / 2.0).min() > 0.01
+    np.testing.assert_array_equal(part.preload.shear, packing.preload.shear[domain.pairs])
+    for coordinate in ("x", "y"):
+        given, kept = getattr(packing, coordinate), getattr(part, coordinate)
+        np.testing.assert_array_equal(kept[part.pairs], given[packing.pairs[domain.pairs]])
