@@ -32,7 +32,7 @@ LANES = 8
 ROUNDS = 7
 STEPS = 200
 GRAIN_OPERATIONS = {"finite": 36, "small": 36, "linear": 33}
-"""Vector operations of one disk outside the pair loop, counted in the source of `sweep`: taking and loading the force
+"""Vector operations of one disk outside the pair loop, counted in the source of `motion`: taking and loading the force
 (3), three times damping, kick and drift (10 each), and the watch of the pair list (3)."""
 
 

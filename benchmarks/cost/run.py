@@ -1,0 +1,216 @@
+"""How the cost of a sample grows with disks, lanes, calcite content and ranks.
+
+    python benchmarks/cost/run.py [--json FILE] [--figure docs/cost.png] [--lanes-agree]
+
+Kernel times are CPU seconds of one core, without compilation; those of the ranks are wall times of `calcidem run` on
+a finished packing. With ``--lanes-agree`` two samples at each of the paper's 17 contents are computed side by side and
+one by one, and their velocities compared.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from itertools import product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path.insert(0, str(HERE.parent / "peers"))
+
+from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_pairs, with_time_step
+
+from calcidem.app.configuration_file import load_configuration
+from calcidem.app.packing_source import provide_packing
+from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.scene import Regime
+from calcidem.dem.state import Precision, choose_features, no_recording, run_sweep, start
+
+GRAINS = (1_000, 3_000, 10_000, 30_000, 100_000)
+LANES = (1, 2, 4, 8, 16, 32)
+ROUNDS = 5
+SEEDS = tuple(range(1, 9))
+
+
+def tiled(count: int) -> tuple[Floats, Floats, Floats]:
+    """About ``count`` disks: the paper's packing, cut or laid side by side, in a box three times as high as wide."""
+    stored = cached_packing()
+    width, height = stored["size"]
+    tiles = int(np.ceil(np.sqrt(count / len(stored["x"]))))
+    columns, rows = np.meshgrid(np.arange(tiles), np.arange(tiles))
+    x = np.concatenate([stored["x"] + column * width for column in columns.ravel()])
+    y = np.concatenate([stored["y"] + row * height for row in rows.ravel()])
+    size = np.sqrt(count / len(x))
+    kept = (x < size * tiles * width) & (y < size * tiles * height)
+    return x[kept], y[kept], np.tile(stored["radius"], tiles * tiles)[kept]
+
+
+def seconds_of_a_step(count: int, regime: Regime, lanes: int, precision: Precision = "float64") -> dict[str, float]:
+    """CPU seconds of one step of all lanes, and the contacts it covers."""
+    x, y, radius = tiled(count)
+    rim = np.minimum.reduce([x, x.max() - x, y, y.max() - y]) - 2.0 * radius
+    problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3), 1e-4), 0.3)
+    scene = as_scene(problem)
+    state = start(
+        scene,
+        features=choose_features(scene, regime, lanes),
+        precision=precision,
+        time_step=problem.time_step,
+        velocity=problem.velocity,
+        spin=problem.spin,
+        skin_fraction=problem.skin,
+    )
+    steps = max(20, 400_000 // count)
+    run_sweep(state, 4, no_recording(state))
+    spent = []
+    for _ in range(ROUNDS):
+        before = time.process_time()
+        done = run_sweep(state, steps, no_recording(state))
+        spent.append((time.process_time() - before) / done)
+    return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": median(spent)}
+
+
+def nanoseconds(row: dict[str, float], lanes: int) -> float:
+    """Ns for one contact of one sample and one step."""
+    return 1e9 * row["seconds"] / (row["contacts"] * lanes)
+
+
+def over_grains() -> list[dict[str, Any]]:
+    """Kernel time against the number of disks."""
+    rows = []
+    for regime, count in product(("linear", "finite"), GRAINS):
+        row = seconds_of_a_step(count, regime, 8)  # type: ignore[arg-type]
+        rows.append({"regime": regime, **row, "ns": nanoseconds(row, 8)})
+        print(f"{regime:7} {row['grains']:7} disks {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
+    return rows
+
+
+def over_lanes() -> list[dict[str, Any]]:
+    """Kernel time against the number of samples side by side."""
+    rows = []
+    for regime, precision, lanes in product(("linear", "finite"), ("float64", "float32"), LANES):
+        row = seconds_of_a_step(4670, regime, lanes, precision)  # type: ignore[arg-type]
+        rows.append({"regime": regime, "precision": precision, "lanes": lanes, "ns": nanoseconds(row, lanes)})
+        print(f"{regime:7} {precision} {lanes:2} lanes {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
+    return rows
+
+
+def paper_experiment() -> tuple[Experiment, tuple[float, ...]]:
+    """Experiment and contents of examples/paper.toml."""
+    configuration = load_configuration(ROOT / "examples" / "paper.toml")
+    packing = provide_packing(configuration, None, lambda _: None)
+    return configuration.experiment(packing), configuration.campaign.contents
+
+
+def over_contents() -> list[dict[str, Any]]:
+    """CPU seconds of a sample of the paper's campaign at each content."""
+    experiment, contents = paper_experiment()
+    rows = []
+    for content in contents:
+        spent = []
+        for _ in range(3):
+            before = time.process_time()
+            cells = measure(experiment, content, SEEDS)
+            spent.append((time.process_time() - before) / len(SEEDS))
+        rows.append({"content": content, "seconds": min(spent), "steps": cells[0].record.steps})
+        print(f"{content:5} % {rows[-1]['steps']:6} steps {rows[-1]['seconds']:6.3f} s a sample", flush=True)
+    return rows
+
+
+def over_ranks() -> list[dict[str, Any]]:
+    """Wall time of 8 seeds at the paper's contents without MPI, and with a master and one worker for each core."""
+    rows = []
+    text = (ROOT / "examples" / "paper.toml").read_text().replace("seeds = 116", "seeds = 16")
+    for ranks in (1, 2, *range(3, 2 + (os.cpu_count() or 1))):
+        with tempfile.TemporaryDirectory() as folder:
+            Path(folder, "part.toml").write_text(text)
+            command = [sys.executable, "-m", "calcidem.app", "run", "part.toml", "--ranks", str(ranks)]
+            before = time.perf_counter()
+            subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+            rows.append({"ranks": ranks, "workers": max(1, ranks - 1), "seconds": time.perf_counter() - before})
+        print(f"{ranks} ranks: {rows[-1]['seconds']:.1f} s for {16 * 17} samples", flush=True)
+    return rows
+
+
+def lanes_agree() -> dict[str, Any]:
+    """Compare 34 samples computed side by side with the same ones computed one by one."""
+    experiment, contents = paper_experiment()
+    differences, estimates = [], []
+    for content in contents:
+        beside = measure(experiment, content, SEEDS[:2], lanes=8)
+        for sample in beside:
+            (alone,) = measure(experiment, content, [sample.seed], lanes=1)
+            if sample.vs is None or alone.vs is None or sample.error_estimate is None:
+                raise SystemExit(f"seed {sample.seed} at {content} % has no velocity: {sample.reason or alone.reason}")
+            differences.append(abs(sample.vs / alone.vs - 1.0))
+            estimates.append(sample.error_estimate)
+    found = {"cells": len(differences), "largest": max(differences), "smallest_estimate": min(estimates)}
+    print(f"{found['cells']} samples, 8 lanes against 1: largest difference {found['largest']:.1e} of Vs")
+    return found
+
+
+def draw(results: dict[str, Any], file: Path) -> None:
+    """Four panels: disks, lanes, contents, ranks."""
+    figure, ((grains, lanes), (contents, ranks)) = plt.subplots(2, 2, figsize=(9.0, 6.5), layout="constrained")
+    for regime in ("linear", "finite"):
+        rows = [row for row in results["grains"] if row["regime"] == regime]
+        grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{regime}, 8 lanes")
+        for precision, style in (("float64", "o-"), ("float32", "s--")):
+            rows = [row for row in results["lanes"] if (row["regime"], row["precision"]) == (regime, precision)]
+            lanes.plot(
+                [row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{regime}, {precision}"
+            )
+    contents.plot(
+        [row["content"] for row in results["contents"]], [row["seconds"] for row in results["contents"]], "o-"
+    )
+    workers = [row["workers"] for row in results["ranks"]]
+    ranks.plot(workers, [row["seconds"] for row in results["ranks"]], "o")
+    ranks.plot(workers, [results["ranks"][0]["seconds"] / count for count in workers], ":", label="ideal")
+    titles = (
+        (grains, "disks", "ns a contact-step", "log"),
+        (lanes, "samples side by side (lanes)", "ns a contact-step", "log"),
+        (contents, "calcite content (% of sand mass)", "CPU seconds a sample", "linear"),
+        (ranks, "workers", "seconds for 272 samples", "linear"),
+    )
+    for axes, horizontal, vertical, scale in titles:
+        axes.set(xlabel=horizontal, ylabel=vertical, xscale=scale, yscale="log" if axes is lanes else "linear")
+        axes.grid(alpha=0.3)
+        if axes is not lanes:
+            axes.set_ylim(bottom=0.0)
+        if axes is not contents:
+            axes.legend(frameon=False, fontsize=8)
+    lanes.set_xticks(LANES, [str(count) for count in LANES])
+    ranks.set_xticks(sorted(set(workers)))
+    figure.savefig(file, dpi=130)
+
+
+def main() -> None:
+    """Measure, print, write and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--lanes-agree", action="store_true", help="only compare 34 samples in 8 lanes and in one")
+    options = parser.parse_args()
+    if options.lanes_agree:
+        results: dict[str, Any] = {"lanes_agree": lanes_agree()}
+    else:
+        results = {"grains": over_grains(), "lanes": over_lanes(), "contents": over_contents(), "ranks": over_ranks()}
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1) + "\n")
+    if options.figure and not options.lanes_agree:
+        draw(results, options.figure)
+
+
+if __name__ == "__main__":
+    main()
