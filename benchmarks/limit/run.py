@@ -64,7 +64,7 @@ def bytes_of_a_step(state: State) -> tuple[int, int]:
         read += [pairs.tangent]
     else:
         changed += [pairs.shear]
-        read += [pairs.hertz, pairs.friction]
+        read += [pairs.hertz, pairs.mindlin, pairs.friction]
     if features.rescaling:
         changed += [pairs.inverse_root]
     if features.bonds:

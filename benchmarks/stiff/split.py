@@ -136,7 +136,7 @@ def only_bonds(state: State) -> sparse.csr_array:
         state,
         assembly=replace(
             state.assembly,
-            pairs=pairs._replace(hertz=0.0 * pairs.hertz),
+            pairs=pairs._replace(hertz=0.0 * pairs.hertz, mindlin=0.0 * pairs.mindlin),
             wall_pairs=state.assembly.wall_pairs._replace(hertz=0.0 * state.assembly.wall_pairs.hertz),
         ),
     )

@@ -88,7 +88,7 @@ def overlaps(state: State) -> Floats:
     if state.features.finite:
         now = np.hypot(n[:, :1] * distance + apart[:, 0], n[:, 1:] * distance + apart[:, 1])
         further = (2.0 * distance * along + np.sum(apart**2, axis=1)) / (now + distance)
-    reference: Floats = pairs.geometry[:, 3:].astype(float)
+    reference: Floats = pairs.geometry[:, 3:4].astype(float)
     return reference - further
 
 

@@ -71,7 +71,7 @@ def pair_stiffness(
     """Normal, shear and rotational stiffness of every pair in every lane, each (M, L)."""
     pairs = assembly.pairs
     shape = (len(pairs.second), features.lanes)
-    depth = pairs.geometry[:, 3:] if overlap is None else overlap
+    depth = pairs.geometry[:, 3:4] if overlap is None else overlap
     normal = np.broadcast_to(hertz_tangent(pairs.hertz, depth), shape)
     shear = shear_ratio * normal
     twist = np.zeros(shape)

@@ -245,7 +245,8 @@ def install(scene: Scene, assembly: Assembly, features: Features, preload: Prelo
         return assembly
     if not features.finite:
         # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
-        pairs.hertz[pairs.geometry[:, 3] <= 0.0] = 0.0
+        gaps = pairs.geometry[:, 3] <= 0.0
+        pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
     overlap = np.maximum(pairs.geometry[:, 3], 0.0)[:, None]
     pairs.inverse_root[...] = inverse_roots(pairs.geometry[:, 3], features.lanes, pairs.shear.dtype)
     walls = assembly.wall_pairs

@@ -37,6 +37,7 @@ from calcidem.dem.kernels.vectors import (
     sqrt_vector,
     store_vector,
     write_control_word,
+    zero_vector,
 )
 
 Vector: TypeAlias = Any
@@ -62,6 +63,11 @@ def number(array: Vector, index: tuple[Vector, ...]) -> Vector:
 def spread(value: Vector, width: int) -> Vector:
     """Lane vector with ``value`` in every lane."""
     return np.full(width, value)
+
+
+def zero_like(value: Vector) -> Vector:
+    """Zero in every lane, of the type of ``value``."""
+    return np.zeros_like(value)
 
 
 def mask_of_bits(bits: Vector, width: int) -> Vector:
@@ -148,6 +154,7 @@ overload(load, prefer_literal=True)(
 overload(store)(lambda array, index, value: lambda array, index, value: store_vector(array, index, value))
 overload(number)(lambda array, index: lambda array, index: load_number(array, index))
 overload(spread, prefer_literal=True)(lambda value, width: lambda value, width: spread_scalar(value, width))
+overload(zero_like)(lambda value: lambda value: zero_vector(value))
 overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, width: bits_to_mask(bits, width))
 overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))
 overload(select)(lambda mask, if_true, if_false: lambda mask, if_true, if_false: select_lanes(mask, if_true, if_false))

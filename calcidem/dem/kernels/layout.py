@@ -50,9 +50,12 @@ class Pairs(NamedTuple):
     second: Integers
     """(M,)"""
     geometry: Floats
-    """(M, 4) reference normal x and y from the first to the second disk, centre distance, overlap"""
+    """(M, 6) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, and
+    x and y from the first centre to the second"""
     hertz: Floats
     """(M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5"""
+    mindlin: Floats
+    """(M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5"""
     tangent: Floats
     """(M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m"""
     friction: Floats

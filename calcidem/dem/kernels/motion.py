@@ -8,6 +8,7 @@ from calcidem.dem.kernels.lanes import (
     number,
     row,
     store,
+    zero_like,
 )
 from calcidem.dem.kernels.laws import damped
 from calcidem.dem.kernels.layout import Front, Grains, Motion, Watch
@@ -26,7 +27,7 @@ def integrate(
 ) -> Vector:
     """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
     lanes = features.lanes
-    square = dt * 0.0
+    square = zero_like(dt)
     inverse = number(grains.inverse_mass, (grain,))
     x = kick(features, grain, 0, level, inverse, dt, grains, motion, front, watch)
     y = kick(features, grain, 1, level, inverse, dt, grains, motion, front, watch)
@@ -80,7 +81,7 @@ def taken_force(features: Features, grain: int, component: int, level: int, fron
     """Return the sum of the contact forces on a disk; clear its slot for a later disk."""
     slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
     force = load(front.force, (row(slot, component),), features.lanes)
-    store(front.force, (row(slot, component),), force * 0.0)
+    store(front.force, (row(slot, component),), zero_like(force))
     return force
 
 

@@ -13,7 +13,9 @@ from calcidem.dem.kernels.lanes import (
     number,
     row,
     select,
+    spread,
     store,
+    zero_like,
 )
 from calcidem.dem.kernels.laws import bond_fails, coulomb_limit, hertz_normal, mindlin_shear, rescaled_shear
 from calcidem.dem.kernels.layout import Front, Grains, Motion, Pairs, Watch
@@ -28,7 +30,6 @@ def pair_forces(
     pair: int,
     level: int,
     dt: Vector,
-    shear_ratio: float,
     grains: Grains,
     motion: Motion,
     pairs: Pairs,
@@ -41,9 +42,7 @@ def pair_forces(
     if features.linear:
         normal, shear, moment = linear_law(features, first, second, pair, geometry, motion, pairs)
     else:
-        normal, shear, moment = general_law(
-            features, first, second, pair, dt, shear_ratio, geometry, motion, pairs, watch
-        )
+        normal, shear, moment = general_law(features, first, second, pair, dt, geometry, motion, pairs, watch)
     normal_x, normal_y, _, arm_first, arm_second, _ = geometry
     along_x = normal * normal_x - shear * normal_y
     along_y = normal * normal_y + shear * normal_x
@@ -75,25 +74,25 @@ def pair_geometry(
     reference_distance, overlap = number(pairs.geometry, (pair, 2)), number(pairs.geometry, (pair, 3))
     apart_x, apart_y = relative(features, first, second, motion.displacement)
     if features.finite:
-        before_x, before_y = reference_x * reference_distance, reference_y * reference_distance
+        before_x, before_y = number(pairs.geometry, (pair, 4)), number(pairs.geometry, (pair, 5))
         x, y = apart_x + before_x, apart_y + before_y
         square = x * x + y * y
         inverse = inverse_root_of(square)
         # By how much the distance grew: the root of a large number first, then one of Newton's steps on
         # ``longer (2 reference + longer) = x^2 - reference^2``, whose right side is free of cancellation.
         grown = (x + before_x) * apart_x + (y + before_y) * apart_y
-        longer = square * inverse - reference_distance
-        longer = longer + 0.5 * inverse * (grown - longer * (longer + 2.0 * reference_distance))
+        distance = square * inverse
+        longer = distance - reference_distance
+        longer = longer + 0.5 * inverse * (grown - longer * (distance + reference_distance))
         depth = overlap - longer
         arm_first = number(grains.radius, (first,)) - 0.5 * depth
         arm_second = number(grains.radius, (second,)) - 0.5 * depth
         return x * inverse, y * inverse, depth, arm_first, arm_second, inverse
-    nothing = apart_x * 0.0
-    normal_x, normal_y = nothing + reference_x, nothing + reference_y
+    normal_x, normal_y = spread(reference_x, features.lanes), spread(reference_y, features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
-    arm_first = nothing + (number(grains.radius, (first,)) - 0.5 * overlap)
-    arm_second = nothing + (number(grains.radius, (second,)) - 0.5 * overlap)
-    return normal_x, normal_y, overlap - along, arm_first, arm_second, nothing
+    arm_first = spread(number(grains.radius, (first,)), features.lanes) - 0.5 * overlap
+    arm_second = spread(number(grains.radius, (second,)), features.lanes) - 0.5 * overlap
+    return normal_x, normal_y, overlap - along, arm_first, arm_second, zero_like(along)
 
 
 @inlined
@@ -119,7 +118,7 @@ def slide_and_twist(
         turn_first = load(field, (row(first, 2),), lanes)
         turn_second = load(field, (row(second, 2),), lanes)
         return slide - arm_first * turn_first - arm_second * turn_second, turn_second - turn_first
-    return slide, slide * 0.0
+    return slide, zero_like(slide)
 
 
 @inlined
@@ -135,18 +134,17 @@ def linear_law(
     """Return normal force, shear force and moment that constant stiffnesses add to the reference state."""
     slide, twist = slide_and_twist(features, first, second, geometry, motion.displacement)
     closer = geometry[2] - number(pairs.geometry, (pair, 3))
-    nothing = twist * 0.0
     if features.bonds:
         intact = mask_of_bits(number(pairs.intact, (pair,)), features.lanes)
         normal_stiffness, shear_stiffness = number(pairs.bond, (pair, 0)), number(pairs.bond, (pair, 1))
         if features.linear_group:
             normal_stiffness = normal_stiffness + number(pairs.linear, (pair, 0))
             shear_stiffness = shear_stiffness + number(pairs.linear, (pair, 1))
-        normal = select(intact, nothing + normal_stiffness, number(pairs.tangent, (pair, 0)))
-        shear = select(intact, nothing + shear_stiffness, number(pairs.tangent, (pair, 1)))
-        bending = select(intact, nothing + number(pairs.bond, (pair, 2)), 0.0)
+        normal = select(intact, spread(normal_stiffness, features.lanes), number(pairs.tangent, (pair, 0)))
+        shear = select(intact, spread(shear_stiffness, features.lanes), number(pairs.tangent, (pair, 1)))
+        bending = select(intact, spread(number(pairs.bond, (pair, 2)), features.lanes), 0.0)
         return normal * closer, -(shear * slide), -(bending * twist)
-    return closer * number(pairs.tangent, (pair, 0)), slide * -number(pairs.tangent, (pair, 1)), nothing
+    return closer * number(pairs.tangent, (pair, 0)), -(slide * number(pairs.tangent, (pair, 1))), zero_like(slide)
 
 
 @inlined
@@ -156,7 +154,6 @@ def general_law(
     second: int,
     pair: int,
     dt: Vector,
-    shear_ratio: float,
     geometry: Geometry,
     motion: Motion,
     pairs: Pairs,
@@ -166,13 +163,13 @@ def general_law(
     speed, spin = slide_and_twist(features, first, second, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:
-        normal, shear = frictional_law(features, pair, shear_ratio, geometry[2], slide, pairs, watch)
-        return normal, shear, slide * 0.0
+        normal, shear = frictional_law(features, pair, geometry[2], slide, pairs, watch)
+        return normal, shear, zero_like(slide)
     approach = relative_approach(features, first, second, geometry, dt, motion)
     normal, shear, moment = bond_forces(features, pair, slide, spin * dt, approach, geometry[2], pairs, watch)
     if features.linear_group or number(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
         # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
-        friction = frictional_law(features, pair, shear_ratio, geometry[2], slide, pairs, watch)
+        friction = frictional_law(features, pair, geometry[2], slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
     return normal, shear, moment
 
@@ -181,7 +178,6 @@ def general_law(
 def frictional_law(
     features: Features,
     pair: int,
-    shear_ratio: float,
     overlap: Vector,
     slide: Vector,
     pairs: Pairs,
@@ -193,7 +189,7 @@ def frictional_law(
     """
     lanes = features.lanes
     normal, root, inverse_root = hertz_normal(overlap, number(pairs.hertz, (pair,)))
-    stiffness = root * (1.5 * number(pairs.hertz, (pair,)) * shear_ratio)
+    stiffness = root * number(pairs.mindlin, (pair,))
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
@@ -204,21 +200,21 @@ def frictional_law(
         depth = overlap - number(pairs.linear, (pair, 2))
         pressed = select(depth > 0.0, depth, 0.0)
         normal = select(cemented, pressed * number(pairs.linear, (pair, 0)), normal)
-        stiffness = select(cemented, stiffness * 0.0 + number(pairs.linear, (pair, 1)), stiffness)
+        stiffness = select(cemented, spread(number(pairs.linear, (pair, 1)), lanes), stiffness)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
     shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)
     if features.slip:
         shear = coulomb_limit(shear, normal * number(pairs.friction, (pair,)))
     elif number(pairs.friction, (pair,)) <= 0.0:
-        shear = shear * 0.0
+        shear = zero_like(shear)
     if features.bonds and not features.linear_group:
         intact = mask_of_bits(number(pairs.intact, (pair,)), lanes)
-        normal = select(intact, normal * 0.0, normal)
-        shear = select(intact, shear * 0.0, shear)
+        normal = select(intact, 0.0, normal)
+        shear = select(intact, 0.0, shear)
     store(pairs.shear, (pair,), shear)
     if features.account:
-        before = (1.5 * number(pairs.hertz, (pair,)) * shear_ratio) / load(pairs.inverse_root, (pair,), lanes)
+        before = number(pairs.mindlin, (pair,)) / load(pairs.inverse_root, (pair,), lanes)
         if features.linear_group:
             before = select(mask_of_bits(number(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)

@@ -149,7 +149,7 @@ def sweep_together(
             begin = (leading - level) * front.block
             end = min(count, begin + front.block)
             for pair in range(number(pairs.start, (begin,)), number(pairs.start, (end,))):
-                pair_forces(features, pair, level, dt, shear_ratio, grains, motion, pairs, front, watch)
+                pair_forces(features, pair, level, dt, grains, motion, pairs, front, watch)
             for pair in range(number(wall_pairs.start, (begin,)), number(wall_pairs.start, (end,))):
                 wall_forces(features, pair, level, dt, shear_ratio, grains, motion, wall_pairs, walls, front, watch)
             for grain in range(begin, end):

@@ -239,6 +239,18 @@ def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
     return lane(number, width), codegen
 
 
+@intrinsic
+def zero_vector(typingctx: Any, value: Any) -> Any:
+    """Compiled side of `zero_like`."""
+    del typingctx
+
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, builder, sig
+        return ir.Constant(args[0].type, None)
+
+    return value(value), codegen
+
+
 @intrinsic(prefer_literal=True)
 def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
     """Compiled side of `mask_of_bits`."""

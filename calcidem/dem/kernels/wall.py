@@ -16,6 +16,7 @@ from calcidem.dem.kernels.lanes import (
     select,
     smaller,
     store,
+    zero_like,
 )
 from calcidem.dem.kernels.laws import coulomb_limit, hertz_normal, mindlin_shear, rescaled_shear
 from calcidem.dem.kernels.layout import Front, Grains, Motion, Recording, WallPairs, Walls, Watch
@@ -44,7 +45,7 @@ def wall_forces(
     field = motion.displacement
     away = normal_x * load(field, (row(grain, 0),), lanes) + normal_y * load(field, (row(grain, 1),), lanes)
     depth = number(wall_pairs.overlap, (pair,)) + (load(front.wall_motion, (level, wall, 0), lanes) - away)
-    arm = away * 0.0 + (number(grains.radius, (grain,)) - 0.5 * number(wall_pairs.overlap, (pair,)))
+    arm = zero_like(away) + (number(grains.radius, (grain,)) - 0.5 * number(wall_pairs.overlap, (pair,)))
     if features.finite:
         arm = number(grains.radius, (grain,)) - 0.5 * depth
     if features.linear:
@@ -52,7 +53,7 @@ def wall_forces(
         closer = depth - number(wall_pairs.overlap, (pair,))
         normal, stiffness = (
             closer * number(wall_pairs.tangent, (pair, 0)),
-            away * 0.0 + number(wall_pairs.tangent, (pair, 0)),
+            zero_like(away) + number(wall_pairs.tangent, (pair, 0)),
         )
         shear = slide * -number(wall_pairs.tangent, (pair, 1))
     else:
@@ -111,7 +112,7 @@ def wall_law(
     if features.slip:
         shear = coulomb_limit(shear, normal * friction)
     elif friction <= 0.0:
-        shear = shear * 0.0
+        shear = zero_like(shear)
     if features.account:
         before = (1.5 * number(wall_pairs.hertz, (pair,))) / load(wall_pairs.inverse_root, (pair,), lanes)
         add_shear_loss(features, old, shear, before * shear_ratio, stiffness * shear_ratio, slide, watch)
@@ -152,7 +153,7 @@ def start_walls(
             store(front.wall_motion, (0, wall, component), load(walls.motion, (wall, component), features.lanes))
         for level in range(together):
             for component in range(3):
-                store(front.reaction, (level, wall, component), dt * 0.0)
+                store(front.reaction, (level, wall, component), zero_like(dt))
         for level in range(together - 1):
             move_wall(features, wall, level, step + level, dt, walls, front, recording, watch)
 
@@ -238,5 +239,5 @@ def servo_speed(features: Features, wall: int, level: int, dt: Vector, walls: Wa
     lacking = target - load(front.reaction, (level, wall, 0), lanes)
     stiffness = load(front.reaction, (level, wall, 2), lanes)
     loaded = stiffness > 0.0
-    speed = select(loaded, gain * lacking / (select(loaded, stiffness, 1.0) * dt), lacking * 0.0 + fastest)
-    return smaller(larger(speed, lacking * 0.0 - fastest), lacking * 0.0 + fastest)
+    speed = select(loaded, gain * lacking / (select(loaded, stiffness, 1.0) * dt), zero_like(lacking) + fastest)
+    return smaller(larger(speed, zero_like(lacking) - fastest), zero_like(lacking) + fastest)
