@@ -131,6 +131,7 @@ def choose_features(
         damping=bool(np.any(np.asarray(scene.damping) > 0.0)),
         servo=any(wall.servo_force is not None for wall in scene.walls) and not linear,
         search=regime == "finite",
+        loads=scene.load is not None,
         account=account and not linear,
     )
 

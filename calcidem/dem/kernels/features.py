@@ -37,6 +37,8 @@ class Features:
         The pair list is watched and renewed.
     recording
         A wall is driven, signals are written.
+    loads
+        Constant external forces act on some disks.
     account
         Works and losses are summed up for an energy balance.
     """
@@ -54,6 +56,7 @@ class Features:
     servo: bool = False
     search: bool = False
     recording: bool = False
+    loads: bool = True
     account: bool = False
 
     def __post_init__(self) -> None:

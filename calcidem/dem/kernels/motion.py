@@ -55,7 +55,9 @@ def kick(
 ) -> Vector:
     """Leapfrog update of one degree of freedom; return the new displacement."""
     lanes = features.lanes
-    force = taken_force(features, grain, component, level, front) + number(grains.load, (grain, component))
+    force = taken_force(features, grain, component, level, front)
+    if features.loads:
+        force = force + number(grains.load, (grain, component))
     velocity = load(motion.velocity, (row(grain, component),), lanes)
     driving = force
     if features.damping:
