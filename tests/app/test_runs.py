@@ -180,7 +180,7 @@ def test_restarts_come_to_an_end(workshop: Workshop) -> None:
 
 def test_a_silent_master_is_said(workshop: Workshop) -> None:
     """A stopped rank 0 is told on stderr with its process, nothing is killed, and once continued the run completes."""
-    workshop.configure(seeds=2, contents=(0.0, 5.0))
+    workshop.configure(contents=(0.66, 5.0))
     program = "from calcidem.app import command_line, launch; launch.SILENCE = 1.0; command_line.main()"
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)
     workshop.wait_for_cells(1)
