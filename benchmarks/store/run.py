@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
-from itertools import islice
+from itertools import cycle, islice
 from pathlib import Path
 
 import matplotlib as mpl
@@ -203,13 +203,15 @@ Row = tuple[int, str, float, float, float]
 
 def draw(rows: list[Row], file: Path) -> None:
     """Draw seconds of computing against cells, a line for each question."""
-    figure, axes = plt.subplots(figsize=(7.2, 5.0), layout="constrained")
-    for title in dict.fromkeys(title for _, title, *_ in rows):
+    figure, axes = plt.subplots(figsize=(7.2, 6.0), layout="constrained")
+    colors, markers = cycle([*mpl.color_sequences["tab10"], "black"]), cycle("os^vD")
+    for title, _ in QUESTIONS.values():
         points = sorted((count, cpu) for count, name, _, cpu, _ in rows if name == title)
-        axes.plot(*zip(*points, strict=True), marker="o", label=title.replace("`", ""))
+        line = {"marker": next(markers), "markersize": 5, "color": next(colors)}
+        axes.plot(*zip(*points, strict=True), label=title.replace("`", ""), **line)
     axes.set(xscale="log", yscale="log", xlabel="cells in the database", ylabel="seconds of computing")
     axes.grid(alpha=0.3)
-    figure.legend(loc="outside right upper", fontsize=7, frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     figure.savefig(file, dpi=120)
 
 

@@ -113,10 +113,9 @@ def launch_once(command: Sequence[str], relay: "Relay") -> Ended:
         )
         with relay.to(process):
             code = watched(process, Listener(note))
-        if note.exists():
-            own_code, *reason = note.read_text(encoding="ascii").split()
+        if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-            return Ended(int(own_code), asked=bool(reason) and reason[0] != signal.SIGTERM.name)
+            return Ended(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
     cut_off = began or code == 0 or code < 0 or code > KILLED
     advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"

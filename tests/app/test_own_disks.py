@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from calcidem.app.campaign import run
 from calcidem.app.configuration_errors import ConfigurationError
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.opened_campaign import open_campaign
@@ -15,6 +16,7 @@ from calcidem.app.packing_source import provide_packing
 from calcidem.app.verification import random_cells, verify
 from calcidem.dem.packing import PackingError
 from calcidem.dem.packing_file import read_disks
+from calcidem.storage.errors import CampaignMismatchError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,8 +56,9 @@ def own(workshop: Workshop) -> Path:
     return folder
 
 
-def test_own_disks_make_a_campaign(workshop: Workshop, own: Path) -> None:
+def test_own_disks_make_a_campaign(workshop: Workshop, own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command computes on the disks of the file beside the configuration, confirms itself and goes on."""
+    results = workshop.folder / "results"
     done = workshop.run("run", "own/c.toml", "--output", "results")
     assert done.code == 0, done.errors
     radius = read_disks(own / "disks.csv")[2]
@@ -70,18 +73,16 @@ def test_own_disks_make_a_campaign(workshop: Workshop, own: Path) -> None:
     (own / "disks.csv").rename(own / "same.csv")
     text = (own / "c.toml").read_text().replace("disks.csv", str(own / "same.csv")).replace("seeds = 2", "seeds = 3")
     (workshop.folder / "moved.toml").write_text(text)
-    workshop.variables["CALCIDEM_CACHE"] = str(own / "empty")
-    extended = workshop.run("run", "moved.toml")
-    assert extended.code == 0, extended.errors
-    assert "taken from the database" in extended.output
+    monkeypatch.setenv("CALCIDEM_CACHE", str(own / "empty"))
+    run(workshop.folder / "moved.toml", output=results).close()
     assert workshop.attempts() == 3
+    assert not (own / "empty").exists()  # the packing came from the database
 
     # Other disks are another campaign.
     lines = (own / "same.csv").read_text().splitlines(keepends=True)
     (own / "same.csv").write_text("".join(lines[:-1]))
-    refused = workshop.run("run", "moved.toml")
-    assert refused.code == 2
-    assert "packing.file_sha256: " in refused.errors
+    with pytest.raises(CampaignMismatchError, match=r"packing\.file_sha256: "):
+        run(workshop.folder / "moved.toml", output=results)
 
 
 def test_the_name_of_the_file_is_no_physics(own: Path) -> None:

@@ -180,13 +180,13 @@ def test_restarts_come_to_an_end(workshop: Workshop) -> None:
 
 def test_a_silent_master_is_said(workshop: Workshop) -> None:
     """A stopped rank 0 is told on stderr with its process, nothing is killed, and once continued the run completes."""
-    workshop.configure(contents=(0.0, 5.0))
+    workshop.configure(contents=(0.66, 5.0))
     program = "from calcidem.app import command_line, launch; launch.SILENCE = 1.0; command_line.main()"
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)
     workshop.wait_for_cells(1)
     master = workshop.processes("OMPI_COMM_WORLD_RANK=0")[0]
     os.kill(master, signal.SIGSTOP)
-    time.sleep(4.0)
+    time.sleep(3.0)
     os.kill(master, signal.SIGCONT)
     done = workshop.wait(process)
     assert done.code == 0, done.errors
