@@ -18,7 +18,8 @@ from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 
 TURNING = 2.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
-SLIP = 1.0  # error of contacts that do not slip over (shear stress of the wave / confining stress)^3
+SLIP = 0.1  # error of weak contacts that do not slip over (shear stress of the wave / confining stress)
+SLIDING = 1.0  # error of a sample that does not slip as a whole over the cube of that ratio
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
 INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
@@ -276,7 +277,8 @@ def discretisation_error(
       up to a tenth of an interval.
     - Regime: a loaded contact that turns pushes sideways with ``F_n / (k_n R)`` of its stiffness, in proportion to
       overlap over radius; constant stiffnesses miss what the stroke of the pulse, compared with the overlap, changes,
-      and the slip that begins where the shear stress of the wave, ``2 rho V v0``, nears the confining stress.
+      and slip. Contact forces are spread down to nothing, so that a part of the contacts slips that grows in proportion
+      to the shear stress of the wave, ``2 rho V v0``, over the confining stress; as that ratio nears one, all do.
     - Precision: rounding of single precision moves broad peaks.
     - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
       frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
@@ -291,8 +293,8 @@ def discretisation_error(
     if wave.regime == "linear":
         impedance = experiment.sand.density * packing.width / travel_time
         confinement = experiment.stiffness_factor * float(np.mean(packing.report.wall_stress))
-        slip = SLIP * (2.0 * wave.amplitude * impedance / confinement) ** 3
-        regime += STIFFENING * wave.amplitude / frequency / overlap + slip
+        ratio = 2.0 * wave.amplitude * impedance / confinement
+        regime += STIFFENING * wave.amplitude / frequency / overlap + SLIP * ratio + SLIDING * ratio**3
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
     # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))

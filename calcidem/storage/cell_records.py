@@ -111,7 +111,8 @@ class CellResult:
     steps : int or None
         Steps made.
     energy_error : float or None
-        Largest error of the energy balance relative to the energy put in.
+        Largest error of the energy balance relative to the energy put in; None for waves, which keep no account of
+        energies.
     error_estimate : float or None
         Estimated numerical error of `vs`, relative.
     content_reached : float or None

@@ -63,7 +63,7 @@ def test_a_packing_near_isostaticity_is_measured_right() -> None:
     packing = small_packing(5.0e3, 1.0)
     assert packing.report.coordination_number_without_rattlers < 3.6
     scene = Packed(5.0e3, 1.0, 2.0, "linear")
-    assert judge_packed(scene, packed_experiment(packing, "linear")).verdict != Verdict.WRONG
+    assert judge_packed(scene, packed_experiment(packing, scene)).verdict != Verdict.WRONG
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])

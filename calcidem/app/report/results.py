@@ -202,15 +202,14 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
                 number(_typical(column["time_step"] / column["stability_limit"]), 2),
                 number(_typical(column["steps"])),
                 significant(100 * _largest(column["error_estimate"]), 2),
-                significant(100 * _largest(abs(column["energy_error"])), 2),
                 number(relative, 2),
                 duration(_typical(column["seconds"])),
             )
         )
     return Table(
         "Numerical error, statistical error and cost at each content (medians; largest errors). The estimate of "
-        "the numerical error covers time step and sampling; the statistical error is the standard error of the "
-        "mean.",
+        "the numerical error covers time step, sampling, regime, precision and noise; the statistical error is the "
+        "standard error of the mean.",
         (
             "content (%)",
             "frequency (kHz)",
@@ -218,7 +217,6 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
             "step / limit",
             "steps",
             "numerical error of Vs (%)",
-            "energy error (%)",
             "statistical error of the mean (%)",
             "time for a cell",
         ),

@@ -30,7 +30,7 @@ WALKS: dict[str, tuple[float, ...]] = {
     "floating": (0, 1, 2, 3),
 }
 """Values of each quantity; all others stay as `Extreme` has them, except those of `BASES`."""
-BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(content=0.9, amplitude=1e-3)}
+BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(amplitude=1e-3)}
 """Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
 
@@ -60,9 +60,6 @@ def packing_map(
         for friction in FRICTIONS:
             progress(f"packing under {stress:g} Pa, friction {friction:g}")
             packing = small_packing(stress, friction)
-            found += [
-                judge_packed(Packed(stress, friction, content, regime), packed_experiment(packing, regime))
-                for content in CONTENTS
-                for regime in REGIMES
-            ]
+            scenes = [Packed(stress, friction, content, regime) for content in CONTENTS for regime in REGIMES]
+            found += [judge_packed(scene, packed_experiment(packing, scene)) for scene in scenes]
     return tuple(found)

@@ -18,7 +18,10 @@ STRESSES = (1.0e2, 5.0e3, 5.0e5)  # Pa
 FRICTIONS = (0.0, 0.2, 1.0)  # while packing
 CONTENTS = (0.0, 2.0)  # percent
 WIDTH, HEIGHT = 0.025, 0.04  # m
+BALANCE = 1.0e-7  # unbalanced-force ratio; so few contacts take long to come to rest
 STROKE = 0.1  # of the pulse over the mean overlap
+SLOW = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
+CEMENTED = 2.0e4  # frequency for cemented samples, Hz: bonds carry the wave, whatever presses the contacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +51,18 @@ class Packed:
 
 def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
-    rule = PackingRule(width=WIDTH, height=HEIGHT, stress=stress, friction_preparation=friction)
+    rule = PackingRule(width=WIDTH, height=HEIGHT, stress=stress, friction_preparation=friction, balance=BALANCE)
     return make_packing(rule, Sand(), np.random.default_rng(seed))
 
 
-def packed_experiment(packing: Packing, regime: Regime) -> Experiment:
+def packed_experiment(packing: Packing, scene: Packed) -> Experiment:
     """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
     sand = Sand()
     radius = float(np.mean(packing.radius))
     coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
     stiffness = 1.5 * coefficient * np.sqrt(packing.report.mean_overlap)
     cut_off = float(np.sqrt(stiffness / (sand.density * np.pi * radius**2)) / np.pi)
-    frequency = 0.1 * cut_off
+    frequency = CEMENTED if scene.content > 0.0 else SLOW * cut_off
     wave = WaveRule(
         amplitude=STROKE * packing.report.mean_overlap * frequency,
         transmitter_half_width=HEIGHT / 5.0,
@@ -67,6 +70,6 @@ def packed_experiment(packing: Packing, regime: Regime) -> Experiment:
         boundary_thickness=HEIGHT / 8.0,
         listening_depth=5.0 * radius,
         slowest=0.3 * radius * cut_off,
-        regime=regime,
+        regime=scene.regime,
     )
     return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))

@@ -71,7 +71,9 @@ def described(judgement: Judgement) -> str:
     """Give the velocity and its error, or the verdict and the start of its reason."""
     if judgement.verdict == Verdict.STABLE and judgement.vs is not None:
         return f"{judgement.vs:.3g} m/s" + (f" ({judgement.error:+.1e})" if judgement.error is not None else "")
-    return f"{judgement.verdict}: {judgement.reason.split(':')[0]}"
+    # Of "amplitude = 1: unbalanced forces ..., more than ..." the cause is wanted, of others the first clause.
+    clauses = judgement.reason.split(": ")
+    return f"{judgement.verdict}: {clauses[1 if ' = ' in clauses[0] else 0].split(',')[0]}"
 
 
 def limit_table(limits: Mapping[float, Sequence[Limits]]) -> list[str]:
