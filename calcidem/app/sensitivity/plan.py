@@ -31,8 +31,8 @@ class ListedVariant(BaseModel):
         Keys to leave out, so that they have their defaults.
     against
         Name of another variant to compare with, for one that is an alternative only together with that.
-    contents
-        Instead of those of the file, percent.
+    contents, seeds
+        Instead of those of the file, for variants that cost much.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -43,6 +43,7 @@ class ListedVariant(BaseModel):
     without: list[str] = Field(default_factory=list)
     against: str = REFERENCE
     contents: list[float] | None = None
+    seeds: int | None = Field(default=None, ge=2)
 
     @property
     def name(self) -> str:
@@ -126,7 +127,7 @@ def _variant(entry: ListedVariant, base: Mapping[str, Any], plan: ListedPlan, so
     for place in entry.without:
         section, _, key = place.partition(".")
         document.get(section, {}).pop(key, None)
-    own = {"name": name, "seeds": plan.seeds, "contents": entry.contents or plan.contents}
+    own = {"name": name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
     document["campaign"] = {**document.get("campaign", {}), **own}
     configuration = read_configuration(document, f"{source}, {name}")
     return Variant(name, entry.choice, entry.value, entry.against, configuration)

@@ -32,10 +32,12 @@ def compute(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
 
 
 def velocities(variant: Variant) -> xr.DataArray | None:
-    """Vs of a variant, m/s along (seed, content); None if nothing of it was computed."""
+    """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
+    plan = variant.configuration.campaign
     try:
         with open_campaign(variant.configuration.database, variant.name) as campaign:
-            return campaign.vs()
+            # A database may hold more, from an earlier plan.
+            return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     except UnknownCampaignError:
         return None
 
