@@ -13,11 +13,13 @@ import argparse
 import os
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "app" / "robustness" / "programs"))
 
@@ -26,8 +28,14 @@ from fault_matrix import Trial, all_cases, judge, reference
 SEEDS_TO_KILL = 400
 """More than 100 interrupted runs can compute."""
 
-LATEST_KILL = 12.0
-"""Seconds after the start; by then a run has loaded its libraries and stored results for some seconds."""
+EARLY = 0.25
+"""Share of the kills that do not wait for a result."""
+
+LATEST_KILL = 3.0
+"""Seconds after the first new result, or after the start for the early ones."""
+
+PATIENCE = 60.0
+"""Seconds after which a kill waits for no result any more."""
 
 STARTUP = 20.0
 """Seconds that a rank may take to load its libraries; only then can it see that its launcher is gone."""
@@ -65,7 +73,7 @@ def run_kills(top: Path, cache: Path, kills: int) -> bool:
     known: dict[tuple[int, float], tuple[object, ...]] = {}
     for _ in range(kills):
         process = trial.start()
-        time.sleep(numbers.uniform(0.5, LATEST_KILL))
+        wait_for_the_moment(trial, process, numbers)
         victims[kill_one(trial, process.pid, numbers)] += 1
         time.sleep(0.3)
         if process.poll() is None:
@@ -87,6 +95,15 @@ def run_kills(top: Path, cache: Path, kills: int) -> bool:
         f"{changed}; databases damaged {damaged}; runs that left processes {left}"
     )
     return not (lost or damaged or left or changed)
+
+
+def wait_for_the_moment(trial: Trial, process: subprocess.Popen[Any], numbers: random.Random) -> None:
+    """Sleep until a random moment: soon after the start, or soon after the first new result of a run."""
+    if numbers.random() >= EARLY:
+        known, until = len(trial.acknowledged()), time.monotonic() + PATIENCE
+        while process.poll() is None and time.monotonic() < until and len(trial.acknowledged()) == known:
+            time.sleep(0.05)
+    time.sleep(numbers.uniform(0.0, LATEST_KILL))
 
 
 def kill_one(trial: Trial, command: int, numbers: random.Random) -> str:

@@ -16,7 +16,11 @@ from calcidem.dem.wave import SAMPLES_PER_CHUNK, WaveRule, listening_disks, prep
 from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 RULE = WaveRule(
-    transmitter_half_width=0.006, receiver_half_width=0.006, boundary_thickness=0.022, listening_depth=0.006
+    transmitter_half_width=0.006,
+    receiver_half_width=0.006,
+    boundary_thickness=0.022,
+    listening_depth=0.006,
+    damping=0.05,
 )
 FREQUENCY = 10_000.0
 STRIDE = 20
