@@ -13,17 +13,19 @@ import argparse
 import os
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "app" / "robustness" / "programs"))
 
 from fault_matrix import Trial, all_cases, judge, reference
+
+if TYPE_CHECKING:
+    import subprocess
 
 SEEDS_TO_KILL = 400
 """More than 100 interrupted runs can compute."""
