@@ -16,7 +16,7 @@ from calcidem.dem.pulse import excitation_frequency
 from calcidem.dem.scene import Installation
 from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 
-TURNING = 2.0  # error of a fixed geometry over (mean overlap / mean radius)
+TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
 SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
 SINGLE_PRECISION = 1.0e-3  # error of single precision
