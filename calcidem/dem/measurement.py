@@ -19,6 +19,7 @@ from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
 SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
+IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unrest`
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
 INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
@@ -262,9 +263,9 @@ def judged(
 def discretisation_error(
     experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool = False
 ) -> float:
-    """Estimated relative error of a velocity by step, sampling, regime, precision and noise.
+    """Estimated relative error of a velocity by step, sampling, regime, precision, noise and imbalance.
 
-    Five parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
+    Six parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
     measured against converged runs of the same cells (docs/accuracy.md), each so that it covers 95 % of the cells.
 
     - Step: local damping looks at velocities half a step old, an error of first order; leapfrog shifts frequencies by
@@ -276,6 +277,7 @@ def discretisation_error(
     - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
       frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
       onset level: chattering contacts make it, and another step another one.
+    - Imbalance: local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced.
     """
     wave = experiment.wave
     omega = 2.0 * np.pi * frequency
@@ -286,7 +288,7 @@ def discretisation_error(
     # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision, noise]))
+    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision, noise, IMBALANCE * record.unrest]))
 
 
 def regime_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
