@@ -272,7 +272,7 @@ def discretisation_error(
       ``(omega dt)^2 / 24``, and the shortest waves of a pulse have about three times its frequency.
     - Sampling: the smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by
       up to a tenth of an interval.
-    - Regime: see `regime_error`.
+    - Regime: see `geometry_error` and `slip_error`.
     - Precision: rounding of single precision moves broad peaks.
     - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
       frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
@@ -283,32 +283,38 @@ def discretisation_error(
     omega = 2.0 * np.pi * frequency
     step = 0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0
     sampling = 0.1 * record.interval / travel_time
-    regime = regime_error(experiment, frequency, travel_time)
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
-    # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
+    # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision, noise, IMBALANCE * record.unrest]))
+    regime = shape * geometry_error(experiment, frequency) + slip_error(experiment, frequency, travel_time)
+    return float(np.linalg.norm([step, sampling, regime, shape * precision, noise, IMBALANCE * record.unrest]))
 
 
-def regime_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
-    """Estimated relative error of a velocity by a regime that leaves out what the finite one has.
+def geometry_error(experiment: Experiment, frequency: float) -> float:
+    """Estimated relative error of a velocity by geometry and stiffnesses that a regime takes for constant.
 
     - A loaded contact that turns pushes sideways with ``F_n / (k_n R)`` of its stiffness, in proportion to overlap over
       radius. A fixed geometry has none of that.
-    - Constant stiffnesses also miss what the stroke of the pulse, compared with the overlap, changes,
-    - and slip, see `slip_ratio`. The share of contacts so weakly pressed that they slip rises with about the square of
-      the ratio, and what each does not pass on in proportion to it.
+    - Constant stiffnesses also miss what the stroke of the pulse, compared with the overlap, changes.
     """
     wave, packing = experiment.wave, experiment.packing
     if wave.regime == "finite":
         return 0.0
     overlap = packing.report.mean_overlap
     turning = TURNING * overlap / float(np.mean(packing.radius))
-    if wave.regime == "small":
-        return turning
-    stroke = wave.amplitude / frequency
-    return turning + STIFFENING * stroke / overlap + SLIP * slip_ratio(experiment, frequency, travel_time) ** 3
+    return turning + (STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0)
+
+
+def slip_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
+    """Estimated relative error of a velocity by contacts that do not slip in the linear regime.
+
+    The share of contacts so weakly pressed that they slip rises with about the square of `slip_ratio`, and what each of
+    them does not pass on in proportion to it.
+    """
+    if experiment.wave.regime != "linear":
+        return 0.0
+    return SLIP * slip_ratio(experiment, frequency, travel_time) ** 3
 
 
 def slip_ratio(experiment: Experiment, frequency: float, travel_time: float) -> float:
