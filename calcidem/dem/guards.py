@@ -5,6 +5,7 @@ steps, so whatever starts between two looks is beyond every bound at the second.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -97,26 +98,35 @@ def lanes_where(flags: npt.NDArray[np.bool_]) -> list[int]:
     return found
 
 
-def refuse_restless(state: State, amplitude: float) -> None:
-    """Raise a `ValueError` if unbalanced forces alone would move the disks of a sample nearly as a pulse does.
+def unrest(state: State, amplitude: float) -> Floats:
+    """(L,) speed at which unbalanced forces alone move the disks of a sample, rms, over the amplitude of the pulse.
 
-    A disk with the net force F swings with about ``F / (m omega)``, and the stability limit is near ``2 / omega``.
-    The linear regime takes the reference state for balanced.
+    A disk with the net force F swings with about ``F / (m omega)``. Omega is that of the pressed contacts, from their
+    limit ``2 / omega``: bonds are far stiffer, but disks without a bond do not feel them. The linear regime takes the
+    reference state for balanced.
+
+    Raises
+    ------
+    ValueError
+        If that is more than `RESTLESS`.
     """
+    lanes = state.features.lanes
     if state.features.linear:
-        return
-    for lane in range(state.features.lanes):
+        return np.zeros(lanes)
+    pressed = replace(state.features, bonds=False, breakage=False, linear_group=False)
+    swing = critical_time_step(state.scene, state.assembly, pressed) / 2.0
+    speed = np.empty(lanes)
+    for lane in range(lanes):
         force = np.hypot(*net_forces(state, lane)[:, :2].T)
-        if state.scene.held is not None:
-            force[state.scene.held] = 0.0
-        speed = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(state.limit[lane]) / 2.0
-        require(
-            speed <= RESTLESS * amplitude,
-            "amplitude",
-            amplitude,
-            f"unbalanced forces of the packing alone move its disks at {speed:.3g} m/s, more than {RESTLESS:g} of the "
-            'pulse: choose a stronger pulse, regime = "linear", or a smaller packing.balance',
-        )
+        speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(swing[lane])
+    require(
+        bool(np.all(speed <= RESTLESS * amplitude)),
+        "amplitude",
+        amplitude,
+        f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than {RESTLESS:g} of "
+        'the pulse: choose a stronger pulse, regime = "linear", or a smaller packing.balance',
+    )
+    return speed / amplitude
 
 
 def named(state: State, values: Floats) -> str:

@@ -16,10 +16,10 @@ from calcidem.dem.pulse import excitation_frequency
 from calcidem.dem.scene import Installation
 from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 
-TURNING = 2.0  # error of a fixed geometry over (mean overlap / mean radius)
+TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
-SLIP = 0.1  # error of weak contacts that do not slip over (shear stress of the wave / confining stress)
-SLIDING = 1.0  # error of a sample that does not slip as a whole over the cube of that ratio
+SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
+IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unrest`
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
 INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
@@ -266,37 +266,72 @@ def judged(
 def discretisation_error(
     experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool = False
 ) -> float:
-    """Estimated relative error of a velocity by step, sampling, regime, precision and noise.
+    """Estimated relative error of a velocity by step, sampling, regime, precision, noise and imbalance.
 
-    Five parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
+    Six parts that have nothing to do with one another, added as such (root of the sum of squares). Their factors were
     measured against converged runs of the same cells (docs/accuracy.md), each so that it covers 95 % of the cells.
 
     - Step: local damping looks at velocities half a step old, an error of first order; leapfrog shifts frequencies by
       ``(omega dt)^2 / 24``, and the shortest waves of a pulse have about three times its frequency.
     - Sampling: the smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by
       up to a tenth of an interval.
-    - Regime: a loaded contact that turns pushes sideways with ``F_n / (k_n R)`` of its stiffness, in proportion to
-      overlap over radius; constant stiffnesses miss what the stroke of the pulse, compared with the overlap, changes,
-      and slip. Contact forces are spread down to nothing, so that a part of the contacts slips that grows in proportion
-      to the shear stress of the wave, ``2 rho V v0``, over the confining stress; as that ratio nears one, all do.
+    - Regime: see `geometry_error` and `slip_error`.
     - Precision: rounding of single precision moves broad peaks.
     - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
       frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
       onset level: chattering contacts make it, and another step another one.
+    - Imbalance: local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced.
     """
-    wave, packing = experiment.wave, experiment.packing
+    wave = experiment.wave
     omega = 2.0 * np.pi * frequency
     step = 0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0
     sampling = 0.1 * record.interval / travel_time
-    overlap = packing.report.mean_overlap
-    regime = 0.0 if wave.regime == "finite" else TURNING * overlap / float(np.mean(packing.radius))
-    if wave.regime == "linear":
-        impedance = experiment.sand.density * packing.width / travel_time
-        confinement = experiment.stiffness_factor * float(np.mean(packing.report.wall_stress))
-        ratio = 2.0 * wave.amplitude * impedance / confinement
-        regime += STIFFENING * wave.amplitude / frequency / overlap + SLIP * ratio + SLIDING * ratio**3
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
-    # Both change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
+    # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    return float(np.linalg.norm([step, sampling, shape * regime, shape * precision, noise]))
+    regime = shape * geometry_error(experiment, frequency) + slip_error(experiment, frequency, travel_time)
+    return float(np.linalg.norm([step, sampling, regime, shape * precision, noise, IMBALANCE * record.unrest]))
+
+
+def geometry_error(experiment: Experiment, frequency: float) -> float:
+    """Estimated relative error of a velocity by geometry and stiffnesses that a regime takes for constant.
+
+    - A loaded contact that turns pushes sideways with ``F_n / (k_n R)`` of its stiffness, in proportion to overlap over
+      radius. A fixed geometry has none of that.
+    - Constant stiffnesses also miss what the stroke of the pulse, compared with the overlap, changes.
+    """
+    wave, packing = experiment.wave, experiment.packing
+    if wave.regime == "finite":
+        return 0.0
+    overlap = packing.report.mean_overlap
+    turning = TURNING * overlap / float(np.mean(packing.radius))
+    return turning + (STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0)
+
+
+def slip_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
+    """Estimated relative error of a velocity by contacts that do not slip in the linear regime.
+
+    The share of contacts so weakly pressed that they slip rises with about the square of `slip_ratio`, and what each of
+    them does not pass on in proportion to it.
+    """
+    if experiment.wave.regime != "linear":
+        return 0.0
+    return SLIP * slip_ratio(experiment, frequency, travel_time) ** 3
+
+
+def slip_ratio(experiment: Experiment, frequency: float, travel_time: float) -> float:
+    """Shear displacement of the contacts at the transmitter over that at which one of mean overlap slips.
+
+    A contact there is a spring k_s that pulls at a medium of impedance ``rho V`` times the width d of a disk: of the
+    stroke it takes ``x / sqrt(1 + x^2)`` with ``x = omega rho V d / k_s``. It slips at ``mu F_n / k_s``.
+    """
+    packing, sand, wave = experiment.packing, experiment.sand, experiment.wave
+    radius, overlap = np.mean(packing.radius, keepdims=True), packing.report.mean_overlap
+    hertz = experiment.stiffness_factor * float(sand.hertz_coefficient(radius)[0])
+    shear = sand.shear_ratio * 1.5 * hertz * np.sqrt(overlap)
+    impedance = sand.density * packing.width / travel_time * 2.0 * float(radius[0])
+    x = 2.0 * np.pi * frequency * impedance / shear
+    friction = min(sand.friction, wave.band_friction)
+    taken = wave.amplitude / frequency * x / np.sqrt(1.0 + x * x)
+    return float(taken / (friction * hertz * overlap**1.5 / shear)) if friction > 0.0 else np.inf

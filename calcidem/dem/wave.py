@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
 from calcidem.dem.domain import domain_of
-from calcidem.dem.guards import problems_of, refuse_restless
+from calcidem.dem.guards import problems_of, unrest
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.material import Cement, Sand, require
@@ -58,6 +58,8 @@ class WaveRecord:
         Empty, or why the run cannot be trusted.
     retry
         Empty, or the problem for which the sample was sent a second time, with half the step.
+    unrest
+        See `guards.unrest`.
     """
 
     interval: float
@@ -69,6 +71,7 @@ class WaveRecord:
     steps: int
     problem: str = ""
     retry: str = ""
+    unrest: float = 0.0
 
 
 def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None) -> Scene:
@@ -245,7 +248,7 @@ def prepared(
     )
     if bonds is not None and installation != "preserve":
         state = settled(state, rule.balance, rule.most_settling_steps, check)
-    refuse_restless(state, rule.amplitude)
+    restless = unrest(state, rule.amplitude)
     longest_step = float(state.time_step.max())
     require(
         longest_step * frequency * FEWEST_SAMPLES <= 1.0,
@@ -256,7 +259,7 @@ def prepared(
     )
     stride = samples_stride(packing, sand, rule, bonds, frequency)
     listeners = listening_disks(packing, rule)
-    return Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough)
+    return Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough, restless)
 
 
 def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: float, lanes: int) -> Features:
@@ -285,8 +288,10 @@ class Recorder:
         listeners: Integers,
         samples: int,
         heard_enough: Callable[[WaveRecord], bool],
+        restless: Floats,
     ) -> None:
         self.state = state
+        self.restless = restless
         self.pulse = Pulse(rule.amplitude, frequency)
         self.rule = rule
         self.heard_enough = heard_enough
@@ -351,4 +356,5 @@ class Recorder:
             stability_limit=float(self.state.limit[lane]),
             steps=self.state.steps,
             problem=problem,
+            unrest=float(self.restless[lane]),
         )

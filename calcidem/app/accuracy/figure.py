@@ -23,6 +23,10 @@ def error_against_run_time(study: Study) -> "Figure":
     axes.plot([row.seconds for row in front], [shown(row.median) for row in front], color=BLUE, label="Pareto front")
     for row in rows:
         mark(axes, row, on_front=row in front)
+    for number, row in enumerate(dict.fromkeys((*front, *(row for row in rows if row.setting == DEFAULT)))):
+        # Names take turns above and below, because settings of one price stand close together.
+        place, offset = (row.seconds, shown(row.median)), (4, -9 if number % 2 else 5)
+        axes.annotate(row.setting, place, xytext=offset, textcoords="offset points", fontsize=6.5, color=BLACK)
     axes.axvline(study.reference_seconds, color=GREY, linestyle=":", label="reference")
     axes.set(
         xscale="log",
@@ -39,15 +43,6 @@ def mark(axes: "Axes", row: Summary, *, on_front: bool) -> None:
     colour = VERMILION if row.setting == DEFAULT else BLUE if on_front else GREY
     axes.plot([row.seconds] * 2, [shown(row.median), shown(row.worst)], color=colour, linewidth=0.8)
     axes.plot(row.seconds, shown(row.median), "o", color=colour, markersize=5 if row.setting == DEFAULT else 3)
-    if on_front or row.setting == DEFAULT:
-        axes.annotate(
-            row.setting,
-            (row.seconds, shown(row.median)),
-            xytext=(4, -8),
-            textcoords="offset points",
-            fontsize=6.5,
-            color=BLACK,
-        )
 
 
 def shown(error: float) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PACKAGED = Path(__file__).with_name("measured.json")
-"""Made by ``calcidem accuracy examples/paper.toml``, see docs/accuracy.md."""
+"""Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see docs/accuracy.md."""
 
 
 @dataclass(frozen=True, slots=True)
