@@ -60,7 +60,7 @@ def seconds_of_a_step(count: int, regime: Regime, lanes: int, precision: Precisi
     """CPU seconds of one step of all lanes, and the contacts it covers."""
     x, y, radius = tiled(count)
     rim = np.minimum.reduce([x, x.max() - x, y, y.max() - y]) - 2.0 * radius
-    problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3, skin=0.005), 1e-4), 0.3)
+    problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3, skin=0.01), 1e-4), 0.3)
     scene = as_scene(problem)
     state = start(
         scene,

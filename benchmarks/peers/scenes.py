@@ -151,7 +151,7 @@ def packing_problem(*, bonded: bool) -> Problem:
     x, y, radius = stored["x"], stored["y"], stored["radius"]
     rim = np.minimum.reduce([x, stored["size"][0] - x, y, stored["size"][1] - y]) - radius
     # The rim: disks that touch a wall, with margin. The skin: many times what the disks move in a benchmark.
-    problem = at_rest(x, y, radius, rim < 0.02 * radius, damping=0.3, skin=0.005)
+    problem = at_rest(x, y, radius, rim < 0.02 * radius, damping=0.3, skin=0.01)
     if not bonded:
         return with_time_step(moving(problem, 1.0e-4), HERTZ_STEP)
     typical = float(radius.mean())
