@@ -23,7 +23,7 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence() -> None:
     assert [judgement for judgement in judgements if judgement.verdict == Verdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
-    assert all(count[verdict] >= 30 for verdict in (Verdict.STABLE, Verdict.REFUSED, Verdict.DETECTED)), count
+    assert all(count[verdict] >= 20 for verdict in (Verdict.STABLE, Verdict.REFUSED, Verdict.DETECTED)), count
     assert all(judgement.reason for judgement in judgements if judgement.verdict != Verdict.STABLE)
 
 
@@ -67,7 +67,7 @@ def test_a_packing_near_isostaticity_is_measured_right() -> None:
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
-@pytest.mark.parametrize("damping", [0.0, 0.8])
+@pytest.mark.parametrize("damping", [0.0, 0.6])
 @pytest.mark.parametrize("content", [0.0, 0.3, 1.0])
 def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, content: float) -> None:
     """The per-particle bound lies between half and the whole of the limit that eigenvalues give."""

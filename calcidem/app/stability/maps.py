@@ -19,7 +19,7 @@ from calcidem.dem.scene import Regime
 WALKS: dict[str, tuple[float, ...]] = {
     "step_fraction": (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2),
     "contrast": (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6),
-    "damping": (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0),
+    "damping": (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0),
     "amplitude": (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
     "frequency": (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
     "size_ratio": (1.0, 3.0, 5.0, 10.0, 20.0),
