@@ -158,6 +158,7 @@ def assemble_pairs(
     distance = np.hypot(apart[:, 0], apart[:, 1])
     require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
     overlap = radius[first] + radius[second] - distance
+    arms = radius[found] - 0.5 * overlap[:, None]
     hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
     shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
@@ -177,7 +178,9 @@ def assemble_pairs(
         start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
         first=aligned_copy(first.astype(np.int32)),
         second=aligned_copy(second.astype(np.int32)),
-        geometry=aligned_copy(np.column_stack([apart / distance[:, None], distance, overlap, apart]).astype(dtype)),
+        geometry=aligned_copy(
+            np.column_stack([apart / distance[:, None], distance, overlap, apart, arms]).astype(dtype)
+        ),
         hertz=aligned_copy(hertz.astype(dtype)),
         mindlin=aligned_copy((1.5 * scene.sand.shear_ratio * hertz).astype(dtype)),
         tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),

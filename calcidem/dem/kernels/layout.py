@@ -50,8 +50,8 @@ class Pairs(NamedTuple):
     second: Integers
     """(M,)"""
     geometry: Floats
-    """(M, 6) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, and
-    x and y from the first centre to the second"""
+    """(M, 8) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, x and y
+    from the first centre to the second, arms from the first and the second centre to the contact"""
     hertz: Floats
     """(M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5"""
     mindlin: Floats

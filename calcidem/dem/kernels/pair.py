@@ -90,8 +90,8 @@ def pair_geometry(
         return x * inverse, y * inverse, depth, arm_first, arm_second, inverse
     normal_x, normal_y = spread(reference_x, features.lanes), spread(reference_y, features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
-    arm_first = spread(number(grains.radius, (first,)), features.lanes) - 0.5 * overlap
-    arm_second = spread(number(grains.radius, (second,)), features.lanes) - 0.5 * overlap
+    arm_first = spread(number(pairs.geometry, (pair, 6)), features.lanes)
+    arm_second = spread(number(pairs.geometry, (pair, 7)), features.lanes)
     return normal_x, normal_y, overlap - along, arm_first, arm_second, zero_like(along)
 
 
