@@ -20,6 +20,7 @@ HERE = Path(__file__).parent
 def main() -> None:
     """Compute all cells, then add what their contact graphs say."""
     database = HERE / "quick.db"
+    database.unlink(missing_ok=True)
     whole = load_configuration(HERE / "quick.toml", {})
     first = replace(whole, campaign=replace(whole.campaign, seeds=(1,)), run=replace(whole.run, store_signals=True))
     for configuration in (first, whole):
