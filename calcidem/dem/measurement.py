@@ -19,6 +19,7 @@ from calcidem.dem.wave import WaveRecord, WaveRule, send_waves
 TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
 SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
+CLOSING = 0.5  # error of contacts that may not close over `WaveRecord.closing`
 IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unrest`
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
@@ -275,7 +276,8 @@ def discretisation_error(
       ``(omega dt)^2 / 24``, and the shortest waves of a pulse have about three times its frequency.
     - Sampling: the smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by
       up to a tenth of an interval.
-    - Regime: see `geometry_error` and `slip_error`.
+    - Regime: see `geometry_error` and `slip_error`. Small and linear displacement keep gaps open that a pulse closes:
+      each adds a contact near the transmitter for half of the time.
     - Precision: rounding of single precision moves broad peaks.
     - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
       frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
@@ -290,7 +292,10 @@ def discretisation_error(
     # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    regime = shape * geometry_error(experiment, frequency) + slip_error(experiment, frequency, travel_time)
+    geometry = geometry_error(experiment, frequency)
+    if wave.regime != "finite":
+        geometry += CLOSING * record.closing
+    regime = shape * geometry + slip_error(experiment, frequency, travel_time)
     return float(np.linalg.norm([step, sampling, regime, shape * precision, noise, IMBALANCE * record.unrest]))
 
 

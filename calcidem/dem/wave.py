@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
+from calcidem.dem.assembly import near_pairs
 from calcidem.dem.domain import domain_of
 from calcidem.dem.guards import problems_of, unrest
 from calcidem.dem.kernels.features import Features
@@ -60,6 +61,8 @@ class WaveRecord:
         Empty, or the problem for which the sample was sent a second time, with half the step.
     unrest
         See `guards.unrest`.
+    closing
+        Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts.
     """
 
     interval: float
@@ -72,6 +75,7 @@ class WaveRecord:
     problem: str = ""
     retry: str = ""
     unrest: float = 0.0
+    closing: float = 0.0
 
 
 def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None) -> Scene:
@@ -233,6 +237,7 @@ def prepared(
 ) -> "Recorder":
     """Batch that is ready to be sent; see `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
+    closing = closing_pairs(packing, Pulse(rule.amplitude, frequency).stroke)
     domain = domain_of(packing, rule, installation, listening_disks(packing, rule))
     packing, bonded = domain.packing, [flags[domain.pairs] for flags in bonded]
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
@@ -259,7 +264,13 @@ def prepared(
     )
     stride = samples_stride(packing, sand, rule, bonds, frequency)
     listeners = listening_disks(packing, rule)
-    return Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough, restless)
+    return Recorder(state, frequency, rule, stride, listeners, len(bonded), heard_enough, restless, closing)
+
+
+def closing_pairs(packing: Packing, stroke: float) -> float:
+    """Pairs with a gap below the stroke of a pulse, over the contacts: they may touch while it passes."""
+    near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
+    return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 
 
 def wave_features(scene: Scene, rule: WaveRule, packing: Packing, frequency: float, lanes: int) -> Features:
@@ -289,9 +300,11 @@ class Recorder:
         samples: int,
         heard_enough: Callable[[WaveRecord], bool],
         restless: Floats,
+        closing: float,
     ) -> None:
         self.state = state
         self.restless = restless
+        self.closing = closing
         self.pulse = Pulse(rule.amplitude, frequency)
         self.rule = rule
         self.heard_enough = heard_enough
@@ -357,4 +370,5 @@ class Recorder:
             steps=self.state.steps,
             problem=problem,
             unrest=float(self.restless[lane]),
+            closing=self.closing,
         )
