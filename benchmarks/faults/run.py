@@ -27,7 +27,7 @@ from fault_matrix import Trial, all_cases, judge, reference
 if TYPE_CHECKING:
     import subprocess
 
-SEEDS_TO_KILL = 400
+SEEDS_TO_KILL = 4000
 """More than 100 interrupted runs can compute."""
 
 EARLY = 0.25
