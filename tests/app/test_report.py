@@ -135,10 +135,10 @@ def test_analyse_writes_figures_tables_and_numbers(small_database: Path, tmp_pat
 
 def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path) -> None:
     """A cell is described by its quantities and drawn with cement, path and signals."""
-    table, files = show_cell(small_database, 1, 2.55, tmp_path)
+    table, files = show_cell(small_database, 1, 0.66, tmp_path)
     assert dict(table.rows)["outcome of the cell"] == "done"
     assert {file.name for file in files if file.suffix == ".png"} == {
-        f"seed1_content2.55_{part}.png" for part in ("cement", "path", "signals")
+        f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals")
     }
     with pytest.raises(UnknownCellError):
         show_cell(small_database, 6, 0.34)
