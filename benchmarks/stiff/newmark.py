@@ -22,11 +22,12 @@ from calcidem.app.accuracy.settings import with_wave
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.arrival import record_duration
+from calcidem.dem.domain import listening_disks
 from calcidem.dem.measurement import Experiment, measure
 from calcidem.dem.pulse import Pulse
 from calcidem.dem.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.state import State, choose_features, start
-from calcidem.dem.wave import TRANSMITTER, WaveRecord, lane_bonds, listening_disks, wave_scene
+from calcidem.dem.wave import TRANSMITTER, WaveRecord, lane_bonds, wave_scene
 
 SEEDS = range(1, 9)
 SAMPLES = 400  # in a period of the pulse

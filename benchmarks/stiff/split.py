@@ -23,11 +23,12 @@ from scipy.sparse.csgraph import connected_components
 
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
+from calcidem.dem.domain import listening_disks
 from calcidem.dem.measurement import measure
 from calcidem.dem.pulse import Pulse
 from calcidem.dem.stability import critical_time_step
 from calcidem.dem.state import State, choose_features, start
-from calcidem.dem.wave import lane_bonds, listening_disks, wave_scene
+from calcidem.dem.wave import lane_bonds, wave_scene
 
 CONTENTS = (0.66, 2.55, 5.0, 9.0)
 LANES = 8

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from calcidem.app.configuration import Configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.measurement import measure
+from calcidem.dem.measurement import measure_all
 from calcidem.dem.packing import Packing
 
 PARAMETERS = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area", "cement.bond_modulus")
@@ -149,12 +149,8 @@ def mean_velocities(
     experiment, lanes = configuration.experiment(packing), configuration.run.lanes
     means, standard_errors = [], []
     for content in contents:
-        found = [
-            cell.vs
-            for begin in range(0, len(seeds), lanes)
-            for cell in measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes)
-            if cell.vs is not None
-        ]
+        cells = measure_all(experiment, content, seeds, lanes=lanes)
+        found = [cell.vs for cell in cells if cell.vs is not None]
         if len(found) < 2:  # noqa: PLR2004 - a scatter needs two
             raise ValueError(
                 f"content = {content} %: {len(found)} of {len(seeds)} cells have a velocity; change the start"

@@ -4,7 +4,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from calcidem.storage.campaign import Campaign
 from calcidem.storage.canonical import config_difference
 from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.reading import chunks
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.store import Store
 
@@ -261,5 +261,5 @@ def copy_outcomes(
         for result in source.select(with_arrays=True)
         if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
-    while block := list(islice(chosen, BLOCK)):
+    for block in chunks(chosen, BLOCK):
         target.record_results(block)

@@ -40,7 +40,7 @@ class Domain:
     held: Flags
 
 
-def domain_of(packing: Packing, rule: WaveRule, installation: Installation, listening: Integers) -> Domain:
+def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> Domain:
     """Disks that a wave can reach, and those that listen.
 
     Parameters
@@ -50,8 +50,6 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation, list
         where the rule says so.
     installation
         Of the bonds. Those that change the contact forces let the whole packing settle anew.
-    listening
-        Disks that are kept in any case.
     """
     count = len(packing.x)
     if WHOLE_DOMAIN in rule.keep or installation != "preserve":
@@ -59,7 +57,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation, list
     kept = within_reach(packing, rule)
     if rule.regime != "finite":
         kept &= np.bincount(packing.pairs.ravel(), minlength=count) > 0
-    kept[listening] = True
+    kept[listening_disks(packing, rule)] = True
     inside = kept[packing.pairs]
     pairs = np.flatnonzero(inside.all(axis=1))
     held = np.zeros(count, dtype=bool)
@@ -73,6 +71,13 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation, list
         preload=Preload(number[packing.pairs[pairs]], packing.preload.shear[pairs]),
     )
     return Domain(part, pairs, held[kept])
+
+
+def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
+    """Disks in the receiver's band, near the wall but not touching it."""
+    gap = packing.width - packing.x - packing.radius
+    in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
+    return np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < rule.listening_depth))
 
 
 def within_reach(packing: Packing, rule: WaveRule) -> Flags:

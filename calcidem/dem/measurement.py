@@ -25,9 +25,9 @@ SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
 INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
 NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower wave.amplitude or the frequency"
+SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
 MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
-SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 ReceivedSignal = Literal["velocity", "force"]
@@ -222,6 +222,21 @@ def measure(
     )
 
 
+def measure_all(
+    experiment: Experiment,
+    content: float,
+    seeds: Sequence[int],
+    *,
+    lanes: int = 8,
+    ordering: Callable[[int], CementOrdering] | None = None,
+) -> tuple[Measurement, ...]:
+    """Measure any number of seeds at one content, in batches as wide as the kernel; see `measure`."""
+    found: list[Measurement] = []
+    for begin in range(0, len(seeds), lanes):
+        found += measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes, ordering=ordering)
+    return tuple(found)
+
+
 def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     """Signals of a record as the picking wants them.
 
@@ -294,9 +309,7 @@ def discretisation_error(
     # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    geometry = geometry_error(experiment, frequency)
-    if wave.regime != "finite":
-        geometry += CLOSING * record.closing
+    geometry = geometry_error(experiment, frequency) + CLOSING * record.closing
     regime = shape * geometry + slip_error(experiment, frequency, travel_time)
     return float(np.linalg.norm([step, sampling, regime, shape * precision, noise, IMBALANCE * record.unrest]))
 

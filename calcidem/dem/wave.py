@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from calcidem.dem.arrival import record_duration
 from calcidem.dem.assembly import near_pairs
-from calcidem.dem.domain import domain_of
+from calcidem.dem.domain import domain_of, listening_disks
 from calcidem.dem.guards import problems_of, unrest
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
@@ -27,7 +27,7 @@ from calcidem.dem.settling import settled
 from calcidem.dem.state import SKIN, State, carried_on, choose_features, start
 from calcidem.dem.wave_rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 
-__all__ = ["WaveRecord", "WaveRule", "listening_disks", "samples_stride", "send_waves", "wave_scene"]
+__all__ = ["WaveRecord", "WaveRule", "samples_stride", "send_waves", "wave_scene"]
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 Signal: TypeAlias = npt.NDArray[np.float64]
@@ -62,7 +62,8 @@ class WaveRecord:
     unrest
         See `guards.unrest`.
     closing
-        Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts.
+        Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts; zero
+        in the finite regime, where they may touch.
     """
 
     interval: float
@@ -114,13 +115,6 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         bonds=bonds,
         damping=np.where(inside, rule.damping, rule.boundary_damping),
     )
-
-
-def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
-    """Disks in the receiver's band, near the wall but not touching it."""
-    gap = packing.width - packing.x - packing.radius
-    in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
-    return np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < rule.listening_depth))
 
 
 def lane_bonds(
@@ -195,7 +189,8 @@ def send_waves(
     refuse_loud_pulse(packing, rule, frequency)
 
     def send(samples: Sequence[Flags], chosen: WaveRule) -> list[WaveRecord]:
-        return send_once(packing, sand, cement, samples, frequency, chosen, heard_enough, lanes, installation, check)
+        recorder = prepared(packing, sand, cement, samples, frequency, chosen, heard_enough, lanes, installation, check)
+        return recorder.run(packing.width, check)
 
     records = send(bonded, rule)
     failed = [sample for sample, record in enumerate(records) if record.problem]
@@ -204,23 +199,6 @@ def send_waves(
         for sample, record in zip(failed, finer, strict=True):
             records[sample] = replace(record, retry=records[sample].problem)
     return records
-
-
-def send_once(
-    packing: Packing,
-    sand: Sand,
-    cement: Cement,
-    bonded: Sequence[Flags],
-    frequency: float,
-    rule: WaveRule,
-    heard_enough: Callable[[WaveRecord], bool],
-    lanes: int,
-    installation: Installation,
-    check: Callable[[], None],
-) -> list[WaveRecord]:
-    """Do what `send_waves` does, with one step."""
-    recorder = prepared(packing, sand, cement, bonded, frequency, rule, heard_enough, lanes, installation, check)
-    return recorder.run(packing.width, check)
 
 
 def prepared(
@@ -235,10 +213,10 @@ def prepared(
     installation: Installation,
     check: Callable[[], None],
 ) -> "Recorder":
-    """Batch that is ready to be sent; see `send_waves`."""
+    """Batch that is ready to be sent, once and with one step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
-    closing = closing_pairs(packing, Pulse(rule.amplitude, frequency).stroke)
-    domain = domain_of(packing, rule, installation, listening_disks(packing, rule))
+    closing = 0.0 if rule.regime == "finite" else closing_pairs(packing, Pulse(rule.amplitude, frequency).stroke)
+    domain = domain_of(packing, rule, installation)
     packing, bonded = domain.packing, [flags[domain.pairs] for flags in bonded]
     bonds = lane_bonds(packing, cement, bonded, lanes, installation)
     scene = replace(wave_scene(packing, sand, rule, bonds), held=domain.held)

@@ -1,11 +1,10 @@
 """Export of a campaign to one NetCDF-4 file, and the way back."""
 
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import netCDF4
 import numpy as np
@@ -14,13 +13,12 @@ import xarray as xr
 from calcidem.storage.campaign_groups import append_attempts, append_packing
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.quantities import QUANTITIES
+from calcidem.storage.reading import chunks
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.sample_groups import SAMPLE_GROUPS, append_samples
 from calcidem.storage.store import Store
 
 __all__ = ["export_netcdf", "replaced_atomically"]
-
-T = TypeVar("T")
 
 BLOCK = 1000  # cells in memory at a time while arrays are copied
 WHOLE_NUMBER_FILL = -1
@@ -69,9 +67,9 @@ def export_netcdf(
                 packing = store.load_packing(index)
                 if packing is not None:
                     append_packing(file, packing)
-            for attempts in _blocks(store.history()):
+            for attempts in chunks(store.history(), BLOCK):
                 append_attempts(file, attempts)
-            for results in _blocks(store.results(with_arrays=bool(wanted))):
+            for results in chunks(store.results(with_arrays=bool(wanted)), BLOCK):
                 append_samples(file, results, wanted)
     return target
 
@@ -90,12 +88,6 @@ def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
         elif quantity.kind == "real":
             encoding[quantity.name] = compressed | {"_FillValue": np.nan}
     return {name: options for name, options in encoding.items() if name in dataset.variables}
-
-
-def _blocks(items: Iterable[T]) -> Iterator[list[T]]:
-    iterator = iter(items)
-    while block := list(islice(iterator, BLOCK)):
-        yield block
 
 
 @contextmanager

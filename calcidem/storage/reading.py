@@ -1,6 +1,7 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -50,10 +51,11 @@ CHUNK = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
 
 
-def chunks(items: Sequence[T], size: int = CHUNK) -> Iterator[Sequence[T]]:
-    """Cut a sequence into pieces of at most `size`."""
-    for start in range(0, len(items), size):
-        yield items[start : start + size]
+def chunks(items: Iterable[T], size: int = CHUNK) -> Iterator[list[T]]:
+    """Cut what may be too much for the memory into pieces of at most `size`."""
+    remaining = iter(items)
+    while chunk := list(islice(remaining, size)):
+        yield chunk
 
 
 def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:

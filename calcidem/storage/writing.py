@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import islice, product
+from itertools import product
 from typing import NamedTuple
 
 from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
@@ -207,7 +207,7 @@ def record_lost(
     """See `Store.record_lost`."""
     recorded = datetime.now(UTC)
     counts = attempt_counts(session, campaign_id, keys)
-    for chunk in chunks(list(counts)):
+    for chunk in chunks(counts):
         known = _known_cells(session, campaign_id, chunk)
         values = [
             {
@@ -238,7 +238,7 @@ def make_pending(
     wanted = None if keys is None else set(keys)
     found = [(row.id, CellKey(row.seed, row.content)) for row in session.execute(statement)]
     chosen = [(cell_id, key) for cell_id, key in found if wanted is None or key in wanted]
-    for chunk in chunks([cell_id for cell_id, _ in chosen]):
+    for chunk in chunks(cell_id for cell_id, _ in chosen):
         session.execute(delete(Result).where(Result.cell_id.in_(chunk)))
         session.execute(update(Attempt).where(Attempt.cell_id.in_(chunk)).values(forgiven=True))
     return tuple(key for _, key in chosen)
@@ -246,8 +246,7 @@ def make_pending(
 
 def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[AttemptRecord]) -> None:
     """See `Store.restore_attempts`."""
-    remaining = iter(attempts)
-    while chunk := list(islice(remaining, CHUNK)):
+    for chunk in chunks(attempts):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
         listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(Attempt.cell_id, Attempt.number).where(listed)

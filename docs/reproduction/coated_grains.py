@@ -7,37 +7,35 @@ to its contacts.
 """
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calcidem.analysis.normality import skewness
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.cement import CementOrdering
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.measurement import Experiment, measure_all
 
 CONTENTS = (1.24, 2.55, 5.0, 9.0)
 
 
-@dataclass(frozen=True)
-class Coated(Experiment):
-    """An experiment whose clusters cement all contacts of the grains inside."""
-
-    def ordering(self, seed: int) -> CementOrdering:
-        """Order of the cement, with the circles of the seed but more contacts in each."""
-        own = super().ordering(seed)
-        count, pairs = len(own.centres), self.packing.pairs
-        grains = cKDTree(np.column_stack([self.packing.x, self.packing.y]))
-        inside = grains.query_ball_point(own.centres, self.cement_rule.cluster_diameter / 2.0)
-        first = np.full(len(self.packing.x), count)
-        for cluster in range(count - 1, -1, -1):
-            first[inside[cluster]] = cluster
-        first_cluster = first[pairs].min(axis=1)
-        # Over the first clusters, before they overlap much, contacts gained are contacts of a cluster.
-        early = max(1, count // 20)
-        growth = np.count_nonzero(first_cluster < early) / np.count_nonzero(own.first_cluster < early)
-        return replace(own, first_cluster=first_cluster, c_content=own.c_content * growth)
+def coated(experiment: Experiment, seed: int) -> CementOrdering:
+    """Order of the cement, with the circles of the seed but all contacts of the grains inside."""
+    own, packing = experiment.ordering(seed), experiment.packing
+    count = len(own.centres)
+    grains = cKDTree(np.column_stack([packing.x, packing.y]))
+    inside = grains.query_ball_point(own.centres, experiment.cement_rule.cluster_diameter / 2.0)
+    first = np.full(len(packing.x), count)
+    for cluster in range(count - 1, -1, -1):
+        first[inside[cluster]] = cluster
+    first_cluster = first[packing.pairs].min(axis=1)
+    # Over the first clusters, before they overlap much, contacts gained are contacts of a cluster.
+    early = max(1, count // 20)
+    growth = np.count_nonzero(first_cluster < early) / np.count_nonzero(own.first_cluster < early)
+    return replace(own, first_cluster=first_cluster, c_content=own.c_content * growth)
 
 
 def main() -> None:
@@ -49,23 +47,17 @@ def main() -> None:
     options = parser.parse_args()
     loaded = load_configuration(options.configuration)
     loaded = replace(loaded, wave=replace(loaded.wave, receiver_half_width=options.receiver))
-    plain = loaded.experiment(provide_packing(loaded, None, lambda _: None))
-    coated = Coated(**{name: getattr(plain, name) for name in Experiment.__dataclass_fields__})
+    experiment = loaded.experiment(provide_packing(loaded, None, lambda _: None))
+    orderings = {"contacts in the circle": experiment.ordering, "coated grains": partial(coated, experiment)}
     print(
         "| content % | clusters | mean, m/s | sd, m/s | sd / mean | skewness |", "|---|---|---|---|---|---|", sep="\n"
     )
     for content in CONTENTS:
-        for name, experiment in (("contacts in the circle", plain), ("coated grains", coated)):
-            vs = np.array(
-                [
-                    cell.vs
-                    for begin in range(1, options.seeds + 1, 8)
-                    for cell in measure(experiment, content, range(begin, min(begin + 8, options.seeds + 1)))
-                    if cell.vs is not None
-                ]
-            )
-            scatter, skewness = vs.std(ddof=1), np.mean((vs - vs.mean()) ** 3) / vs.std() ** 3
-            row = f"{vs.mean():.0f} | {scatter:.0f} | {scatter / vs.mean():.3f} | {skewness:.2f}"
+        for name, ordering in orderings.items():
+            cells = measure_all(experiment, content, range(1, options.seeds + 1), ordering=ordering)
+            vs = np.array([cell.vs for cell in cells if cell.vs is not None])
+            scatter = vs.std(ddof=1)
+            row = f"{vs.mean():.0f} | {scatter:.0f} | {scatter / vs.mean():.3f} | {skewness(vs):.2f}"
             print(f"| {content:g} | {name} | {row} |", flush=True)
 
 

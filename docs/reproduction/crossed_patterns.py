@@ -5,7 +5,8 @@ the clusters of each, measures all combinations, and divides the variance of Vs 
 """
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,23 +14,19 @@ from calcidem.analysis.sensitivity import variance_parts
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.cement import CementOrdering
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.measurement import Experiment, measure_all
 
 HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
 
 
-@dataclass(frozen=True)
-class Crossed(Experiment):
-    """An experiment whose seed 1000 a + b has the P contacts of seed a and the clusters of seed b."""
-
-    def ordering(self, seed: int) -> CementOrdering:
-        """Order of the cement, put together from those of two seeds."""
-        first, second = divmod(seed, 1000)
-        own = super().ordering(second)
-        if first == second:
-            return own
-        other = super().ordering(first)
-        return replace(own, p_rank=other.p_rank, p_content=other.p_content)
+def crossed(experiment: Experiment, seed: int) -> CementOrdering:
+    """Order of the cement of seed 1000 a + b: the P contacts of seed a and the clusters of seed b."""
+    first, second = divmod(seed, 1000)
+    own = experiment.ordering(second)
+    if first == second:
+        return own
+    other = experiment.ordering(first)
+    return replace(own, p_rank=other.p_rank, p_content=other.p_content)
 
 
 def main() -> None:
@@ -40,18 +37,14 @@ def main() -> None:
     parser.add_argument("--contents", type=float, nargs="+", default=[0.66, 1.24, 2.55, 5.0, 9.0])
     options = parser.parse_args()
     configuration = load_configuration(options.configuration)
-    plain = configuration.experiment(provide_packing(configuration, None, lambda _: None))
-    experiment = Crossed(**{name: getattr(plain, name) for name in Experiment.__dataclass_fields__})
+    experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
+    ordering = partial(crossed, experiment)
     numbers = range(1, options.seeds + 1)
     print(HEADER, "|---|---|---|---|---|---|", sep="\n", flush=True)
     for content in options.contents:
-        table = np.array(
-            [
-                [cell.vs for cell in measure(experiment, content, [1000 * p + c for c in numbers], lanes=8)]
-                for p in numbers
-            ],
-            dtype=float,
-        )
+        seeds = [1000 * p + c for p in numbers for c in numbers]
+        cells = measure_all(experiment, content, seeds, ordering=ordering)
+        table = np.array([cell.vs for cell in cells], dtype=float).reshape(len(numbers), -1)
         parts = variance_parts(table)
         shares = [f"{deviation:.1f}" for deviation in parts.deviations]
         row = [f"{content:g}", f"{parts.mean:.0f}", f"{parts.total**0.5:.1f}", *shares]

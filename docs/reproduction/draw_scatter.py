@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from calcidem import load_paper_campaign
 from calcidem.analysis.figures.style import BLACK, BLUE, CONTENT_LABEL, GREEN, SKY, VERMILION, WIDTH, render, styled
+from calcidem.analysis.normality import skewness
 from calcidem.analysis.published import published_study
 from calcidem.storage.campaign import open_campaign
 
@@ -35,15 +36,15 @@ def draw(database: str) -> Figure:
     left.plot(contents, [row.standard_deviation / row.mean for _, row in rows], "o-", color=BLACK, ms=4, label="paper")
     right.plot(contents, [row.skewness for _, row in rows], "o-", color=BLACK, ms=4)
     campaign = load_paper_campaign().vs.sel(content=slice(0.1, None))
-    scatter, skewness = shape(campaign)
+    scatter, asymmetry = shape(campaign)
     left.plot(campaign["content"], scatter, color=BLUE, label="campaign, 116 seeds")
-    right.plot(campaign["content"], skewness, color=BLUE)
+    right.plot(campaign["content"], asymmetry, color=BLUE)
     for name, (label, colour) in CURVES.items():
         with open_campaign(database, name) as variant:
             vs = variant.vs()
-        scatter, skewness = shape(vs)
+        scatter, asymmetry = shape(vs)
         left.plot(vs["content"], scatter, "s--", color=colour, ms=4, lw=1.0, label=f"{label}, {vs.sizes['seed']} seeds")
-        right.plot(vs["content"], skewness, "s--", color=colour, ms=4, lw=1.0)
+        right.plot(vs["content"], asymmetry, "s--", color=colour, ms=4, lw=1.0)
     left.set(xlabel=CONTENT_LABEL, ylabel="standard deviation / mean", ylim=(0, 0.3), title="scatter")
     right.set(xlabel=CONTENT_LABEL, ylabel="skewness", title="skewness")
     right.axhline(0.0, color=BLACK, lw=0.6)
@@ -53,9 +54,8 @@ def draw(database: str) -> Figure:
 
 def shape(vs: xr.DataArray) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviation over mean, and skewness, along content."""
-    deviation = vs - vs.mean("seed")
-    skewness = (deviation**3).mean("seed") / vs.std("seed") ** 3
-    return (vs.std("seed", ddof=1) / vs.mean("seed")).to_numpy(), skewness.to_numpy()
+    columns = [column[np.isfinite(column)] for column in vs.transpose("content", "seed").to_numpy()]
+    return (vs.std("seed", ddof=1) / vs.mean("seed")).to_numpy(), np.array([skewness(column) for column in columns])
 
 
 if __name__ == "__main__":

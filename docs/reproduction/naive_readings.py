@@ -13,7 +13,7 @@ from collections import defaultdict
 import numpy as np
 from scipy.signal import find_peaks
 
-from calcidem.analysis.normality import jarque_bera
+from calcidem.analysis.normality import jarque_bera, kurtosis, skewness
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.records import Signal
 
@@ -37,8 +37,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for (content, rule), found in sorted(velocities.items()):
         values = np.array(found)
-        scaled = (values - values.mean()) / values.std()
-        shape = f"{np.mean(scaled**3):.2f} | {np.mean(scaled**4):.2f} | {jarque_bera(values).p_asymptotic:.2g}"
+        shape = f"{skewness(values):.2f} | {kurtosis(values):.2f} | {jarque_bera(values).p_asymptotic:.2g}"
         print(f"| {content:g} | {rule} | {values.mean():.0f} | {values.std(ddof=1):.0f} | {shape} |")
 
 

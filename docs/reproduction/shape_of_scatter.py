@@ -8,6 +8,7 @@ import argparse
 
 import numpy as np
 
+from calcidem.analysis.normality import kurtosis, skewness
 from calcidem.analysis.published import published_study
 from calcidem.app.sensitivity.plan import load_plan
 from calcidem.storage.campaign import open_campaign
@@ -35,12 +36,11 @@ def main() -> None:
             vs, path = vs[found], path[found]
             if vs.size < 3 or not vs.std() > 0:  # noqa: PLR2004 - a skewness needs three
                 continue
-            scaled = (vs - vs.mean()) / vs.std()
             printed = published[content]
             moments = (
                 (vs.std(ddof=1) / vs.mean(), printed.standard_deviation / printed.mean),
-                (np.mean(scaled**3), printed.skewness),
-                (np.mean(scaled**4), printed.kurtosis),
+                (skewness(vs), printed.skewness),
+                (kurtosis(vs), printed.kurtosis),
             )
             shown = " | ".join(f"{here:.3f} | {there:.3f}" for here, there in moments)
             correlation = np.corrcoef(path, vs)[0, 1] if path.std() > 0 else np.nan

@@ -12,7 +12,7 @@ from calcidem.dem.material import Cement, Sand
 from calcidem.dem.packing import Packing, PackingRule, make_packing
 from calcidem.dem.scene import Regime
 from calcidem.dem.state import SAFETY
-from calcidem.dem.wave import SAMPLES_PER_CHUNK, WaveRule, listening_disks, prepared
+from calcidem.dem.wave import SAMPLES_PER_CHUNK, WaveRule, prepared
 from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 RULE = WaveRule(
@@ -66,7 +66,7 @@ def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
     """With the same step, the signal is that of the whole packing; a finite one feels it coming to rest."""
     rule = replace(RULE, regime=regime, amplitude=amplitude)
     whole = replace(rule, keep=(WHOLE_DOMAIN,))
-    part = domain_of(packing, rule, "preserve", listening_disks(packing, rule)).packing
+    part = domain_of(packing, rule, "preserve").packing
     assert 0.4 < len(part.x) / len(packing.x) < 0.85
     time_step = 3e-8
     exact, trimmed = heard(packing, whole, content, time_step), heard(packing, rule, content, time_step)
@@ -76,16 +76,15 @@ def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
 
 def test_the_whole_packing_is_kept_where_a_signal_could_come_back(packing: Packing) -> None:
     """Layers that damp by less than 1, bonds that move the sample, and a rule that says so keep every disk."""
-    listening = listening_disks(packing, RULE)
     for rule in (replace(RULE, keep=(WHOLE_DOMAIN,)), replace(RULE, boundary_damping=0.9, regime="finite")):
-        assert len(domain_of(packing, rule, "preserve", listening).packing.x) == len(packing.x)
-    assert len(domain_of(packing, RULE, "zero", listening).packing.x) == len(packing.x)
+        assert len(domain_of(packing, rule, "preserve").packing.x) == len(packing.x)
+    assert len(domain_of(packing, RULE, "zero").packing.x) == len(packing.x)
 
 
 def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
     """Held are the disks that lost a neighbour, and only those; pairs and shear forces are those of the packing."""
     rule = replace(RULE, regime="finite")
-    domain = domain_of(packing, rule, "preserve", listening_disks(packing, rule))
+    domain = domain_of(packing, rule, "preserve")
     part = domain.packing
     assert domain.held.any()
     assert np.abs(part.y[domain.held] - packing.height / 2.0).min() > 0.01

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.app.accuracy.batches import fitting_lanes, in_batches
+from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import with_wave
-from calcidem.dem.measurement import Experiment, Measurement
+from calcidem.dem.measurement import Experiment, Measurement, measure_all
 from calcidem.dem.scene import Regime
 
 AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
@@ -88,7 +88,7 @@ def measured(
     refusal = ""
     for content in contents:
         try:
-            cells = in_batches(setting, content, seeds, fitting_lanes(seeds, lanes))
+            cells = measure_all(setting, content, seeds, lanes=fitting_lanes(seeds, lanes))
         except ValueError as refused:
             refusal = str(refused)
             continue

@@ -1,20 +1,12 @@
-"""Any number of seeds measured in batches, with the processor time they take."""
+"""How wide a kernel some seeds need, and the processor time that measuring them takes."""
 
 from collections.abc import Sequence
 from time import process_time
 
 from calcidem.app.accuracy.settings import Setting
-from calcidem.dem.measurement import Experiment, Measurement, measure
+from calcidem.dem.measurement import Experiment, Measurement, measure, measure_all
 
 Compiled = set[tuple[str, str, bool, int]]
-
-
-def in_batches(experiment: Experiment, content: float, seeds: Sequence[int], lanes: int) -> tuple[Measurement, ...]:
-    """Measure any number of seeds."""
-    found: list[Measurement] = []
-    for start in range(0, len(seeds), lanes):
-        found += measure(experiment, content, seeds[start : start + lanes], lanes=lanes)
-    return tuple(found)
 
 
 def timed(
@@ -25,7 +17,7 @@ def timed(
     Processor time leaves out what other programs take of a shared machine, unlike the wall time of a `Measurement`.
     """
     began = process_time()
-    found = in_batches(experiment, content, seeds, lanes)
+    found = measure_all(experiment, content, seeds, lanes=lanes)
     return found, (process_time() - began) / len(seeds)
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.accuracy.batches import fitting_lanes, in_batches
+from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import at_times, sample_times
 from calcidem.app.accuracy.settings import REFERENCE_SAMPLES, with_wave
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.measurement import Experiment, measure_all
 from calcidem.dem.wave import WaveRecord
 
 STEPS = (0.8, 0.4, 0.2, 0.1)  # over the limit; each half of the one before
@@ -67,7 +67,7 @@ def convergence(
     )
     even = replace(even, early_stop=False, installation="preserve")
     width = fitting_lanes(seeds, lanes)
-    runs = [in_batches(with_wave(even, step_fraction=step), content, seeds, width) for step in STEPS]
+    runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in STEPS]
     changes = np.median([signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
     orders = np.log2(changes[:-1] / changes[1:])
     return Convergence(content, damped, tuple(changes.tolist()), tuple(orders.tolist()))

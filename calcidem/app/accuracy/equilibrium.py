@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.accuracy.batches import fitting_lanes, in_batches
+from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import with_wave
 from calcidem.dem.assembly import pair_keys
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.measurement import Experiment, measure_all
 from calcidem.dem.packing import Packing
 from calcidem.dem.state import Preload
 
@@ -61,7 +61,9 @@ def equilibrium_rows(
     for balance, packing in packings.items():
         setting = with_wave(replace(experiment, packing=same_contacts(packing, experiment.packing)), regime="linear")
         cells = [
-            cell for content in contents for cell in in_batches(setting, content, seeds, fitting_lanes(seeds, lanes))
+            cell
+            for content in contents
+            for cell in measure_all(setting, content, seeds, lanes=fitting_lanes(seeds, lanes))
         ]
         velocities[balance] = [cell.vs for cell in cells]
     best = min(balances)

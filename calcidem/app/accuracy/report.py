@@ -1,7 +1,7 @@
 """What was found, as Markdown tables and as JSON."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -128,8 +128,10 @@ def cell_table(study: Study) -> list[str]:
     return lines
 
 
-def convergence_table(rows: Iterable[Convergence]) -> list[str]:
+def convergence_table(rows: Sequence[Convergence]) -> list[str]:
     """Give change of the signal and observed order for each halving of the step."""
+    if not rows:
+        return []
     halvings = [f"{2 * step:g} to {step:g}" for step in STEPS[1:]]
     lines = [
         f"| content % | local damping | signal, {' | '.join(halvings)} | order | order |",
@@ -139,7 +141,7 @@ def convergence_table(rows: Iterable[Convergence]) -> list[str]:
         changes = " | ".join(f"{change:.1e}" for change in row.changes)
         orders = " | ".join(f"{order:.2f}" for order in row.orders)
         lines.append(f"| {row.content:g} | {'as configured' if row.damped else 'none'} | {changes} | {orders} |")
-    return lines if len(lines) > len(("title", "rule")) else []
+    return lines
 
 
 def amplitude_table(rows: Sequence[AmplitudeRow]) -> list[str]:

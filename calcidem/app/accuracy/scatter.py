@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.analysis.distribution import describe
-from calcidem.app.accuracy.batches import fitting_lanes, in_batches
+from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import CellError
 from calcidem.app.accuracy.settings import DEFAULT
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.measurement import Experiment, measure_all
 
 SAMPLES = 16  # seeds that tell the scatter if no stored campaign does
 
@@ -55,7 +55,7 @@ def quick_campaign(
     """Velocities of the experiment's own setting at each content, m/s."""
     width = fitting_lanes(seeds, lanes)
     return {
-        content: [cell.vs for cell in in_batches(experiment, content, seeds, width) if cell.vs is not None]
+        content: [cell.vs for cell in measure_all(experiment, content, seeds, lanes=width) if cell.vs is not None]
         for content in contents
     }
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calcidem.app.stability.scenes import cut_off_frequency, pressed_stiffness
 from calcidem.dem.material import Sand
 from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing, PackingRule, make_packing
@@ -59,9 +60,7 @@ def packed_experiment(packing: Packing, scene: Packed) -> Experiment:
     """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
     sand = Sand()
     radius = float(np.mean(packing.radius))
-    coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
-    stiffness = 1.5 * coefficient * np.sqrt(packing.report.mean_overlap)
-    cut_off = float(np.sqrt(stiffness / (sand.density * np.pi * radius**2)) / np.pi)
+    cut_off = cut_off_frequency(pressed_stiffness(packing, radius, sand), radius, sand)
     frequency = CEMENTED if scene.content > 0.0 else SLOW * cut_off
     wave = WaveRule(
         amplitude=STROKE * packing.report.mean_overlap * frequency,

@@ -124,7 +124,7 @@ def experiment_of(extreme: Extreme) -> Experiment:
     """
     sand = Sand()
     packing = lattice(extreme, sand)
-    stiffness = contact_stiffness(packing, sand)
+    stiffness = pressed_stiffness(packing, RADIUS, sand)
     modulus = extreme.contrast * stiffness
     stress = max(extreme.amplitude * np.sqrt(sand.density * modulus), 1e-3)
     cement = Cement(
@@ -133,7 +133,7 @@ def experiment_of(extreme: Extreme) -> Experiment:
         cohesion=extreme.strength * stress,
     )
     width = 0.5 * float(packing.radius.min())
-    cut_off = np.sqrt(stiffness / (sand.density * np.pi * RADIUS**2)) / np.pi
+    cut_off = cut_off_frequency(stiffness, RADIUS, sand)
     frequency = extreme.frequency * cut_off
     wave = WaveRule(
         amplitude=extreme.amplitude,
@@ -231,7 +231,12 @@ def overlap_under(stress: float, sand: Sand) -> float:
     return float((stress * 2.0 * RADIUS / coefficient) ** (2.0 / 3.0))
 
 
-def contact_stiffness(packing: Packing, sand: Sand) -> float:
-    """Normal stiffness of the pressed contacts, N/m."""
-    coefficient = sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS))
+def pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
+    """Normal stiffness, N/m, of a contact of mean overlap between disks of a radius (m), Hertz."""
+    coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
     return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))
+
+
+def cut_off_frequency(stiffness: float, radius: float, sand: Sand) -> float:
+    """Highest frequency, Hz, that a chain of disks with contacts of a stiffness (N/m) passes on: sqrt(k / m) / pi."""
+    return float(np.sqrt(stiffness / (sand.density * np.pi * radius**2)) / np.pi)

@@ -318,29 +318,25 @@ def has_estimates(lane: LaneType) -> bool:
     return ON_AVX512 and lane.width * lane.dtype.bitwidth in {REGISTER_BITS, 2 * REGISTER_BITS, 4 * REGISTER_BITS}
 
 
-def estimate_intrinsic(name: str) -> Any:
-    """Make an intrinsic of an AVX-512 instruction that estimates inverses to 14 bits, ``rsqrt14`` or ``rcp14``."""
+@intrinsic
+def inverse_root_estimate(typingctx: Any, value: Any) -> Any:
+    """1 / sqrt(x) to 14 bits, by an instruction of AVX-512."""
+    del typingctx
+    size = REGISTER_BITS // value.dtype.bitwidth
 
-    @intrinsic
-    def call(typingctx: Any, value: Any) -> Any:
-        del typingctx
-        size = REGISTER_BITS // value.dtype.bitwidth
+    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        del context, sig
+        register, mask = ir.VectorType(args[0].type.element, size), ir.IntType(size)
+        kind = ir.FunctionType(register, [register, register, mask])
+        letter = "d" if value.dtype == types.float64 else "s"
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.avx512.rsqrt14.p{letter}.512")
+        parts = [
+            builder.call(function, [part, ir.Constant(register, None), ir.Constant(mask, -1)])
+            for part in split(builder, args[0], size)
+        ]
+        return joined(builder, parts)
 
-        def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-            del context, sig
-            register, mask = ir.VectorType(args[0].type.element, size), ir.IntType(size)
-            kind = ir.FunctionType(register, [register, register, mask])
-            letter = "d" if value.dtype == types.float64 else "s"
-            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.avx512.{name}.p{letter}.512")
-            parts = [
-                builder.call(function, [part, ir.Constant(register, None), ir.Constant(mask, -1)])
-                for part in split(builder, args[0], size)
-            ]
-            return joined(builder, parts)
-
-        return value(value), codegen
-
-    return call
+    return value(value), codegen
 
 
 def picked(builder: Any, first: Any, second: Any, lanes: range) -> Any:
@@ -408,5 +404,4 @@ def flush_tiny() -> Any:
 
 
 sqrt_vector = unary_intrinsic("llvm.sqrt")
-inverse_root_estimate = estimate_intrinsic("rsqrt14")
 absolute_vector = unary_intrinsic("llvm.fabs")

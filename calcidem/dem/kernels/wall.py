@@ -15,6 +15,7 @@ from calcidem.dem.kernels.lanes import (
     row,
     select,
     smaller,
+    spread,
     store,
     zero_like,
 )
@@ -51,10 +52,8 @@ def wall_forces(
     if features.linear:
         slide = wall_slide(features, grain, wall, arm, level, motion.displacement, walls, front, 1)
         closer = depth - number(wall_pairs.overlap, (pair,))
-        normal, stiffness = (
-            closer * number(wall_pairs.tangent, (pair, 0)),
-            zero_like(away) + number(wall_pairs.tangent, (pair, 0)),
-        )
+        normal = closer * number(wall_pairs.tangent, (pair, 0))
+        stiffness = spread(number(wall_pairs.tangent, (pair, 0)), lanes)
         shear = slide * -number(wall_pairs.tangent, (pair, 1))
     else:
         slide = wall_slide(features, grain, wall, arm, level, motion.velocity, walls, front, 3) * dt
