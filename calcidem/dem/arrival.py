@@ -18,6 +18,8 @@ Floats = npt.NDArray[np.float64]
 
 PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
 PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
+TWIN = 0.03  # of the height of a top; step and regime change signals by half of that (docs/accuracy.md)
+APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
 
 
 class PickFailure(StrEnum):
@@ -28,6 +30,7 @@ class PickFailure(StrEnum):
     TOO_SHORT = "the record ends before the main peak is certain: record for longer"
     NO_PEAK = "no peak stands out of the received signal"
     PRECURSOR = "an earlier swing is nearly as large as the main peak"
+    UNSURE = "two tops are of nearly the same height: read this sample by pick.method = cross_correlation"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
     UNLIKE = "the received signal does not resemble the sent pulse"
@@ -124,9 +127,10 @@ class Picks:
     Attributes
     ----------
     peak
-        From the peak sent to the main peak received. Quality: how far that peak stands out (its prominence,
-        not counting what lies below zero, over the largest absolute value up to the horizon), times how
-        little came before (one less the largest earlier swing over the peak).
+        From the peak sent to the main peak received, unless a slightly different signal would have another one.
+        Quality: how far that peak stands out (its prominence, not counting what lies below zero, over the largest
+        absolute value up to the horizon), times how little came before (one less the largest earlier swing over
+        the peak).
     first_arrival
         From the sent to the received signal's last rise through the onset level before their peaks. Using
         the same level on both takes out the delay that a level has. Quality: how little came before.
@@ -215,7 +219,8 @@ class Record:
 class MainPeak:
     """Main peak of a record: nearest sample, time in samples, height, noise, earlier swings over it, quality.
 
-    ``end`` is the number of samples on which all this, and every other reading, depends.
+    ``twin`` is how far its farthest twin is away, in samples. ``end`` is the number of samples on which all this, and
+    every other reading, depends.
     """
 
     index: int
@@ -224,6 +229,7 @@ class MainPeak:
     noise: float
     precursor: float
     quality: float
+    twin: int
     end: int
 
 
@@ -238,7 +244,7 @@ def read_arrival(signals: Signals, rule: PickRule = DEFAULT_RULE) -> Picks:
         failed = Reading(failure=main)
         return Picks(failed, failed, failed)
     return Picks(
-        peak=record.reading(main.time - record.sent_peak, main.quality),
+        peak=read_peak(record, main),
         first_arrival=read_first_arrival(record, main),
         cross_correlation=read_cross_correlation(record, main),
     )
@@ -334,8 +340,23 @@ def judge(record: Record, index: int, time: float, horizon: int) -> MainPeak | N
         noise=noise,
         precursor=precursor,
         quality=stands_out * max(0.0, 1.0 - precursor),
+        twin=farthest_twin(view, index, (1.0 + TWIN) * rule.prominence * largest),
         end=horizon + record.reach,
     )
+
+
+def farthest_twin(view: Floats, index: int, prominence: float) -> int:
+    """Return the number of samples to the farthest top that a slightly different signal would have as its main peak.
+
+    The lower of two tops loses its prominence to the higher one, unless the dip between them is deep enough.
+    """
+    height = float(view[index])
+    farthest = 0
+    for top in find_peaks(view, height=(1.0 - TWIN) * height)[0].tolist():
+        between = view[min(top, index) : max(top, index) + 1]
+        if height - float(between.min()) < prominence:
+            farthest = max(farthest, abs(top - index))
+    return farthest
 
 
 def noise_level(record: Record, horizon: int) -> float:
@@ -352,6 +373,14 @@ def why_no_peak(record: Record, cut_off: bool) -> PickFailure:
         return PickFailure.SILENT
     rising = np.argmax(smooth) >= len(smooth) - record.period
     return PickFailure.TOO_SHORT if cut_off or rising else PickFailure.NO_PEAK
+
+
+def read_peak(record: Record, main: MainPeak) -> Reading:
+    """Read the time between both peaks."""
+    travel = main.time - record.sent_peak
+    if main.twin > APART * travel:
+        return Reading(failure=PickFailure.UNSURE)
+    return record.reading(travel, main.quality)
 
 
 def read_first_arrival(record: Record, main: MainPeak) -> Reading:

@@ -182,6 +182,38 @@ def test_larger_peak_within_the_horizon_is_the_arrival() -> None:
     assert error(read_arrival(with_received(signals, signals.received + early)).peak, 200.0) < 0.001
 
 
+def humps(second: float, apart: float, velocity: float = 400.0) -> Signals:
+    """Make two overlapping pulses: the second as high as told, and so much later, in periods."""
+    signals = delayed(velocity, 10e3, longer=1.5)
+    later = bump(signals, 0.5e-4 + DISTANCE / velocity + 1e-4 * apart, 10e3, second * signals.received.max())
+    return with_received(signals, signals.received + later)
+
+
+@given(st.floats(0.985, 1.015), st.floats(0.57, 0.65))
+def test_two_tops_of_one_height_are_no_peak(second: float, apart: float) -> None:
+    """Which of them is the peak would be chance; the other two methods have their readings."""
+    picks = read_arrival(humps(second, apart))
+    assert picks.peak.failure is PickFailure.UNSURE
+    assert picks.first_arrival.velocity is not None
+    assert picks.cross_correlation.velocity is not None
+    assert arrived(humps(second, apart))
+
+
+@pytest.mark.parametrize("apart", [0.4, 0.6, 0.7, 0.8, 1.0])
+def test_a_percent_of_the_signal_does_not_decide_the_velocity(apart: float) -> None:
+    """The velocity jumps nowhere while the second of two tops grows by a percent at a time."""
+    heights = np.geomspace(0.2, 3.0, 270)
+    velocities = np.array([read_arrival(humps(height, apart)).peak.velocity for height in heights], dtype=float)
+    given_both = np.isfinite(velocities[1:]) & np.isfinite(velocities[:-1])
+    assert np.count_nonzero(given_both) > 200  # so few are refused
+    assert (np.abs(np.diff(velocities)) < 0.05 * velocities[1:])[given_both].all()
+
+
+def test_near_tops_do_no_harm() -> None:
+    """Two tops whose travel times are less than 5 % apart have a velocity, wrong by no more than that."""
+    assert error(read_arrival(humps(1.0, 0.57, velocity=80.0)).peak, 80.0) < 0.05
+
+
 def test_noise_costs_little() -> None:
     """White noise of 3 % of the peak moves peak and correlation by under 2 and 0.2 % of a period (rms)."""
     signals = delayed(400.0, 10e3)
