@@ -30,7 +30,7 @@ class PickFailure(StrEnum):
     TOO_SHORT = "the record ends before the main peak is certain: record for longer"
     NO_PEAK = "no peak stands out of the received signal"
     PRECURSOR = "an earlier swing is nearly as large as the main peak"
-    UNSURE = "two tops are of nearly the same height: read this sample by pick.method = cross_correlation"
+    UNSURE = "two tops are of nearly the same height, either may be the peak: use the cross-correlation"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
     UNLIKE = "the received signal does not resemble the sent pulse"

@@ -20,6 +20,7 @@ TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
 SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
 CLOSING = 0.5  # error of contacts that may not close over `WaveRecord.closing`
+SAMPLING = 0.2  # error of an arrival over the interval between samples; 0.13 was the largest found
 IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unrest`
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
@@ -292,7 +293,7 @@ def discretisation_error(
     - Step: local damping looks at velocities half a step old, an error of first order; leapfrog shifts frequencies by
       ``(omega dt)^2 / 24``, and the shortest waves of a pulse have about three times its frequency.
     - Sampling: the smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by
-      up to a tenth of an interval.
+      a part of an interval.
     - Regime: see `geometry_error` and `slip_error`. Small and linear displacement keep gaps open that a pulse closes:
       each adds a contact near the transmitter for half of the time.
     - Precision: rounding of single precision moves broad peaks.
@@ -304,7 +305,7 @@ def discretisation_error(
     wave = experiment.wave
     omega = 2.0 * np.pi * frequency
     step = 0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0
-    sampling = 0.1 * record.interval / travel_time
+    sampling = SAMPLING * record.interval / travel_time
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
     # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))

@@ -1,7 +1,7 @@
 """The numerical settings that are compared, each one knob away from the experiment's own.
 
-Two knobs have tables of their
-own, because what they are compared with is not the reference: `amplitudes` and `equilibrium`.
+Two knobs have tables of their own, because what they are compared with is not the reference: `amplitudes` and
+`equilibrium`.
 """
 
 from collections.abc import Iterable, Iterator

@@ -11,9 +11,8 @@ from calcidem.dem.measurement import Experiment, Measurement, Outcome, measure
 
 TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless the cell itself states more
 FINER = 4  # times smaller step, and denser samples, of the run that decides
-ALIKE = (
-    0.1  # distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call
-)
+ALIKE = 0.1
+"""Distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call."""
 
 
 class Verdict(StrEnum):
