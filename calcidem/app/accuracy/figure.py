@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
 
+STAIRS = 4  # names one below the other, before they begin again
+
 
 @styled
 def error_against_run_time(study: Study) -> "Figure":
@@ -23,16 +25,27 @@ def error_against_run_time(study: Study) -> "Figure":
     axes.plot([row.seconds for row in front], [shown(row.median) for row in front], color=BLUE, label="Pareto front")
     for row in rows:
         mark(axes, row, on_front=row in front)
-    for number, row in enumerate(dict.fromkeys((*front, *(row for row in rows if row.setting == DEFAULT)))):
-        # Names take turns above and below, because settings of one price stand close together.
-        place, offset = (row.seconds, shown(row.median)), (4, -9 if number % 2 else 5)
-        axes.annotate(row.setting, place, xytext=offset, textcoords="offset points", fontsize=6.5, color=BLACK)
+    named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
+    for number, row in enumerate(named):
+        # Below the marks, where no bar is, and one below the other, because settings of one price stand close together.
+        axes.annotate(
+            row.setting,
+            (row.seconds, shown(row.median)),
+            xytext=(-10, -10 - 9 * (number % STAIRS)),
+            textcoords="offset points",
+            fontsize=6.5,
+            color=BLACK,
+            ha="right",
+            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2},
+        )
     axes.axvline(study.reference_seconds, color=GREY, linestyle=":", label="reference")
     axes.set(
         xscale="log",
         yscale="log",
         xlabel="processor time of a cell (s)",
         ylabel="relative error of $V_s$: median to worst",
+        xlim=(0.3 * min(row.seconds for row in rows), 1.5 * study.reference_seconds),
+        ylim=(0.4 * min(shown(row.median) for row in rows), None),
     )
     axes.legend(loc="lower left")
     return figure
