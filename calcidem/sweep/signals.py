@@ -78,18 +78,24 @@ class StopRequest:
     def _drain(self, number: int, _frame: FrameType | None) -> None:
         if self.level is StopLevel.NONE:
             self.level = StopLevel.DRAIN
-            self.reason = signal.Signals(number).name
+            self.reason = name_of(number)
 
     def _hurry(self, number: int, _frame: FrameType | None) -> None:
         now = time.monotonic()
         if self._hurry_since is None:
             self._hurry_since = now
             self.level = StopLevel.HURRY
-            self.reason = signal.Signals(number).name
+            self.reason = name_of(number)
         elif now - self._hurry_since > REPEAT_IGNORED:
             if self._end_at_once is not None:
                 self._end_at_once()
             os._exit(EXIT_RESUMABLE)
+
+
+def name_of(number: int) -> str:
+    """Name of a signal for the user, who sent another one where mpirun's SIGUSR2 arrives."""
+    name = signal.Signals(number).name
+    return f"SIGTERM or Ctrl-C, passed on as {name}" if number == signal.SIGUSR2 else name
 
 
 def leave_signals_to_master() -> None:

@@ -31,9 +31,9 @@ def test_it_was_computed_with_the_preset() -> None:
 
 @pytest.mark.parametrize(("content", "printed"), [(content, row.mean) for content, row in published_study().velocities])
 def test_every_mean_is_near_the_published_one(content: float, printed: float) -> None:
-    """All 16 means of Table 3 are met within 10 %."""
+    """All 16 means of Table 3 are met within 10 %, and few samples have two tops, of which chance would pick one."""
     vs = calcidem.load_paper_campaign().vs.sel(content=content)
-    assert int(vs.notnull().sum()) >= published_study().seeds - 1
+    assert int(vs.notnull().sum()) >= 0.97 * published_study().seeds
     assert float(vs.mean()) == pytest.approx(printed, rel=0.10)
 
 
