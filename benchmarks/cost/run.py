@@ -33,7 +33,8 @@ from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_p
 
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure
 from calcidem.dem.scene import Regime
 from calcidem.dem.state import Precision, choose_features, no_recording, run_sweep, start
 

@@ -12,8 +12,9 @@ from time import process_time
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem import wave
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.guards import problems_of
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.measurement import measure
 from calcidem.dem.state import State
 
 CASES = ((0.0, "linear"), (0.66, "linear"), (5.0, "linear"), (5.0, "finite"))

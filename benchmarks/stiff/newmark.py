@@ -23,7 +23,8 @@ from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.arrival import record_duration
 from calcidem.dem.domain import listening_disks
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure
 from calcidem.dem.pulse import Pulse
 from calcidem.dem.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.state import State, choose_features, start

@@ -9,13 +9,15 @@ import numpy as np
 import xarray as xr
 
 from calcidem.dem.arrival import read_arrival
-from calcidem.dem.measurement import Experiment, Measurement, measure, signals_of
+from calcidem.dem.measurement import Measurement, measure, signals_of
 from calcidem.dem.wave import WaveRecord, send_waves
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+
+    from calcidem.dem.experiment import Experiment
 
 METHODS = ("peak", "first_arrival", "cross_correlation")
 FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)

@@ -12,8 +12,9 @@ from calcidem.app.configuration import Configuration
 from calcidem.app.graph_summary import with_graph
 from calcidem.app.packing_record import packing_record
 from calcidem.dem.arrival import Reading
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.kernels.layout import Integers
-from calcidem.dem.measurement import Experiment, Measurement, measure
+from calcidem.dem.measurement import Measurement, measure
 from calcidem.dem.packing import Packing
 from calcidem.dem.settling import SettlingError
 from calcidem.dem.wave import WaveRecord

@@ -14,8 +14,8 @@ import numpy as np
 
 from calcidem.dem.arrival import PickRule
 from calcidem.dem.cement import CementRule
+from calcidem.dem.experiment import Experiment, Method, ReceivedSignal
 from calcidem.dem.material import Cement, Sand, require
-from calcidem.dem.measurement import Experiment, Method, ReceivedSignal
 from calcidem.dem.packing import Packing, PackingRule
 from calcidem.dem.pulse import EXCITATION
 from calcidem.dem.scene import Installation
@@ -196,7 +196,7 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class VelocityChoice:
-    """The rest of section ``[pick]``: which reading becomes Vs, see `calcidem.dem.measurement.Experiment`."""
+    """The rest of section ``[pick]``: which reading becomes Vs, see `calcidem.dem.experiment.Experiment`."""
 
     method: Method = "peak"
     signal: ReceivedSignal = "velocity"

@@ -14,7 +14,8 @@ import numpy as np
 from calcidem.app.accuracy.measured import MeasuredErrors
 from calcidem.app.accuracy.settings import DEFAULT
 from calcidem.dem.domain import domain_of
-from calcidem.dem.measurement import Experiment, Measurement, measure
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import Measurement, measure
 from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 ROUNDS = 3

@@ -17,7 +17,7 @@ from calcidem.app.packing_archive import DamagedPackingError
 from calcidem.app.packing_record import stored_packing
 from calcidem.app.stored_experiment import experiment_of
 from calcidem.dem.cement import CementKind
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.packing import Packing
 from calcidem.dem.scene import Bonds, Scene
 from calcidem.dem.wave import wave_scene

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from calcidem.app.configuration import Configuration
 from calcidem.app.configuration_errors import ConfigurationError, Problem, shown
 from calcidem.dem.domain import listening_disks
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.packing import Packing
 from calcidem.dem.wave import wave_scene
 

@@ -6,8 +6,8 @@ from typing import Any, TypeVar
 
 from calcidem.dem.arrival import PickRule
 from calcidem.dem.cement import CementRule
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.material import Cement, Sand
-from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing
 from calcidem.dem.wave import WaveRule
 from calcidem.storage.errors import StoreError

@@ -10,7 +10,8 @@ import numpy as np
 
 from calcidem.app.cell_computation import cell_result
 from calcidem.app.provenance import cpu_model
-from calcidem.dem.measurement import Experiment, measure
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure
 from calcidem.storage.campaign import Campaign
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus

@@ -17,7 +17,8 @@ from calcidem.analysis.normality import skewness
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.cement import CementOrdering
-from calcidem.dem.measurement import Experiment, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure_all
 
 CONTENTS = (1.24, 2.55, 5.0, 9.0)
 

@@ -14,7 +14,8 @@ from calcidem.analysis.sensitivity import variance_parts
 from calcidem.app.configuration_file import load_configuration
 from calcidem.app.packing_source import provide_packing
 from calcidem.dem.cement import CementOrdering
-from calcidem.dem.measurement import Experiment, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure_all
 
 HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
 

@@ -11,7 +11,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.studies import damping_study, frequency_study, pulse_frequency
 from calcidem.app.packing_record import stored_packing
 from calcidem.app.stored_experiment import experiment_of
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.pulse import Pulse
 from calcidem.storage.campaign import open_campaign
 

@@ -17,8 +17,9 @@ from calcidem.app.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.accuracy.study import Study, Summary, cheapest, pareto, run_study
 from calcidem.app.explanation import Explanation, precision, with_errors
 from calcidem.dem.cement import CementRule
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.material import Sand
-from calcidem.dem.measurement import Experiment, Outcome, measure
+from calcidem.dem.measurement import Outcome, measure
 from calcidem.dem.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave import WaveRule
 
@@ -52,8 +53,8 @@ def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
     estimates = np.array([cell.estimate for cell in cells])
     assert len(cells) >= 50
     assert np.mean(errors <= estimates) >= 0.95
-    # This box is a third of the real one in width, so that delays of a step or a sample weigh three times as much.
-    assert np.median(estimates) < 0.02
+    # On the real box the median is 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
+    assert np.median(estimates) < 0.03
 
 
 def test_the_default_is_as_exact_as_promised(study: Study) -> None:

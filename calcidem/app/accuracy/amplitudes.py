@@ -12,7 +12,8 @@ import numpy as np
 from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import with_wave
-from calcidem.dem.measurement import Experiment, Measurement, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import Measurement, measure_all
 from calcidem.dem.scene import Regime
 
 AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s

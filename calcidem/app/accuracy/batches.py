@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from time import process_time
 
 from calcidem.app.accuracy.settings import Setting
-from calcidem.dem.measurement import Experiment, Measurement, measure, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import Measurement, measure, measure_all
 
 Compiled = set[tuple[str, str, bool, int]]
 

@@ -13,7 +13,7 @@ from calcidem.app.accuracy.report import Findings, as_json, name_of, tables
 from calcidem.app.accuracy.scatter import SAMPLES, quick_campaign, scatter_rows
 from calcidem.app.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.accuracy.study import Study, cheapest, run_study
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.packing import Packing
 
 Say = Callable[[str], None]

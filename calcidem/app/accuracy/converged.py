@@ -8,7 +8,8 @@ import numpy as np
 from calcidem.app.accuracy.batches import fitting_lanes, timed
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import reference
-from calcidem.dem.measurement import Experiment, Measurement
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import Measurement
 
 HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
 COARSEST = 0.4  # step over the limit that is tried first

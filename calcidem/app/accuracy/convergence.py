@@ -9,8 +9,9 @@ import numpy as np
 from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import at_times, sample_times
 from calcidem.app.accuracy.settings import REFERENCE_SAMPLES, with_wave
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.measurement import Experiment, measure_all
+from calcidem.dem.measurement import measure_all
 from calcidem.dem.wave import WaveRecord
 
 STEPS = (0.8, 0.4, 0.2, 0.1)  # over the limit; each half of the one before

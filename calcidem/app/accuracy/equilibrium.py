@@ -9,7 +9,8 @@ from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import relative
 from calcidem.app.accuracy.settings import with_wave
 from calcidem.dem.assembly import pair_keys
-from calcidem.dem.measurement import Experiment, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure_all
 from calcidem.dem.packing import Packing
 from calcidem.dem.state import Preload
 

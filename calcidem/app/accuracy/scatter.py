@@ -9,7 +9,8 @@ from calcidem.analysis.distribution import describe
 from calcidem.app.accuracy.batches import fitting_lanes
 from calcidem.app.accuracy.comparison import CellError
 from calcidem.app.accuracy.settings import DEFAULT
-from calcidem.dem.measurement import Experiment, measure_all
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import measure_all
 
 SAMPLES = 16  # seeds that tell the scatter if no stored campaign does
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.wave_rule import WHOLE_DOMAIN
 
 DEFAULT = "default"

@@ -11,7 +11,7 @@ from calcidem.app.accuracy.batches import Compiled, fitting_lanes, timed, warm_u
 from calcidem.app.accuracy.comparison import CellError, cell_error
 from calcidem.app.accuracy.converged import COARSEST, Reference, ReferenceCell, converged
 from calcidem.app.accuracy.settings import DEFAULT, Setting, settings
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 
 ROUNDS = 3
 PATIENCE = 3.0  # settings that take this many times the default's time are timed only once

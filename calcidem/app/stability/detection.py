@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from calcidem.app.stability.limits import limits
 from calcidem.app.stability.scenes import REGIMES, Extreme, content_of, experiment_of
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.scene import Regime
 from calcidem.dem.wave import prepared
 

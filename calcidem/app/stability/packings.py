@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.stability.scenes import cut_off_frequency, pressed_stiffness
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.material import Sand
-from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing, PackingRule, make_packing
 from calcidem.dem.scene import Regime
 from calcidem.dem.wave import WaveRule

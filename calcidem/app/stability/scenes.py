@@ -8,9 +8,9 @@ from scipy.stats import qmc
 
 from calcidem.dem.assembly import near_pairs
 from calcidem.dem.cement import CementRule
+from calcidem.dem.experiment import Experiment
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.material import Cement, Sand
-from calcidem.dem.measurement import Experiment
 from calcidem.dem.packing import Packing, PackingReport
 from calcidem.dem.scene import Regime
 from calcidem.dem.state import Preload

@@ -7,7 +7,8 @@ from enum import StrEnum
 from calcidem.app.accuracy.comparison import signal_distance
 from calcidem.app.stability.packings import Packed
 from calcidem.app.stability.scenes import Extreme, content_of, experiment_of
-from calcidem.dem.measurement import Experiment, Measurement, Outcome, measure
+from calcidem.dem.experiment import Experiment
+from calcidem.dem.measurement import Measurement, Outcome, measure
 
 TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless the cell itself states more
 FINER = 4  # times smaller step, and denser samples, of the run that decides

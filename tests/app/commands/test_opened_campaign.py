@@ -12,7 +12,7 @@ from calcidem.app import opened_campaign
 from calcidem.app.opened_campaign import OpenedCampaign
 from calcidem.app.stored_experiment import experiment_of
 from calcidem.dem.cement import CementKind
-from calcidem.dem.measurement import Experiment
+from calcidem.dem.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
 
 
