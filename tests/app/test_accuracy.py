@@ -53,7 +53,7 @@ def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
     estimates = np.array([cell.estimate for cell in cells])
     assert len(cells) >= 50
     assert np.mean(errors <= estimates) >= 0.95
-    # On the real box the median is 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
+    # The real box has 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
     assert np.median(estimates) < 0.03
 
 
