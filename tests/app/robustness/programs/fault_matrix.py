@@ -26,7 +26,7 @@ CONFIGURATION = """
 [campaign]
 name = "small"
 seeds = {seeds}
-contents = [0.66, 1.24]
+contents = [0.45, 0.66]
 [packing]
 width = 0.03
 height = 0.06
@@ -36,13 +36,13 @@ wave_stiffness_factor = 13.0
 [wave]
 receiver_half_width = 0.01
 boundary_thickness = 0.01
-step_fraction = 0.03
+step_fraction = 0.02
 amplitude = 4e-4
 [run]
 lanes = 2
 time_limit = {time_limit}
 """
-"""About 280 disks in batches of two cells, about a second each; most have a velocity."""
+"""About 280 disks in batches of two cells, half a second each, all with a velocity."""
 
 SEEDS = 4
 
