@@ -32,6 +32,9 @@ FIRST_WITH_ULFM = 5
 KILLED = 128
 """Exit codes from here on stand for signals."""
 
+NO_LISTENER = 213
+"""Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
+
 RESTART_PAUSE = 1.0
 """Seconds before a new start, in which the last processes of the former one are gone."""
 
@@ -98,8 +101,8 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     return ended.code
 
 
-def launch_once(command: Sequence[str], relay: "Relay") -> Ended:
-    """Start the launcher with this command line and wait for its end."""
+def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -> Ended:
+    """Start the launcher with this command line and wait for its end; ``again`` if it fails by itself."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}
@@ -117,6 +120,9 @@ def launch_once(command: Sequence[str], relay: "Relay") -> Ended:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
             return Ended(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
+    if code == NO_LISTENER and again and not began:
+        sys.stderr.write(f"{Path(command[0]).name} failed before any rank began: it is started once more.\n")
+        return launch_once(command, relay, again=False)
     cut_off = began or code == 0 or code < 0 or code > KILLED
     advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")

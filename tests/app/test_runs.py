@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calcidem.app.launch import find_mpirun
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.sql_store import open_store
 
@@ -163,6 +164,23 @@ def test_a_launcher_that_fails_is_an_error(workshop: Workshop) -> None:
     workshop.variables["MPIRUN"] = "false"
     assert workshop.run("run", "c.toml", "--ranks", "2").code == 1
     assert not workshop.database.exists()
+
+
+def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: Workshop) -> None:
+    """Open MPI sometimes ends with 213 before any rank begins; the second start runs the campaign."""
+    workshop.configure(seeds=1, contents=(9.0,))
+    launcher = workshop.folder / "launcher"
+    real = find_mpirun()
+    launcher.write_text(
+        f'#!/bin/sh\n[ "$1" = --version ] || [ -e failed ] && exec {real} "$@"\ntouch failed\nexit 213\n'
+    )
+    launcher.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(launcher)
+    ended = workshop.run("run", "c.toml", "--ranks", "2")
+    assert ended.code == 0, ended.errors
+    assert "started once more" in ended.errors
+    with open_campaign(workshop.database) as campaign:
+        assert len(list(campaign.select(status=("done", "no_arrival")))) == 1
 
 
 def test_restarts_come_to_an_end(workshop: Workshop) -> None:

@@ -11,15 +11,17 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from calcidem.app.launch import NO_LISTENER
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from calcidem.sweep import Batch, BatchOutcome
 
@@ -62,6 +64,7 @@ class Launch:
 
     process: subprocess.Popen[str]
     exit_code_file: Path
+    again: Callable[[], subprocess.Popen[str]] | None
     output: str = ""
     errors: str = ""
 
@@ -76,13 +79,16 @@ class Launch:
         return int(self.exit_code_file.read_text().split()[0]) if self.exit_code_file.exists() else None
 
     def wait(self) -> Launch:
-        """Wait for the end and collect what the program wrote."""
+        """Wait for the end and collect what the program wrote; an mpirun that fails by itself is started once more."""
         try:
             self.output, self.errors = self.process.communicate(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.output, self.errors = self.process.communicate()
             pytest.fail(f"still running after {PATIENCE} s:\n{self.output}\n{self.errors}")
+        if self.exit_code == NO_LISTENER and self.again is not None:
+            self.process, self.again = self.again(), None
+            return self.wait()
         return self
 
     def wait_for_line(self, text: str) -> None:
@@ -124,7 +130,8 @@ class Campaign:
         arguments = [str(self.database), *options] if program == "sweep_program.py" else list(options)
         exit_code_file = self.folder / "exit-code"
         exit_code_file.unlink(missing_ok=True)
-        process = subprocess.Popen(
+        start = partial(
+            subprocess.Popen,
             [*launcher, sys.executable, str(PROGRAMS / program), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -137,7 +144,7 @@ class Campaign:
                 "PYTHONPATH": str(CHECKOUT),
             },
         )
-        return Launch(process, exit_code_file)
+        return Launch(start(), exit_code_file, start)
 
     def run(self, *options: str, ranks: int = 3, ulfm: bool = True) -> Launch:
         """Start the program and wait for its end."""
