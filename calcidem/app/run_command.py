@@ -79,9 +79,7 @@ def run_campaign(path: Path, overrides: Mapping[str, Any], *, with_report: bool 
                 check = partial(end_in_haste, session.stop_request)
                 work = CampaignRun(configuration, session.size, lambda text: say(console, text), check)
             except SweepInterrupted:
-                say(
-                    console, f"{session.stop_request.reason}: ended before the packing was made; run it again to go on."
-                )
+                say(console, f"{session.stop_request.told}: ended before the packing was made; run it again to go on.")
                 code = EXIT_RESUMABLE
             except USER_ERRORS as error:
                 code = refusal(error)

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 ValueT = TypeVar("ValueT")
 
 
-def barrier(comm: MPI.Comm) -> None:
-    """Return once all ranks have called this."""
+def barrier(comm: MPI.Comm, limit: float = float("inf")) -> None:
+    """Return once all ranks have called this, or after ``limit`` seconds."""
     request = comm.Ibarrier()
-    wait_until(request.Test)
+    wait_until(request.Test, limit)
 
 
 def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:

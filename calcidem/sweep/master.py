@@ -106,13 +106,13 @@ def _account_for(losses: list[Loss[CellT]], context: SweepContext[CellT]) -> Non
 
 def _reason_to_end(crew: Crew[CellT], context: SweepContext[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
     """Return why the sweep is over, or None if it isn't."""
-    signal_name = context.stop_request.reason
+    asked_by = context.stop_request.told
     if crew.running == 0 and len(context.schedule) == 0:
         return SweepState.COMPLETE, ""
     if level is StopLevel.HURRY:
-        return SweepState.STOPPED, f"{signal_name}: running batches were dropped"
+        return SweepState.STOPPED, f"{asked_by}: running batches were dropped"
     if level is StopLevel.DRAIN and crew.running == 0:
-        return SweepState.STOPPED, f"{signal_name}: running batches were finished"
+        return SweepState.STOPPED, f"{asked_by}: running batches were finished"
     if not crew.expected:
         return SweepState.OUT_OF_WORKERS, "all workers are lost; run the same command again to continue"
     if crew.broken:

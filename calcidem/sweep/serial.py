@@ -45,9 +45,9 @@ def run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -
             deadline = Deadline(context.options.time_limit, stop_request.hurry)
             outcome = attempt(batch, compute, deadline, place)
         except SweepInterrupted:
-            return end(SweepState.STOPPED, f"{stop_request.reason}: the running batch was dropped")
+            return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was dropped")
         final = schedule.settle(outcome)
         context.store([final] if final is not None else [])
     if len(schedule) == 0:
         return end(SweepState.COMPLETE)
-    return end(SweepState.STOPPED, f"{stop_request.reason}: the running batch was finished")
+    return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was finished")

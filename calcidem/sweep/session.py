@@ -40,7 +40,6 @@ STARTED_SUFFIX = ".started"
 MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
-
 MEETING = 2.0
 """Seconds that a rank waits for the others before it ends."""
 
@@ -149,12 +148,17 @@ class Session:
             if sweep_end is not None and sweep_end.unresponsive_ranks:
                 self._abort_mpi(exit_code)
             own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
-            if fault_tolerance_enabled():
-                if sweep_end is None:
-                    self._meet()
-                os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
+            from mpi4py import MPI  # noqa: PLC0415 - as above
+
             from calcidem.sweep.collective import barrier  # noqa: PLC0415 - as above
 
+            if fault_tolerance_enabled():
+                if sweep_end is None:
+                    # To those that still receive a broadcast, a rank that has ended looks lost; after a sweep every
+                    # worker has been told of its end. The barrier fails where a rank is lost, or has ended already.
+                    with suppress(MPI.Exception):
+                        barrier(self.comm, limit=MEETING)
+                os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
             barrier(self.comm)  # a rank that ends early makes mpirun end the others
             sys.exit(own_code)
         sys.exit(exit_code)
@@ -173,20 +177,6 @@ class Session:
         path = os.environ.get(EXIT_CODE_FILE_VARIABLE)
         if path and self.rank == 0:
             Path(path).write_text(f"{exit_code} {self.stop_request.reason}".strip() + "\n", encoding="ascii")
-
-    def _meet(self) -> None:
-        """Wait for the other ranks: to those that still receive a broadcast, one that has ended looks lost.
-
-        After a sweep there is no need to, since every worker has been told of its end.
-        """
-        from mpi4py import MPI  # noqa: PLC0415 - as above
-
-        from calcidem.sweep.protocol import wait_until  # noqa: PLC0415 - as above
-
-        if self.comm is not None:
-            # A rank that is lost, or was here and has ended, makes the barrier fail: then there is nobody to wait for.
-            with suppress(MPI.Exception):
-                wait_until(self.comm.Ibarrier().Test, limit=MEETING)
 
     def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
         """End the other ranks, if there are any left."""

@@ -71,6 +71,12 @@ class StopRequest:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
+    @property
+    def told(self) -> str:
+        """The reason for the user, who has sent another signal where SIGUSR2 arrives."""
+        relayed = self.reason == signal.SIGUSR2.name
+        return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
+
     def hurry(self) -> bool:
         """Tell whether the running batches are to be dropped."""
         return self.level is StopLevel.HURRY
@@ -78,24 +84,18 @@ class StopRequest:
     def _drain(self, number: int, _frame: FrameType | None) -> None:
         if self.level is StopLevel.NONE:
             self.level = StopLevel.DRAIN
-            self.reason = name_of(number)
+            self.reason = signal.Signals(number).name
 
     def _hurry(self, number: int, _frame: FrameType | None) -> None:
         now = time.monotonic()
         if self._hurry_since is None:
             self._hurry_since = now
             self.level = StopLevel.HURRY
-            self.reason = name_of(number)
+            self.reason = signal.Signals(number).name
         elif now - self._hurry_since > REPEAT_IGNORED:
             if self._end_at_once is not None:
                 self._end_at_once()
             os._exit(EXIT_RESUMABLE)
-
-
-def name_of(number: int) -> str:
-    """Name of a signal for the user, who sent another one where mpirun's SIGUSR2 arrives."""
-    name = signal.Signals(number).name
-    return f"SIGTERM or Ctrl-C, passed on as {name}" if number == signal.SIGUSR2 else name
 
 
 def leave_signals_to_master() -> None:

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
-
 STAIRS = 4  # names one below the other, before they begin again
 
 
