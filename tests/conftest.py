@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.cell_computation import cell_result
-from calcidem.app.configuration import Calibration, CampaignPlan, Configuration
-from calcidem.app.packing_record import packing_record
+from calcidem.app.campaign.packing_record import packing_record
+from calcidem.app.campaign.task import cell_result
+from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration
 from calcidem.app.report import write_report
-from calcidem.dem.cement import CementRule
-from calcidem.dem.measurement import measure
-from calcidem.dem.packing import PackingRule, make_packing
-from calcidem.dem.wave import WaveRule
-from calcidem.storage.canonical import canonical_json
+from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.propagation import WaveRule
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.sql.store import open_store
 
 SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)

@@ -31,12 +31,12 @@ sys.path.insert(0, str(HERE.parent / "peers"))
 
 from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_pairs, with_time_step
 
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.measurement import measure
-from calcidem.dem.scene import Regime
-from calcidem.dem.state import Precision, choose_features, no_recording, run_sweep, start
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.state import Precision, choose_features, no_recording, run_sweep, start
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure
 
 GRAINS = (1_000, 3_000, 10_000, 30_000, 100_000)
 LANES = (1, 2, 4, 8, 16, 32)
@@ -136,7 +136,7 @@ def over_ranks() -> list[dict[str, Any]]:
     for ranks in (1, 2, *range(3, 2 + (os.cpu_count() or 1))):
         with tempfile.TemporaryDirectory() as folder:
             Path(folder, "part.toml").write_text(text)
-            command = [sys.executable, "-m", "calcidem.app", "run", "part.toml", "--ranks", str(ranks)]
+            command = [sys.executable, "-m", "calcidem", "run", "part.toml", "--ranks", str(ranks)]
             before = time.perf_counter()
             subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
             rows.append({"ranks": ranks, "workers": max(1, ranks - 1), "seconds": time.perf_counter() - before})

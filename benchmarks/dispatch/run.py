@@ -7,8 +7,6 @@ the master writes into a database as in a campaign. A batch that sleeps stands f
 machine's other users do not matter.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -17,21 +15,17 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calcidem.app.launch import find_mpirun, launcher_options
-from calcidem.app.store_sink import StoreSink
+from calcidem.app.campaign.launch import find_mpirun, launcher_options
+from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql_store import open_store
-from calcidem.sweep import Batch, Session, run_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from calcidem.sweep import BatchOutcome
+from calcidem.storage.sql.store import open_store
+from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
 
 CELLS = 8
 """Cells in a batch, as in a campaign with AVX-512."""

@@ -7,8 +7,6 @@
 Every case is a small real campaign under the real mpirun. Exit code 1 if anything is not as it has to be.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random
@@ -18,14 +16,13 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "app" / "robustness" / "programs"))
 
-from fault_matrix import Trial, all_cases, judge, reference
+import subprocess
 
-if TYPE_CHECKING:
-    import subprocess
+from fault_matrix import Trial, all_cases, judge, reference
 
 SEEDS_TO_KILL = 4000
 """More than 100 interrupted runs can compute."""

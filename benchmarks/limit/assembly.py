@@ -5,9 +5,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from calcidem.dem.engine.state import State, no_recording, run_sweep
 from calcidem.dem.kernels.compiling import compiled
-from calcidem.dem.kernels.sweep import sweep
-from calcidem.dem.state import State, no_recording, run_sweep
+from calcidem.dem.kernels.steps import sweep
 
 LABEL = re.compile(r"^(\.LBB\d+_\d+):")
 JUMP = re.compile(r"^\tj\w+\t(\.LBB\d+_\d+)")
@@ -62,7 +62,7 @@ def assembly_of(state: State) -> str:
 
 def captured_arguments(state: State) -> tuple[Any, ...]:
     """Return the arguments `run_sweep` gives to the kernel for no steps at all."""
-    import calcidem.dem.state as module  # noqa: PLC0415 - its global name is replaced for one call
+    import calcidem.dem.engine.state as module  # noqa: PLC0415 - its global name is replaced for one call
 
     caught: list[tuple[Any, ...]] = []
 

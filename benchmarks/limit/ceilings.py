@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from calcidem.dem.assembly import aligned_zeros
+from calcidem.dem.engine.assembly import aligned_zeros
 from calcidem.dem.kernels.lanes import Vector, load, square_root, store
 from calcidem.dem.kernels.layout import Floats
 

@@ -25,8 +25,8 @@ from assembly import assembly_of, pair_loop
 from ceilings import Ceilings, measure_ceilings
 from scenes import Problem, as_scene, packing_problem, touching_pairs
 
-from calcidem.dem.scene import Regime
-from calcidem.dem.state import State, choose_features, no_recording, run_sweep, start
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.state import State, choose_features, no_recording, run_sweep, start
 
 LANES = 8
 ROUNDS = 7

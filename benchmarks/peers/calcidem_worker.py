@@ -7,7 +7,7 @@ import numpy as np
 from scenes import as_scene, load_problem
 from worker import Engine, serve
 
-from calcidem.dem.state import State, choose_features, launched, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, choose_features, launched, no_recording, run_sweep, start
 
 
 class Calcidem(Engine):

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.assembly import near_pairs
-from calcidem.dem.material import Cement, Sand
-from calcidem.dem.packing import PackingRule, make_packing
-from calcidem.dem.scene import Bonds, Scene
-from calcidem.dem.state import choose_features, start
+from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.state import choose_features, start
+from calcidem.dem.sample.packing import PackingRule, make_packing
 
 Floats = npt.NDArray[np.float64]
 CACHE = Path(gettempdir()) / "calcidem-benchmarks"

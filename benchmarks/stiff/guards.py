@@ -9,13 +9,13 @@ from pathlib import Path
 from statistics import median
 from time import process_time
 
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem import wave
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.guards import problems_of
-from calcidem.dem.measurement import measure
-from calcidem.dem.state import State
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.state import State
+from calcidem.dem.wave import propagation as wave
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.guards import problems_of
+from calcidem.dem.wave.measurement import measure
 
 CASES = ((0.0, "linear"), (0.66, "linear"), (5.0, "linear"), (5.0, "finite"))
 SEEDS = range(1, 9)

@@ -17,18 +17,18 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
 
-from calcidem.app.accuracy.comparison import sample_times
-from calcidem.app.accuracy.settings import with_wave
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem.arrival import record_duration
-from calcidem.dem.domain import listening_disks
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.measurement import measure
-from calcidem.dem.pulse import Pulse
-from calcidem.dem.stability import hertz_tangent, pair_stiffness
-from calcidem.dem.state import State, choose_features, start
-from calcidem.dem.wave import TRANSMITTER, WaveRecord, lane_bonds, wave_scene
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.studies.accuracy.comparison import sample_times
+from calcidem.app.studies.accuracy.settings import with_wave
+from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
+from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.wave.arrival import record_duration
+from calcidem.dem.wave.domain import listening_disks
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.propagation import TRANSMITTER, WaveRecord, lane_bonds, wave_scene
+from calcidem.dem.wave.pulse import Pulse
 
 SEEDS = range(1, 9)
 SAMPLES = 400  # in a period of the pulse

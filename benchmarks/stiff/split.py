@@ -21,14 +21,14 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.csgraph import connected_components
 
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem.domain import listening_disks
-from calcidem.dem.measurement import measure
-from calcidem.dem.pulse import Pulse
-from calcidem.dem.stability import critical_time_step
-from calcidem.dem.state import State, choose_features, start
-from calcidem.dem.wave import lane_bonds, wave_scene
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.stability import critical_time_step
+from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.wave.domain import listening_disks
+from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.propagation import lane_bonds, wave_scene
+from calcidem.dem.wave.pulse import Pulse
 
 CONTENTS = (0.66, 2.55, 5.0, 9.0)
 LANES = 8

@@ -26,13 +26,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from calcidem.analysis.distribution import tabulate
-from calcidem.app.commands.query import find
-from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
-from calcidem.storage.canonical import canonical_json, content_hash
-from calcidem.storage.export import export_netcdf
-from calcidem.storage.netcdf_import import import_netcdf
+from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.cli.query import find
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.records.canonical import canonical_json, content_hash
+from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
 
 CONTENTS = tuple(0.5 * i for i in range(17))

@@ -1,8 +1,7 @@
 """Contact weights and the connectivity C_d, C_d,n of a path (Eqs. 8 and 9 of the paper)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class ContactWeights:
             raise ValueError(f"weights hertz = {self.hertz} and bond = {self.bond} must satisfy 0 < bond <= hertz")
 
     @classmethod
-    def from_coordination_number(cls, coordination_number: float) -> ContactWeights:
+    def from_coordination_number(cls, coordination_number: float) -> Self:
         """Choose the weights by their physical meaning, Eq. 8: C^(-2/3) for sand, 1/C for cement.
 
         Parameters
@@ -43,7 +42,7 @@ class ContactWeights:
         return cls(hertz=coordination_number ** (-2 / 3), bond=1 / coordination_number)
 
     @classmethod
-    def from_ratio(cls, ratio: float) -> ContactWeights:
+    def from_ratio(cls, ratio: float) -> Self:
         """Choose the weights by their ratio omega_LPB / omega_h with omega_h = 1, as in Fig. 14."""
         return cls(hertz=1.0, bond=ratio)
 

@@ -5,20 +5,15 @@ contacts are cemented. `ContactGraph.to_networkx` gives the graph for reading an
 a sparse matrix with SciPy, because the scan over weights needs thousands of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.connectivity import ContactWeights
 
 RELATIVE_TIE = 1e-9
 """Paths whose lengths differ by less than this fraction are equally long; round-off is about 1e-14."""
@@ -118,7 +113,7 @@ class ContactGraph:
         data = self.contact_weights(bonded, weights)[self.entry_contacts]
         return csr_array((data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count))
 
-    def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> nx.Graph[int]:
+    def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> "nx.Graph[int]":
         """Give the graph as a networkx model; arguments as in `contact_weights`.
 
         Returns

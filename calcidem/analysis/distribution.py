@@ -1,13 +1,11 @@
 """The distribution of shear-wave velocity at each calcite content (sections 2.4 and 3.2 of the paper)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import (
@@ -22,9 +20,6 @@ from calcidem.analysis.intervals import (
 )
 from calcidem.analysis.normality import NormalityTest, jarque_bera, kurtosis, skewness
 from calcidem.analysis.outcomes import count_outcomes, matrix
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, slots=True)

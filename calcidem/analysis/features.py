@@ -5,19 +5,15 @@ its figure. Each is defined once, in `FEATURES`: name, symbol, definition in wor
 computes it.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalised_connectivity
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, slots=True)

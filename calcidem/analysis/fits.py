@@ -1,17 +1,12 @@
 """The empirical law Vs = a C^b + c between connectivity C_d,n and velocity (Table 4 of the paper)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
 from calcidem.analysis.intervals import Interval
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 PARAMETERS = 3
 """The law has the three parameters a, b and c."""

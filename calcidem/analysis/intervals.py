@@ -6,19 +6,13 @@ Every function takes the values of one sample, shape (n,), finite and independen
 error: the interval then has no width.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 BOOTSTRAP_SEED = 20_240_501
 """Resampling draws the same numbers in every run, so that a report can be reproduced to the last digit."""

@@ -1,17 +1,12 @@
 """The Jarque-Bera test, which asks whether skewness and kurtosis of a sample fit a normal distribution."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SIMULATED_SAMPLES = 20_000
 """Normal samples drawn for one sample size: the standard error of a p-value of 0.05 is then 0.0015."""

@@ -1,14 +1,8 @@
 """Measured, failed and not yet computed cells of a matrix of seeds and contents, counted apart."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import xarray as xr
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 DONE = "done"
 NOT_COMPUTED = ""

@@ -1,23 +1,17 @@
 """From a stored packing and a stored cement pattern to the contact graph and its path features."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
 from calcidem.analysis.features import PathFeatures, measure_path, path_features
+from calcidem.storage.records import CementPattern, PackingRecord
 from calcidem.storage.records import PathFeatures as StoredPathFeatures
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from calcidem.storage.records import CementPattern, PackingRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)

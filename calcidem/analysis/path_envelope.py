@@ -6,19 +6,15 @@ has only a few corners. So instead of a search for every sample and every ratio,
 found with a few searches and then holds exactly for all ratios.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph, preferential_path
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 
 class PathLine(NamedTuple):

@@ -1,22 +1,15 @@
 """How many seeds a campaign needs: Monte-Carlo error against number of samples."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, standard_deviation, standard_deviation_interval
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
 
 SMALLEST_COUNT = 3
 """Fewer values than this always have the same skewness."""

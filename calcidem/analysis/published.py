@@ -5,20 +5,16 @@ Study", Tables 1 to 4 and section 3.2.1. They stand in `published.toml` beside t
 whether they agree with one another is the business of `calcidem.analysis.published_check`.
 """
 
-from __future__ import annotations
-
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.intervals import Interval
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 @dataclass(frozen=True, slots=True)

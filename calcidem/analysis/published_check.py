@@ -5,8 +5,6 @@ compared with what is printed beside them. Nothing is corrected: a disagreement 
 stay as they are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How mean and scatter of Vs change when one choice of a campaign is changed and the seeds stay the same."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

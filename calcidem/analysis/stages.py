@@ -1,15 +1,10 @@
 """The four stages in which Vs grows with calcite content, and how fast it grows in each (section 3.2.1)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,20 +1,13 @@
 """Which ratio of the contact weights makes C_d,n tell most about Vs (Fig. 14 of the paper)."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from calcidem.analysis.path_envelope import PathEnvelope
+from calcidem.analysis.path_envelope import PathEnvelope
 
 SMALLEST_SAMPLE = 3
 """Two samples always lie on a line, so a correlation says nothing."""

@@ -4,8 +4,8 @@ For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, a
 `contact_forces` and `energies`. docs/scenes.md explains it with an example.
 """
 
-from calcidem.dem.material import Cement, Sand
-from calcidem.dem.readout import (
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.readout import (
     ContactForces,
     Energies,
     contact_forces,
@@ -14,8 +14,8 @@ from calcidem.dem.readout import (
     unbalanced_ratio,
     wall_reactions,
 )
-from calcidem.dem.scene import Bonds, Scene, Wall
-from calcidem.dem.state import Preload, State, advance, choose_features, start
+from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.state import Preload, State, advance, choose_features, start
 
 __all__ = [
     "Bonds",

@@ -4,13 +4,13 @@ import json
 import os
 from collections.abc import Collection, Iterator, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+import pandas as pd
 import xarray as xr
 
-from calcidem.storage.dataset import campaign_dataset, vs_array
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.quantities import QUANTITIES, QUANTITY_BY_NAME
+from calcidem.storage.netcdf.dataset import campaign_dataset, vs_array
 from calcidem.storage.records import (
     AttemptRecord,
     CampaignRecord,
@@ -21,11 +21,9 @@ from calcidem.storage.records import (
     RunRecord,
     Signal,
 )
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
+from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["Campaign", "open_campaign"]
 
@@ -43,7 +41,7 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     Raises
     ------
     StoreError
-        If the database can't be read or has no such campaign (see `calcidem.storage.sql_store.open_store`).
+        If the database can't be read or has no such campaign (see `calcidem.storage.sql.store.open_store`).
 
     Examples
     --------
@@ -94,7 +92,7 @@ class Campaign:
         return vs_array(self.store)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return every scalar quantity of every cell (`calcidem.storage.dataset.campaign_dataset`).
+        """Return every scalar quantity of every cell (`calcidem.storage.netcdf.dataset.campaign_dataset`).
 
         Examples
         --------
@@ -154,7 +152,7 @@ class Campaign:
         status : str or collection of str, optional
             Such as ``"done"``.
         where : str, optional
-            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.quantities.QUANTITIES`.
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.sql.quantities.QUANTITIES`.
         with_arrays : bool
             Whether the records bring signals and cement patterns along.
 

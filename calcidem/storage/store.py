@@ -40,7 +40,7 @@ class Selection:
     statuses : collection of CellStatus, optional
         May include `CellStatus.PENDING` for planned cells without an outcome.
     where : str, optional
-        Filter expression (`calcidem.storage.where.parse_where`).
+        Filter expression (`calcidem.storage.sql.where.parse_where`).
     """
 
     seeds: Collection[int] | None = None
@@ -326,7 +326,7 @@ class Store(ABC):
         Parameters
         ----------
         names : sequence of str
-            From `calcidem.storage.quantities.QUANTITIES`.
+            From `calcidem.storage.sql.quantities.QUANTITIES`.
         selection : Selection
         sort : sequence of str
             Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is

@@ -15,11 +15,11 @@ from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.progress import BarProgress, LineProgress, Progress, SilentProgress, progress_for
+from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Tally
 from calcidem.sweep.session import Session
 from calcidem.sweep.signals import StopLevel, StopRequest
 from calcidem.sweep.sink import Sink
-from calcidem.sweep.sweep import run_sweep
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 __all__ = [

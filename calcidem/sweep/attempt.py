@@ -1,20 +1,12 @@
 """One attempt at a batch: the same on a worker and in a serial run."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
-from calcidem.sweep.batch import CellT
-from calcidem.sweep.deadline import TimeLimitReached
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from calcidem.sweep.batch import Batch
-    from calcidem.sweep.deadline import Deadline
-    from calcidem.sweep.outcome import Place
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.deadline import Deadline, TimeLimitReached
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 
 ResultT = TypeVar("ResultT")
 ResultT_co = TypeVar("ResultT_co", covariant=True)

@@ -1,11 +1,9 @@
 """The unit of work: cells that are computed side by side, and the order in which they are handed out."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, Self, TypeAlias, TypeVar
 
 CellT = TypeVar("CellT", bound=Hashable)
 
@@ -51,11 +49,11 @@ class Batch(Generic[CellT]):
         if self.losses < 0:
             raise ValueError(f"losses is {self.losses}: give the number of lost workers, zero or more")
 
-    def lost_once_more(self) -> Batch[CellT]:
+    def lost_once_more(self) -> Self:
         """Return the same batch with one more lost worker to its name."""
         return replace(self, losses=self.losses + 1)
 
-    def split(self, first_identifier: int) -> tuple[Batch[CellT], ...]:
+    def split(self, first_identifier: int) -> tuple[Self, ...]:
         """Return one batch for each cell, numbered from `first_identifier`; cost and losses are kept.
 
         The cost is not divided: a batch fills SIMD lanes, so one cell takes about as long as all of them.

@@ -4,18 +4,14 @@ The blocking ones of MPI keep a core busy on every rank that waits, which is mos
 packing or one rank of a node compiles.
 """
 
-from __future__ import annotations
-
 import pickle
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from calcidem.sweep.protocol import MASTER, wait_until
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ValueT = TypeVar("ValueT")
 

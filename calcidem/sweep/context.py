@@ -1,19 +1,15 @@
 """What rank 0 works with during a sweep, whether it has workers or computes itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic
+from typing import Any, Generic
 
 from calcidem.sweep.batch import CellT
-
-if TYPE_CHECKING:
-    from calcidem.sweep.options import SweepOptions
-    from calcidem.sweep.outcome import BatchOutcome
-    from calcidem.sweep.progress import Progress
-    from calcidem.sweep.schedule import Schedule
-    from calcidem.sweep.signals import StopRequest
-    from calcidem.sweep.sink import Sink
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.progress import Progress
+from calcidem.sweep.schedule import Schedule
+from calcidem.sweep.signals import StopRequest
+from calcidem.sweep.sink import Sink
 
 
 @dataclass(frozen=True, slots=True)

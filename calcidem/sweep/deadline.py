@@ -1,12 +1,7 @@
 """The time limit of a batch, checked by the computation itself between chunks of work."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from collections.abc import Callable
 
 
 class TimeLimitReached(Exception):  # noqa: N818 - an expected end of a computation, not an error of the program

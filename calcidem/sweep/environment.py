@@ -1,17 +1,12 @@
 """Facts about how the program was launched: for refusals, for `doctor` and for the provenance of a run."""
 
-from __future__ import annotations
-
 import os
 import platform
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from calcidem.sweep.errors import LaunchError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 LAUNCHER_VARIABLES = {
     "OMPI_COMM_WORLD_SIZE": "Open MPI mpirun",

@@ -1,7 +1,5 @@
 """Errors of a sweep."""
 
-from __future__ import annotations
-
 
 class SweepError(Exception):
     """Base class of what can go wrong with a sweep as a whole."""

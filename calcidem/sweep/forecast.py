@@ -1,15 +1,11 @@
 """How long a sweep will still take, from what its batches have cost so far."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Hashable, Iterable
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable
-
-    from calcidem.sweep.batch import Batch
-    from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome
 
 
 class Forecast:

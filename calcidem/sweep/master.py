@@ -3,24 +3,19 @@
 There is no `master_join`: workers join while the sweep runs, whenever they are ready (`Crew.receive`).
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from calcidem.sweep.crew import Crew
+from mpi4py import MPI
+
+from calcidem.sweep.batch import CellT
+from calcidem.sweep.context import SweepContext
+from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.protocol import Backoff
 from calcidem.sweep.signals import StopLevel
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
-
-    from calcidem.sweep.batch import CellT
-    from calcidem.sweep.context import SweepContext
-    from calcidem.sweep.crew import Loss
-    from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.worker_pool import Crew, Loss
 
 TICK = 0.5
 """Seconds between the signs of life that the progress display gets."""

@@ -1,7 +1,5 @@
 """Settings of a sweep."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

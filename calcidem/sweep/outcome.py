@@ -1,17 +1,12 @@
 """What became of a batch: results, or a failure that is data like any other."""
 
-from __future__ import annotations
-
 import platform
 import traceback
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
-from calcidem.sweep.batch import CellT
-
-if TYPE_CHECKING:
-    from calcidem.sweep.batch import Batch
+from calcidem.sweep.batch import Batch, CellT
 
 ResultT = TypeVar("ResultT")
 
@@ -35,7 +30,7 @@ class Place:
     host: str
 
     @classmethod
-    def here(cls, rank: int) -> Place:
+    def here(cls, rank: int) -> Self:
         """Return the place of this process, which has the given rank."""
         return cls(rank=rank, host=platform.node())
 
@@ -59,7 +54,7 @@ class Failure:
     traceback: str = ""
 
     @classmethod
-    def from_exception(cls, kind: FailureKind, error: BaseException) -> Failure:
+    def from_exception(cls, kind: FailureKind, error: BaseException) -> Self:
         """Return an exception as data, since the exception itself might not survive pickling."""
         return cls(
             kind=kind,

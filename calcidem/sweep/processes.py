@@ -1,7 +1,5 @@
 """Operating-system help against processes that die, hang or outlive their launcher (Linux)."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -1,23 +1,17 @@
 """What a person sees while a sweep runs: a bar on a terminal, lines in a log."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import rich.progress
+from rich.console import Console
 
+from calcidem.sweep.batch import Batch
 from calcidem.sweep.forecast import Forecast
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.sweep_end import SweepEnd
 from calcidem.sweep.wording import count, duration, end_line, failure_line, loss_line
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
-    from calcidem.sweep.batch import Batch
-    from calcidem.sweep.outcome import BatchOutcome, Place
-    from calcidem.sweep.sweep_end import SweepEnd
 
 
 class Progress(Protocol):

@@ -12,18 +12,14 @@ synchronous: once one has completed, the other side has begun to receive it. The
 communicator may carry other traffic before and after a sweep, but not during one.
 """
 
-from __future__ import annotations
-
 import pickle
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mpi4py import MPI
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MASTER = 0
 """Rank of the master."""

@@ -1,19 +1,12 @@
 """Which batch comes next and what to do with each outcome: the decisions, without any communication."""
 
-from __future__ import annotations
-
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
-from calcidem.sweep.batch import CellT
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from calcidem.sweep.batch import Batch
-    from calcidem.sweep.outcome import Place
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 
 ResultT = TypeVar("ResultT")
 

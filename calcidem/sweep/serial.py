@@ -1,20 +1,15 @@
 """A sweep in one process, with the same rules as the parallel one and without any MPI library."""
 
-from __future__ import annotations
-
 import time
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
-from calcidem.sweep.attempt import attempt
+from calcidem.sweep.attempt import Compute, attempt
+from calcidem.sweep.batch import CellT
+from calcidem.sweep.context import SweepContext
 from calcidem.sweep.deadline import Deadline, SweepInterrupted
 from calcidem.sweep.outcome import Place
 from calcidem.sweep.signals import StopLevel
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
-
-if TYPE_CHECKING:
-    from calcidem.sweep.attempt import Compute
-    from calcidem.sweep.batch import CellT
-    from calcidem.sweep.context import SweepContext
 
 ResultT = TypeVar("ResultT")
 

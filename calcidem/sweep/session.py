@@ -1,29 +1,23 @@
 """The life of a program that may be one of many ranks: begin, prepare together, end all alike."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from types import TracebackType
+from typing import NoReturn, Self, TypeVar
+
+from mpi4py import MPI
 
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher
 from calcidem.sweep.errors import MasterLostError
 from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import TracebackType
-    from typing import Self
-
-    from mpi4py import MPI
-
-    from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.sweep_end import SweepEnd
 
 ValueT = TypeVar("ValueT")
 

@@ -1,19 +1,14 @@
 """Signals as requests to stop: noted by the handler, obeyed by the loop that polls them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
+from collections.abc import Callable
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from types import FrameType, TracebackType
+from typing import Any, Self
 
 from calcidem.sweep.exit_codes import EXIT_RESUMABLE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import FrameType, TracebackType
-    from typing import Any, Self
 
 DRAIN_SIGNALS = (signal.SIGUSR1,)
 """Finish the running batches, store them, then stop."""

@@ -1,14 +1,10 @@
 """Where the outcomes of a sweep go."""
 
-from __future__ import annotations
+from collections.abc import Sequence
+from typing import Any, Protocol
 
-from typing import TYPE_CHECKING, Any, Protocol
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from calcidem.sweep.batch import Batch
-    from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome
 
 
 class Sink(Protocol):

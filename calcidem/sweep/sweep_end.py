@@ -1,7 +1,5 @@
 """How a sweep ended."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import StrEnum
 

@@ -1,12 +1,9 @@
 """How a sweep puts its facts into words."""
 
-from __future__ import annotations
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from calcidem.sweep.outcome import BatchOutcome, Place
-    from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.sweep_end import SweepEnd
 
 
 def duration(seconds: float | None) -> str:

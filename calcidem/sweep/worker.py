@@ -1,29 +1,23 @@
 """The worker's end of a sweep: `worker_join`, `worker_exec`, `worker_stop`, mirrored by the master."""
 
-from __future__ import annotations
-
 import signal
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 
-from calcidem.sweep.attempt import attempt
+from calcidem.sweep.attempt import Compute, attempt
+from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.deadline import Deadline, SweepInterrupted
 from calcidem.sweep.errors import MasterLostError
+from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import ProcessIdentity
 from calcidem.sweep.protocol import MASTER, Backoff, Incoming, Tag, start_receive, start_send, wait_until
 from calcidem.sweep.signals import leave_signals_to_master
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from calcidem.sweep.attempt import Compute
-    from calcidem.sweep.batch import Batch, CellT
-    from calcidem.sweep.options import SweepOptions
-    from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.sweep_end import SweepEnd
 
 ResultT = TypeVar("ResultT")
 

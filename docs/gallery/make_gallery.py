@@ -9,14 +9,14 @@ from pathlib import Path
 
 from PIL import Image
 
-from calcidem.analysis.campaign_features import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
 from calcidem.app.report.provenance import CHOSEN, flatten, value_text
-from calcidem.app.report.study_runs import run_studies
+from calcidem.app.studies.stored_studies import run_studies
 from calcidem.storage.campaign import open_campaign
 
 FOLDER = Path(__file__).parent

@@ -12,7 +12,7 @@ import xarray as xr
 
 from calcidem.analysis.fits import PowerLawFit, fit_power_law
 from calcidem.analysis.sensitivity import variance_parts
-from calcidem.app.sensitivity.plan import REFERENCE, Variant, load_plan
+from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant, load_plan
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import UnknownCampaignError
 

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.normality import skewness
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem.cement import CementOrdering
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.measurement import measure_all
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.sample.cement import CementOrdering
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure_all
 
 CONTENTS = (1.24, 2.55, 5.0, 9.0)
 

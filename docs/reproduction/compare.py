@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import PublishedVelocity, published_study

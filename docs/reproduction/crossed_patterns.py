@@ -11,11 +11,11 @@ from functools import partial
 import numpy as np
 
 from calcidem.analysis.sensitivity import variance_parts
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.packing_source import provide_packing
-from calcidem.dem.cement import CementOrdering
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.measurement import measure_all
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.sample.cement import CementOrdering
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure_all
 
 HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.analysis.normality import kurtosis, skewness
 from calcidem.analysis.published import published_study
-from calcidem.app.sensitivity.plan import load_plan
+from calcidem.app.studies.sensitivity.plan import load_plan
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import UnknownCampaignError
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign import run
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.graph_summary import with_graph
-from calcidem.storage.sql_store import open_store
+from calcidem.app.campaign.graph_summary import with_graph
+from calcidem.app.campaign.run import run
+from calcidem.app.config.reader import load_configuration
+from calcidem.storage.sql.store import open_store
 
 HERE = Path(__file__).parent
 

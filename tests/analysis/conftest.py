@@ -1,22 +1,16 @@
 """Shared by the tests of calcidem.analysis: graphs to search, and the slow, obvious twin of the search."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from calcidem.analysis.connectivity import ContactWeights
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 

@@ -1,7 +1,5 @@
-from __future__ import annotations
-
 import itertools
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
 
 import networkx as nx
 import numpy as np
@@ -10,9 +8,6 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, connectivity
 from calcidem.analysis.contact_graph import ContactGraph, preferential_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 PHYSICAL = ContactWeights(0.475, 0.328)

@@ -1,18 +1,12 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.correlation import correlate, fisher_interval
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 
 def table(**variables: NDArray[np.float64]) -> xr.Dataset:

@@ -1,19 +1,14 @@
-from __future__ import annotations
-
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
 from calcidem.analysis.features import FEATURES, PathFeatures, measure_path, path_features
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 WEIGHTS = ContactWeights.from_ratio(0.5)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, published_velocities, read_arrival
 from calcidem.analysis.figures.relations import law_text, symbol

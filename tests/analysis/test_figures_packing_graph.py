@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.analysis.campaign_features import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import features_record, packing_graph
-from calcidem.app.packing_record import stored_packing
+from calcidem.app.campaign.packing_record import stored_packing
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.records import CementPattern
 

@@ -8,11 +8,11 @@ import xarray as xr
 
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.analysis.studies import damping_study, frequency_study, pulse_frequency
-from calcidem.app.packing_record import stored_packing
-from calcidem.app.stored_experiment import experiment_of
-from calcidem.dem.experiment import Experiment
-from calcidem.dem.pulse import Pulse
+from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.app.studies.frequency_and_damping import damping_study, frequency_study, pulse_frequency
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.pulse import Pulse
 from calcidem.storage.campaign import open_campaign
 
 

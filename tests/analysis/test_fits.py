@@ -1,19 +1,13 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy import optimize
 
 from calcidem.analysis.fits import _gradient, fit_power_law, leave_one_seed_out, power_law
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 LAW = (623.0, -1.01, -338.0)
 """The paper's law for weights by physical meaning."""

@@ -1,6 +1,4 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,9 +13,6 @@ from calcidem.analysis.normality import (
     kurtosis,
     skewness,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def test_moments_of_a_sample_counted_by_hand() -> None:

@@ -1,7 +1,5 @@
-from __future__ import annotations
-
 import itertools
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,9 +9,6 @@ from calcidem.analysis import path_envelope as module
 from calcidem.analysis.connectivity import ContactWeights, connectivity
 from calcidem.analysis.contact_graph import ContactGraph, preferential_path
 from calcidem.analysis.path_envelope import PathLine, path_envelope
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 

@@ -1,6 +1,4 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,9 +7,6 @@ from hypothesis import strategies as st
 
 from calcidem.analysis.intervals import mean_interval
 from calcidem.analysis.planning import _mean_half_width, narrowing, plan_seeds, seeds_needed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def test_seeds_for_the_papers_widest_content() -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from calcidem.analysis.published import published_study

@@ -1,17 +1,11 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, normalised_connectivity
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine
 from calcidem.analysis.weights import _correlation, _first_best, _sums_by_seed, scan_ratio
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SEEDS, CONTENTS = 20, 6
 

@@ -1,24 +1,19 @@
 """Shared by the tests of the application: small real campaigns, run by the real command."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from calcidem.storage.campaign import open_campaign
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -83,7 +78,7 @@ class Workshop:
 
     def start(self, *arguments: str, program: str = "") -> subprocess.Popen[str]:
         """Start the command, or a program in Python that does, and return at once."""
-        command = ["-c", program] if program else ["-m", "calcidem.app"]
+        command = ["-c", program] if program else ["-m", "calcidem"]
         return subprocess.Popen(
             [sys.executable, *command, *arguments],
             cwd=self.folder,

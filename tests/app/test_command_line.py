@@ -1,7 +1,5 @@
 """The command line: what it writes, what it refuses, and how it ends."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -22,7 +20,7 @@ CHECKOUT = Path(__file__).parents[2]
 
 def test_help_does_not_wait_for_numerical_libraries() -> None:
     """`calcidem --help` loads neither NumPy nor Numba, which take seconds."""
-    program = "import sys, calcidem.app.command_line; sys.exit('numpy' in sys.modules or 'numba' in sys.modules)"
+    program = "import sys, calcidem.app.cli.main; sys.exit('numpy' in sys.modules or 'numba' in sys.modules)"
     environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
     assert subprocess.run([sys.executable, "-c", program], check=False, env=environment).returncode == 0
 

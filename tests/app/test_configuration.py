@@ -1,23 +1,20 @@
 """Configurations: what is right is read, what is wrong is refused as a whole before anything is done."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.app.command_line import main
-from calcidem.app.configuration import CampaignPlan, Configuration, Excitation, RunOptions
-from calcidem.app.configuration_errors import ConfigurationError
-from calcidem.app.configuration_file import SECTIONS, load_configuration, read_configuration
-from calcidem.app.presets import preset_text
+from calcidem.app.cli.main import main
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.presets import preset_text
+from calcidem.app.config.reader import SECTIONS, load_configuration, read_configuration
+from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, RunOptions
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from _typeshed import DataclassInstance
 
 # (text of the file, what the message must name: field and value, problem or cure)

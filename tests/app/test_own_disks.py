@@ -1,26 +1,23 @@
 """Campaigns on the user's own disks: `[packing] file = "disks.csv"`."""
 
-from __future__ import annotations
-
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from calcidem.app.campaign import run
-from calcidem.app.configuration_errors import ConfigurationError
-from calcidem.app.configuration_file import load_configuration
-from calcidem.app.opened_campaign import open_campaign
-from calcidem.app.packing_source import provide_packing
-from calcidem.app.verification import random_cells, verify
-from calcidem.dem.packing import PackingError
-from calcidem.dem.packing_file import read_disks
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.run import run
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.studies.verify import random_cells, verify
+from calcidem.dem.sample.packing import PackingError
+from calcidem.dem.sample.packing_file import read_disks
 from calcidem.storage.errors import CampaignMismatchError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from conftest import Workshop
 
 OWN = """

@@ -1,25 +1,19 @@
 """The packing of a campaign: kept, found again, and made anew when what was kept is damaged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.app.configuration import Configuration, PackingDraw
-from calcidem.app.packing_archive import DamagedPackingError, from_bytes, to_bytes
-from calcidem.app.packing_checks import check_against_packing
-from calcidem.app.packing_record import packing_record, stored_packing
-from calcidem.app.packing_source import cache_folder, provide_packing
-from calcidem.dem.packing import PackingRule
-
-if TYPE_CHECKING:
-    from calcidem.dem.packing import Packing
+from calcidem.app.campaign.packing_archive import DamagedPackingError, from_bytes, to_bytes
+from calcidem.app.campaign.packing_record import packing_record, stored_packing
+from calcidem.app.campaign.packing_source import cache_folder, provide_packing
+from calcidem.app.config.packing_checks import check_against_packing
+from calcidem.app.config.schema import Configuration, PackingDraw
+from calcidem.dem.sample.packing import Packing, PackingRule
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, balance=1e-3))
 """Some 60 disks, made in less than a second."""

@@ -8,10 +8,10 @@ import pytest
 
 import calcidem
 from calcidem.analysis.published import published_study
-from calcidem.app import paper_campaign
-from calcidem.app.configuration_file import read_configuration
-from calcidem.app.presets import preset_text
-from calcidem.storage.canonical import canonical_json
+from calcidem.app.campaign import paper as paper_campaign
+from calcidem.app.config.presets import preset_text
+from calcidem.app.config.reader import read_configuration
+from calcidem.storage.records.canonical import canonical_json
 
 
 def test_its_docstring_is_true() -> None:

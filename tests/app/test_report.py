@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from calcidem.analysis.campaign_features import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.report import analyse, show_cell, write_report
 from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import outcome_table, velocity_table
-from calcidem.app.report.study_runs import run_studies
 from calcidem.app.report.wording import duration, number, probability, significant
+from calcidem.app.studies.stored_studies import run_studies
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import UnknownCellError
 

@@ -1,7 +1,5 @@
 """Campaigns with the real command and the real mpirun: the same bits whatever happens on the way."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -12,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calcidem.app.launch import find_mpirun
+from calcidem.app.campaign.launch import find_mpirun
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop

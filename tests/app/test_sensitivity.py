@@ -1,15 +1,13 @@
 """The command `sensitivity`: variants of a small campaign, computed, continued and tabulated."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from calcidem.app.configuration_errors import ConfigurationError
-from calcidem.app.sensitivity.plan import REFERENCE, load_plan
-from calcidem.app.sensitivity.study import changes, compute
-from calcidem.app.sensitivity.table import sensitivity_table
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
+from calcidem.app.studies.sensitivity.study import changes, compute
+from calcidem.app.studies.sensitivity.table import sensitivity_table
 
 BASE = """
 [packing]

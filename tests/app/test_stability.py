@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.app.stability.detection import forced
-from calcidem.app.stability.endurance import energy_drift
-from calcidem.app.stability.limits import limits
-from calcidem.app.stability.packings import Packed, packed_experiment, small_packing
-from calcidem.app.stability.scenes import Extreme, content_of, drawn, experiment_of
-from calcidem.app.stability.verdict import Verdict, judge, judge_packed
-from calcidem.dem.measurement import Outcome, measure
-from calcidem.dem.state import advance, start
-from calcidem.dem.wave import wave_scene
+from calcidem.app.studies.stability.detection import forced
+from calcidem.app.studies.stability.endurance import energy_drift
+from calcidem.app.studies.stability.limits import limits
+from calcidem.app.studies.stability.packings import Packed, packed_experiment, small_packing
+from calcidem.app.studies.stability.scenes import Extreme, content_of, drawn, experiment_of
+from calcidem.app.studies.stability.verdict import Verdict, judge, judge_packed
+from calcidem.dem.engine.state import advance, start
+from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.propagation import wave_scene
 
 SCENES = 512
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.state import Preload
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.scene import Scene
-from calcidem.dem.state import Preload
 
 Pair = tuple[int, int]
 

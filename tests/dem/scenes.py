@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.material import Cement, Sand
-from calcidem.dem.scene import Bonds, Scene, Wall
 
 RADIUS = 1.0e-3
 SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.dem.arrival import (
+from calcidem.dem.wave.arrival import (
     PickFailure,
     PickRule,
     Reading,
@@ -15,7 +15,7 @@ from calcidem.dem.arrival import (
     read_arrival,
     record_duration,
 )
-from calcidem.dem.pulse import Pulse
+from calcidem.dem.wave.pulse import Pulse
 
 Floats = npt.NDArray[np.float64]
 

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scenes import BONDED, LINEAR, RADIUS
 
+from calcidem.dem.engine.material import Cement
+from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.state import State, advance, start
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.material import Cement
-from calcidem.dem.scene import Bonds, Scene
-from calcidem.dem.state import State, advance, start
 
 BONDS = 6
 FORCE = 1.0

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from calcidem.dem.cement import (
+from calcidem.dem.sample.cement import (
     CementCapacityError,
     CementKind,
     CementOrdering,
@@ -15,7 +15,7 @@ from calcidem.dem.cement import (
     contact_points,
     draw_cement,
 )
-from calcidem.dem.toroid import toroid_area
+from calcidem.dem.sample.toroid import toroid_area
 
 CONTENTS = st.floats(0.0, 10.0)  # every seed of the small sample holds that much
 SEEDS = st.integers(0, 2**31)

@@ -3,9 +3,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import GROUPED, SOFT_CEMENT, jumble, throw
 
+from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.state import State, advance, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.scene import Bonds, Scene
-from calcidem.dem.state import State, advance, start
 
 STEPS = 200
 SEEDS = st.integers(0, 2**20)

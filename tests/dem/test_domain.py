@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.dem.cement import CementRule, draw_cement
-from calcidem.dem.domain import domain_of
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.state import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.material import Cement, Sand
-from calcidem.dem.packing import Packing, PackingRule, make_packing
-from calcidem.dem.scene import Regime
-from calcidem.dem.state import SAFETY
-from calcidem.dem.wave import SAMPLES_PER_CHUNK, WaveRule, prepared
-from calcidem.dem.wave_rule import WHOLE_DOMAIN
+from calcidem.dem.sample.cement import CementRule, draw_cement
+from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.wave.domain import domain_of
+from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, WaveRule, prepared
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 RULE = WaveRule(
     transmitter_half_width=0.006,

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calcidem.dem.material import Sand
-from calcidem.dem.packing import Packing, PackingRule, box_walls, make_packing
-from calcidem.dem.scene import Scene
-from calcidem.dem.settling import SettlingError, settled
-from calcidem.dem.state import start
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.state import start
+from calcidem.dem.sample.packing import Packing, PackingRule, box_walls, make_packing
+from calcidem.dem.sample.settling import SettlingError, settled
 
 RULE = PackingRule(width=0.02, height=0.02, balance=1e-3)
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scenes import ACCOUNT, RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
 
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.readout import energies
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.state import State, advance, start
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.material import Sand
-from calcidem.dem.readout import energies
-from calcidem.dem.scene import Scene, Wall
-from calcidem.dem.state import State, advance, start
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scenes import HERTZ, RADIUS, SOFT
 
-from calcidem.dem.readout import wall_reactions
-from calcidem.dem.scene import Scene, Wall
-from calcidem.dem.state import State, advance, start
+from calcidem.dem.engine.readout import wall_reactions
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.state import State, advance, start
 
 FRICTION = 0.4
 WEIGHT = 1.0

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scenes import HERTZ, RADIUS, SOFT
 
+from calcidem.dem.engine.readout import overlaps, wall_overlaps
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.readout import overlaps, wall_overlaps
-from calcidem.dem.scene import Scene, Wall
-from calcidem.dem.state import advance, start
 
 SPEED = 0.1
 DURATION = 2.9432750  # of a Hertz impact, times largest overlap over speed (Landau and Lifshitz, Elasticity, section 9)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scenes import GROUPED, jumble, throw
 
-import calcidem.dem.state as state_module
+import calcidem.dem.engine.state as state_module
+from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.state import Precision, State, advance, start
 from calcidem.dem.kernels.compiling import compiled
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import inverse_root_of, load, store
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.scene import Bonds, Scene
-from calcidem.dem.state import Precision, State, advance, start
 
 WIDTH = 8
 EIGHT = replace(GROUPED, lanes=WIDTH)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import LINEAR, RADIUS, SOFT, hexagonal
 
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.scene import Scene
-from calcidem.dem.state import State, advance, no_recording, run_sweep, start
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
 EIGHT = replace(LINEAR, lanes=8)  # four of them are used

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.material import Cement
-from calcidem.dem.scene import Installation, Regime, Scene
-from calcidem.dem.state import Preload, advance, choose_features, start
+from calcidem.dem.engine.material import Cement
+from calcidem.dem.engine.scene import Installation, Regime, Scene
+from calcidem.dem.engine.state import Preload, advance, choose_features, start
 
 # The kernel takes the change of a distance to second order in a step, the twin exactly: steps of 1e-4 of a disk leave
 # 1e-8 of the largest value, and branches (contact, slip) taken a rounding apart far less.

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import GROUPED, HERTZ, RADIUS, SOFT, jumble, throw
 
-from calcidem.dem import state as state_module
-from calcidem.dem.assembly import assemble, near_pairs
-from calcidem.dem.readout import contact_forces
-from calcidem.dem.scene import Scene, Wall
-from calcidem.dem.state import State, advance, listed_pairs, start
+from calcidem.dem.engine import state as state_module
+from calcidem.dem.engine.assembly import assemble, near_pairs
+from calcidem.dem.engine.readout import contact_forces
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.state import State, advance, listed_pairs, start
 
 
 @given(st.integers(0, 2**20), st.integers(2, 40), st.floats(0.0, 2.0))

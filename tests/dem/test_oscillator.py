@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import LINEAR, RADIUS, SOFT_CEMENT, pair_scene
 
+from calcidem.dem.engine.scene import Bonds
+from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.scene import Bonds
-from calcidem.dem.state import State, advance, no_recording, run_sweep, start
 
 PAIR = Bonds(np.array([[0, 1]]), SOFT_CEMENT)
 HELD = np.array([True, False])

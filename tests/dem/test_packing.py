@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scenes import HERTZ
 
-from calcidem.dem.material import Sand
-from calcidem.dem.packing import (
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.state import State, start
+from calcidem.dem.sample.packing import (
     FLOOR,
     LEFT,
     LID,
@@ -18,9 +21,6 @@ from calcidem.dem.packing import (
     make_packing,
     place_apart,
 )
-from calcidem.dem.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
-from calcidem.dem.scene import Scene
-from calcidem.dem.state import State, start
 
 SMALL = PackingRule(width=0.02, height=0.03, stress=5.0e3)
 SAND = Sand()

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.dem.material import Sand
-from calcidem.dem.packing import LID, Packing, PackingRule, make_packing
-from calcidem.dem.packing_file import PackingFileError, packing_from_csv, read_disks, write_packing_csv
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.sample.packing import LID, Packing, PackingRule, make_packing
+from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv, read_disks, write_packing_csv
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()

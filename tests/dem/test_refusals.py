@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scenes import RADIUS, pair_scene
 
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.readout import contact_forces, energies
+from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.state import Preload, start
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.material import Cement, Sand
-from calcidem.dem.packing import PackingRule
-from calcidem.dem.readout import contact_forces, energies
-from calcidem.dem.scene import Bonds, Scene, Wall
-from calcidem.dem.state import Preload, start
+from calcidem.dem.sample.packing import PackingRule
 
 ONE = np.zeros(1)
 TWO = np.array([[0, 1]])

@@ -6,10 +6,10 @@ from scenes import GROUPED, LINEAR, RADIUS, SOFT, SOFT_CEMENT, hexagonal
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
+from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.scene import Bonds, Scene, Wall
-from calcidem.dem.state import State, advance, no_recording, run_sweep, start
 
 EIGHT = replace(LINEAR, lanes=8)
 REGIMES = {"linear": LINEAR, "small": replace(GROUPED, finite=False, search=False), "finite": GROUPED}

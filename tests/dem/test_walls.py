@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scenes import HERTZ, LINEAR, RADIUS, SOFT, jumble
 
+from calcidem.dem.engine.readout import net_forces, wall_reactions
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.state import State, advance, carried_on, no_recording, run_sweep, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Recording
-from calcidem.dem.readout import net_forces, wall_reactions
-from calcidem.dem.scene import Scene, Wall
-from calcidem.dem.state import State, advance, carried_on, no_recording, run_sweep, start
 
 RECORDING = replace(HERTZ, recording=True)
 

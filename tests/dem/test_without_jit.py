@@ -16,7 +16,7 @@ import numpy as np
 sys.path.insert(0, {folder!r})
 from scenes import ACCOUNT, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.state import advance, start
+from calcidem.dem.engine.state import advance, start
 
 results = []
 weak = replace(SOFT_CEMENT, tensile_strength=4e5, cohesion=3e5)

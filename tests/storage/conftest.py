@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from sqlalchemy import create_engine, text
 
-from calcidem.storage.canonical import canonical_json, content_hash
 from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
@@ -29,7 +28,8 @@ from calcidem.storage.records import (
     RunRecord,
     Signal,
 )
-from calcidem.storage.sql_store import SqlStore, open_store
+from calcidem.storage.records.canonical import canonical_json, content_hash
+from calcidem.storage.sql.store import SqlStore, open_store
 
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
 SEEDS = range(4)

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 
 from calcidem.storage import campaign as campaign_module
-from calcidem.storage import canonical, groups
 from calcidem.storage.campaign import Campaign, open_campaign
-from calcidem.storage.dataset import STATUS_CODES
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
-from calcidem.storage.records import CellStatus
-from calcidem.storage.sql_store import SqlStore, open_store
+from calcidem.storage.netcdf import groups
+from calcidem.storage.netcdf.dataset import STATUS_CODES
+from calcidem.storage.records import CellStatus, canonical
+from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
     from conftest import Records

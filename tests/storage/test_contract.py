@@ -18,7 +18,7 @@ from calcidem.storage.errors import (
     UnknownCellError,
 )
 from calcidem.storage.records import AttemptCount, CellKey, CellStatus
-from calcidem.storage.sql_store import SqlStore
+from calcidem.storage.sql.store import SqlStore
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.storage import export
-from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import (
     CampaignMismatchError,
     ForeignDatabaseError,
@@ -22,10 +20,12 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
     UnknownCampaignError,
 )
-from calcidem.storage.export import export_netcdf
-from calcidem.storage.netcdf_import import import_netcdf
+from calcidem.storage.netcdf import export
+from calcidem.storage.netcdf.dataset import campaign_dataset
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
-from calcidem.storage.sql_store import SqlStore, open_store
+from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import pytest
 from sqlalchemy import text
 
-from calcidem.storage import engine
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -23,7 +22,8 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql import engine
+from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -17,7 +17,7 @@ import calcidem.storage
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.store import open_store
 
 WRITER = Path(__file__).parent / "programs" / "writer.py"
 SEEDS = 150

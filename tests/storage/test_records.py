@@ -12,8 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.storage.arrays import pack_arrays, unpack_arrays
-from calcidem.storage.canonical import canonical_json, config_difference, content_hash
 from calcidem.storage.records import (
     CellKey,
     CellResult,
@@ -23,6 +21,8 @@ from calcidem.storage.records import (
     Signal,
     canonical_content,
 )
+from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
+from calcidem.storage.records.canonical import canonical_json, config_difference, content_hash
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -14,10 +14,10 @@ from alembic.migration import MigrationContext
 from sqlalchemy import create_engine
 
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.models import Base
 from calcidem.storage.records import CellStatus
-from calcidem.storage.schema import VERSION_TABLE, _head
-from calcidem.storage.sql_store import SqlStore, open_store
+from calcidem.storage.sql.models import Base
+from calcidem.storage.sql.schema import VERSION_TABLE, _head
+from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -10,13 +10,13 @@ from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.models import Attempt, Cell
-from calcidem.storage.quantities import QUANTITIES
-from calcidem.storage.reading import cell_in, conditions, with_results
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.models import Attempt, Cell
+from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.sql.reading import cell_in, conditions, with_results
+from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.writing import _attempt_in
 from calcidem.storage.store import Selection
-from calcidem.storage.writing import _attempt_in
 
 if TYPE_CHECKING:
     from conftest import Records

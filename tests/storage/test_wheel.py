@@ -16,7 +16,7 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
         names = set(archive.namelist())
     folder = ROOT / "calcidem" / "storage" / "migrations"
     needed = {str(path.relative_to(ROOT)) for path in folder.rglob("*.py")} | {
-        "calcidem/storage/migrations/script.py.mako"
+        "calcidem/storage/sql/migrations/script.py.mako"
     }
-    assert {"calcidem/storage/migrations/versions/v0003_retry.py"} < needed <= names
-    assert "calcidem/app/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"
+    assert {"calcidem/storage/sql/migrations/versions/v0003_retry.py"} < needed <= names
+    assert "calcidem/app/config/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"

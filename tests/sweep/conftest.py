@@ -1,7 +1,5 @@
 """Shared by the tests of the sweep: the real mpirun, and a sink in memory."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -10,20 +8,17 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
-from calcidem.app.launch import NO_LISTENER
+from calcidem.app.campaign.launch import NO_LISTENER
+from calcidem.sweep import Batch, BatchOutcome
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from calcidem.sweep import Batch, BatchOutcome
 
 PROGRAMS = Path(__file__).parent / "programs"
 CHECKOUT = Path(__file__).parents[2]
@@ -78,7 +73,7 @@ class Launch:
         """The exit code that rank 0 noted, or None if it didn't come to that."""
         return int(self.exit_code_file.read_text().split()[0]) if self.exit_code_file.exists() else None
 
-    def wait(self) -> Launch:
+    def wait(self) -> "Launch":
         """Wait for the end and collect what the program wrote; an mpirun that fails by itself is started once more."""
         try:
             self.output, self.errors = self.process.communicate(timeout=PATIENCE)

@@ -1,7 +1,5 @@
 """What the scheduler itself costs. The rates are printed, since a shared machine allows no sharper limits."""
 
-from __future__ import annotations
-
 import json
 from typing import TYPE_CHECKING
 

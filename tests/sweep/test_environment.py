@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from calcidem.sweep import LaunchError, SweepOptions, describe_environment, refuse_singletons

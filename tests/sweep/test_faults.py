@@ -3,16 +3,13 @@
 The cell (5, 2.55) is the one that misbehaves; `--once` lets it do so a single time.
 """
 
-from __future__ import annotations
-
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from conftest import Campaign, Values
 
 pytestmark = pytest.mark.mpi

@@ -1,18 +1,13 @@
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import pytest
 
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 
 @pytest.fixture

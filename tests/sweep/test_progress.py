@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import io
-from typing import TYPE_CHECKING
 
 import pytest
 from rich.console import Console
@@ -14,15 +11,13 @@ from calcidem.sweep import (
     FailureKind,
     LineProgress,
     Place,
+    Progress,
     SweepEnd,
     SweepState,
     progress_for,
 )
 from calcidem.sweep.forecast import Forecast
 from calcidem.sweep.wording import duration
-
-if TYPE_CHECKING:
-    from calcidem.sweep import Progress
 
 PLACE = Place(rank=2, host="node7")
 BATCHES = [Batch(number, (number,), cost=1.0 + number, group=number) for number in range(3)]

@@ -1,21 +1,15 @@
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import pytest
 
 from calcidem.sweep import Batch, FailureKind, SweepOptions, SweepState, plan_batches, run_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from conftest import MemorySink
 
 
 def square(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
@@ -50,7 +44,7 @@ def wait(batch: Batch[int], deadline_check: Callable[[], None]) -> Sequence[int]
 BATCHES = (Batch(0, (1, 2, 3)), Batch(1, (6, 7, 8)), Batch(2, (10,)))
 
 
-def test_all_cells_are_computed_and_stored(sink: MemorySink) -> None:
+def test_all_cells_are_computed_and_stored(sink: "MemorySink") -> None:
     """Without a communicator the sweep computes in this process, in the order given."""
     end = run_sweep(None, BATCHES, square, sink)
     assert end.state is SweepState.COMPLETE
@@ -59,7 +53,7 @@ def test_all_cells_are_computed_and_stored(sink: MemorySink) -> None:
     assert [outcome.batch.identifier for outcome in sink.outcomes] == [0, 1, 2]
 
 
-def test_an_exception_costs_only_its_cell(sink: MemorySink) -> None:
+def test_an_exception_costs_only_its_cell(sink: "MemorySink") -> None:
     """The company of a bad cell is computed again without it; the bad cell keeps its traceback."""
     end = run_sweep(None, BATCHES, refuse_seven, sink)
     assert end.exit_code == 0
@@ -73,13 +67,13 @@ def test_an_exception_costs_only_its_cell(sink: MemorySink) -> None:
     assert end.tally.failed == 1
 
 
-def test_exit_is_a_failure_of_the_cell(sink: MemorySink) -> None:
+def test_exit_is_a_failure_of_the_cell(sink: "MemorySink") -> None:
     """A computation that calls sys.exit does not end the program."""
     end = run_sweep(None, [Batch(0, (1,))], lambda _batch, _check: sys.exit(1), sink)
     assert end.tally.failed == 1
 
 
-def test_a_wrong_number_of_results_is_a_failure(sink: MemorySink) -> None:
+def test_a_wrong_number_of_results_is_a_failure(sink: "MemorySink") -> None:
     """Two results for one cell are refused and counted."""
     run_sweep(None, [Batch(0, (1,))], lambda _batch, _check: [1, 1], sink)
     failure = sink.outcomes[0].failure
@@ -87,7 +81,7 @@ def test_a_wrong_number_of_results_is_a_failure(sink: MemorySink) -> None:
     assert "2 results for 1 cells" in failure.message
 
 
-def test_the_time_limit_is_a_failure_of_the_batch(sink: MemorySink) -> None:
+def test_the_time_limit_is_a_failure_of_the_batch(sink: "MemorySink") -> None:
     """A batch that asks after its time is up becomes timed out."""
     options = SweepOptions(time_limit=0.05)
     end = run_sweep(None, [Batch(0, (1, 2))], wait, sink, options=options)
@@ -98,7 +92,7 @@ def test_the_time_limit_is_a_failure_of_the_batch(sink: MemorySink) -> None:
     assert "0.05 s" in failure.message
 
 
-def test_sigusr1_finishes_the_running_batch(sink: MemorySink) -> None:
+def test_sigusr1_finishes_the_running_batch(sink: "MemorySink") -> None:
     """SIGUSR1 stores the running batch and ends with 75."""
     send_later(signal.SIGUSR1, 0.1)
     end = run_sweep(None, BATCHES, wait, sink)
@@ -107,7 +101,7 @@ def test_sigusr1_finishes_the_running_batch(sink: MemorySink) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
-def test_urgent_signals_drop_the_running_batch(sink: MemorySink, number: signal.Signals) -> None:
+def test_urgent_signals_drop_the_running_batch(sink: "MemorySink", number: signal.Signals) -> None:
     """SIGTERM, SIGINT and SIGUSR2 end within one chunk of work and keep what was stored before."""
     send_later(number, 0.7)
     start = time.monotonic()
@@ -117,13 +111,13 @@ def test_urgent_signals_drop_the_running_batch(sink: MemorySink, number: signal.
     assert [outcome.batch.identifier for outcome in sink.outcomes] == [0]
 
 
-def test_a_signal_in_the_last_batch_leaves_a_complete_sweep(sink: MemorySink) -> None:
+def test_a_signal_in_the_last_batch_leaves_a_complete_sweep(sink: "MemorySink") -> None:
     """Nothing is left to resume, so the exit code is 0."""
     send_later(signal.SIGUSR1, 0.1)
     assert run_sweep(None, [Batch(0, (1,))], wait, sink).exit_code == 0
 
 
-def test_handlers_are_put_back(sink: MemorySink) -> None:
+def test_handlers_are_put_back(sink: "MemorySink") -> None:
     """After a sweep the signals do what they did before."""
     before = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)]
     run_sweep(None, BATCHES, square, sink)
@@ -175,6 +169,9 @@ def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
 import os, signal, threading, time
 from calcidem.sweep import Batch, run_sweep
 
+if TYPE_CHECKING:
+    from conftest import MemorySink
+
 class Sink:
     def store(self, outcomes): pass
     def lost(self, batch, reason): pass
@@ -188,7 +185,7 @@ run_sweep(None, [Batch(0, (1,))], lambda batch, check: time.sleep(30), Sink())
     assert time.monotonic() - start < 10.0
 
 
-def test_a_plan_can_be_swept(sink: MemorySink) -> None:
+def test_a_plan_can_be_swept(sink: "MemorySink") -> None:
     """Cells of a campaign go through a plan and a sweep and come out complete."""
     cells = [(seed, content) for seed in range(5) for content in (0.0, 9.0)]
     plan = plan_batches(cells, 4, lambda content: 1.0 + content)

@@ -1,13 +1,12 @@
 """Drawing grains, cement, paths and walls of a packing in one axes; lengths in millimetres."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
 
+from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.figures.style import (
     BLACK,
     C_CEMENT,
@@ -19,14 +18,8 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     bare,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from calcidem.analysis.contact_graph import PreferentialPath
-    from calcidem.analysis.packing_graph import PackingGraph
-    from calcidem.storage.records import PackingRecord
+from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.storage.records import PackingRecord
 
 MM = 1e3
 P_CONTACT, C_CONTACT = 1, 2

@@ -1,14 +1,13 @@
 """All figures of a campaign: file name, title, caption, and how each is drawn from the analysis."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, Sample, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, Sample, UnavailableError
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import METHODS, Arrival, draw_signals
@@ -16,11 +15,6 @@ from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, 
 from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.storage.errors import UnknownCellError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
 
 DEFAULT_ONSET = 0.1
 SHOWN_SIGNALS = 5

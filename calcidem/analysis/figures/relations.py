@@ -1,12 +1,17 @@
 """Pictures of what the paths say about Vs: correlations, the weight scan and the laws."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from numpy.typing import NDArray
 
+from calcidem.analysis.campaign_analysis import LawFit
+from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -22,20 +27,8 @@ from calcidem.analysis.figures.style import (
     styled,
 )
 from calcidem.analysis.fits import power_law
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import xarray as xr
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
-    from numpy.typing import NDArray
-
-    from calcidem.analysis.campaign_features import LawFit
-    from calcidem.analysis.correlation import Correlations
-    from calcidem.analysis.published import PublishedLaw
-    from calcidem.analysis.weights import RatioScan
+from calcidem.analysis.published import PublishedLaw
+from calcidem.analysis.weights import RatioScan
 
 SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
 READABLE_ON_DARK = 0.6

@@ -1,16 +1,16 @@
 """Pictures of samples: where the cement is, how the wave is sent, and which way it prefers."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
+from calcidem.analysis.campaign_analysis import Sample
 from calcidem.analysis.figures.grains import MM, draw_bands, draw_frame, draw_grains, draw_path
-from calcidem.analysis.figures.signals import signal_axes
+from calcidem.analysis.figures.signals import Arrival, signal_axes
 from calcidem.analysis.figures.style import (
     BLACK,
     C_CEMENT,
@@ -25,15 +25,7 @@ from calcidem.analysis.figures.style import (
     scale_bar,
     styled,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from calcidem.analysis.campaign_features import Sample
-    from calcidem.analysis.figures.signals import Arrival
-    from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.packing_graph import PackingGraph
 
 PANEL_WIDTH = 3.4
 """Width in inches of a panel with a path; its text stands beside."""

@@ -1,13 +1,13 @@
 """Pictures of the sensitivity studies: reading method, damping and excitation frequency."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.signals import METHODS
 from calcidem.analysis.figures.style import (
@@ -22,12 +22,6 @@ from calcidem.analysis.figures.style import (
     styled,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import xarray as xr
-    from matplotlib.figure import Figure
-
 KHZ = 1e-3
 MS = 1e3
 FREQUENCY_LABEL = "excitation frequency (kHz)"
@@ -41,8 +35,8 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     Parameters
     ----------
     study
-        What `calcidem.analysis.studies.frequency_study` gives. Marks are hollow where transmitter and receiver
-        are less than a wavelength apart.
+        What `frequency_study` of `calcidem.app.studies.frequency_and_damping` gives. Marks are hollow where transmitter
+        and receiver are less than a wavelength apart.
     """
     contents = study["content"].to_numpy()
     lines = math.ceil(len(contents) / 2)
@@ -85,7 +79,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
     Parameters
     ----------
     study
-        What `calcidem.analysis.studies.frequency_study` gives.
+        What `calcidem.app.studies.frequency_and_damping.frequency_study` gives.
     """
     figure = new_figure(height=3.5, width=7.0)
     left, right = figure.subplots(1, 2)
@@ -117,7 +111,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
     Parameters
     ----------
     study
-        What `calcidem.analysis.studies.damping_study` gives.
+        What `calcidem.app.studies.frequency_and_damping.damping_study` gives.
     """
     contents = study["content"].to_numpy()
     factors = study["damping"].to_numpy()

@@ -1,20 +1,14 @@
 """Pictures of what was sent and what arrived."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from calcidem.analysis.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure, styled
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
 MS = 1e3
 POINTING = 0.14

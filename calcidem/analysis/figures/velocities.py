@@ -1,14 +1,17 @@
 """Pictures of the velocities of a campaign: range, distribution, methods, and Monte-Carlo error."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import matplotlib as mpl
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
+from calcidem.analysis.distribution import ContentDistribution, Distribution
 from calcidem.analysis.figures.signals import METHODS
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -22,17 +25,7 @@ from calcidem.analysis.figures.style import (
     new_figure,
     styled,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    import xarray as xr
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from calcidem.analysis.distribution import ContentDistribution, Distribution
-    from calcidem.analysis.published import PublishedVelocity
+from calcidem.analysis.published import PublishedVelocity
 
 LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""

@@ -1,21 +1,15 @@
 """Tables that hold the campaign beside the published study, and the study beside itself."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 from scipy import stats
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
-from calcidem.analysis.published import published_study
+from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.published_check import check_study, check_verdicts
 from calcidem.app.report.wording import ABSENT, Table, number, probability, with_bounds
-
-if TYPE_CHECKING:
-    from calcidem.analysis.campaign_features import CampaignAnalysis
-    from calcidem.analysis.distribution import Distribution
-    from calcidem.analysis.published import PublishedVelocity
 
 SIGNIFICANCE = 0.05
 

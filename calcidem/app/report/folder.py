@@ -1,12 +1,11 @@
 """All figures and tables of a campaign as files in a folder."""
 
-from __future__ import annotations
-
 import csv
+import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
@@ -19,13 +18,8 @@ from calcidem.app.report.results import (
     outcome_table,
     velocity_table,
 )
+from calcidem.app.report.wording import Table
 from calcidem.storage.campaign import open_campaign
-
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable
-
-    from calcidem.app.report.wording import Table
 
 TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "velocities": velocity_table,

@@ -1,22 +1,17 @@
 """A closer look at one sample: outcome, cement, path and signals."""
 
-from __future__ import annotations
-
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.analysis.figures.style import save
 from calcidem.app.report.wording import ABSENT, Table, number, significant
 from calcidem.storage.campaign import open_campaign
-from calcidem.storage.quantities import QUANTITIES, Quantity
+from calcidem.storage.sql.quantities import QUANTITIES, Quantity
 from calcidem.storage.store import Selection
-
-if TYPE_CHECKING:
-    import os
 
 
 def show_cell(

@@ -1,17 +1,16 @@
 """The report: one HTML page that needs nothing else."""
 
-from __future__ import annotations
-
 import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, UnavailableError
 from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.pictures import Picture, campaign_pictures, study_pictures
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
@@ -25,11 +24,6 @@ from calcidem.app.report.results import (
 )
 from calcidem.app.report.wording import Table, duration, number, significant
 from calcidem.storage.campaign import open_campaign
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    import xarray as xr
 
 FEW_SEEDS = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
@@ -77,7 +71,7 @@ def write_report(
     campaign_name
         Which campaign, where the database has several.
     studies
-        Results of `calcidem.analysis.studies` to show, named "frequency" and "damping".
+        Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
 
     Returns
     -------

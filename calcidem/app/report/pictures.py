@@ -1,23 +1,16 @@
 """The figures of a report as pictures that stand in the page itself."""
 
-from __future__ import annotations
-
 from base64 import b64encode
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from calcidem.analysis.campaign_features import UnavailableError
+import xarray as xr
+from matplotlib.figure import Figure
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-    from calcidem.analysis.campaign_features import CampaignAnalysis
 
 MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
 

@@ -1,18 +1,13 @@
 """Tables of what was run: parameters beside the published ones, runs, and the packing."""
 
-from __future__ import annotations
+from collections.abc import Mapping
+from typing import Any
 
-from typing import TYPE_CHECKING, Any
-
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
 from calcidem.app.report.wording import ABSENT, Table, duration, number, significant
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calcidem.analysis.campaign_features import CampaignAnalysis
-    from calcidem.analysis.packing_graph import PackingGraph
-    from calcidem.storage.records import RunRecord
+from calcidem.storage.records import RunRecord
 
 PUBLISHED_AS = {
     "packing.width": "box_width",

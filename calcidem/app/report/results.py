@@ -1,13 +1,12 @@
 """Tables of what came out: velocities, outcomes, growth, features, laws, numerical error and run time."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import published_study
 from calcidem.app.report.wording import (
@@ -19,11 +18,6 @@ from calcidem.app.report.wording import (
     significant,
     with_bounds,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from calcidem.analysis.campaign_features import CampaignAnalysis, LawFit
 
 MOST_REASONS = 20
 

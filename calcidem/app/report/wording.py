@@ -1,13 +1,9 @@
 """Numbers as people read them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from calcidem.analysis.intervals import Interval
+from calcidem.analysis.intervals import Interval
 
 ABSENT = "\N{EN DASH}"
 SMALL_P = 0.001

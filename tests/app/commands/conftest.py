@@ -8,12 +8,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from calcidem.app.commands.export_sample import export_sample
-from calcidem.app.commands.import_netcdf import import_file
-from calcidem.app.commands.query import query
-from calcidem.app.commands.verify import verify_cells
-from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
-from calcidem.storage.sql_store import open_store
+from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.cli.import_netcdf import import_file
+from calcidem.app.cli.query import query
+from calcidem.app.cli.sample import export_sample
+from calcidem.app.cli.verify import verify_cells
+from calcidem.storage.sql.store import open_store
 
 TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial"
 

@@ -7,10 +7,10 @@ import meshio
 import numpy as np
 import pytest
 
-from calcidem.app.opened_campaign import OpenedCampaign, open_campaign
-from calcidem.dem.packing_file import read_disks
+from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.dem.sample.packing_file import read_disks
 from calcidem.storage.errors import ForeignDatabaseError
-from calcidem.storage.export import export_netcdf
+from calcidem.storage.netcdf.export import export_netcdf
 
 Invoke = Callable[..., str]
 

@@ -8,11 +8,11 @@ import pytest
 
 import calcidem.dem
 from calcidem.analysis.distribution import describe
-from calcidem.app import opened_campaign
-from calcidem.app.opened_campaign import OpenedCampaign
-from calcidem.app.stored_experiment import experiment_of
-from calcidem.dem.cement import CementKind
-from calcidem.dem.experiment import Experiment
+from calcidem.app.campaign import opened as opened_campaign
+from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.dem.sample.cement import CementKind
+from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
 
 
@@ -77,7 +77,7 @@ def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
 
 def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:
     """The experiment from the stored configuration is that of the file it was computed from."""
-    from calcidem.app.configuration_file import load_configuration  # noqa: PLC0415 - this test alone needs it
+    from calcidem.app.config.reader import load_configuration  # noqa: PLC0415 - this test alone needs it
 
     configuration = load_configuration(Path(__file__).parents[3] / "docs" / "tutorial" / "quick.toml", {})
     stored = campaign.experiment()

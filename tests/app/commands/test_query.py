@@ -12,11 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.app.commands.query import Format, as_text, find
-from calcidem.app.opened_campaign import OpenedCampaign
+from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.cli.query import Format, as_text, find
 from calcidem.storage.errors import QueryError
-from calcidem.storage.quantities import QUANTITIES
 from calcidem.storage.records import CellStatus
+from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.store import Selection
 
 Invoke = Callable[..., str]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.store import open_store
 
 ROOT = Path(__file__).parents[3]
 

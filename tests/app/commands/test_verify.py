@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
-from calcidem.app.campaign import run
-from calcidem.app.cell_computation import cell_result
-from calcidem.app.configuration import CampaignPlan, Configuration
-from calcidem.app.opened_campaign import open_campaign
-from calcidem.app.verification import Verdict, compared, random_cells, verify
-from calcidem.dem.measurement import measure
-from calcidem.dem.packing import PackingRule
-from calcidem.dem.wave import WaveRule
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.run import run
+from calcidem.app.campaign.task import cell_result
+from calcidem.app.config.schema import CampaignPlan, Configuration
+from calcidem.app.studies.verify import Verdict, compared, random_cells, verify
+from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.propagation import WaveRule
 from calcidem.storage.records import CellKey
 
 Invoke = Callable[..., str]

@@ -1,25 +1,20 @@
 """Shared by the tests of robustness: small stored campaigns, and the commands as users type them."""
 
-from __future__ import annotations
-
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from calcidem.app.commands.doctor import doctor
-from calcidem.app.commands.merge import merge
-from calcidem.app.commands.retry import retry
-from calcidem.app.commands.status import status
+from calcidem.app.cli.doctor import doctor
+from calcidem.app.cli.merge import merge
+from calcidem.app.cli.retry import retry
+from calcidem.app.cli.status import status
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql_store import open_store
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from calcidem.storage.sql.store import open_store
 
 TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial" / "quick.db"
 """Database of 8 seeds x 5 contents, really computed and complete."""

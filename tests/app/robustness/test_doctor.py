@@ -1,17 +1,13 @@
 """`calcidem doctor`: what is right is confirmed by trying it, what is wrong is named with its cure."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from calcidem.app import checkup, checkup_mpi
-from calcidem.app.finding import Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+from calcidem.app.doctor import checkup
+from calcidem.app.doctor import mpi as checkup_mpi
+from calcidem.app.doctor.finding import Verdict
 
 
 @pytest.mark.mpi

@@ -1,7 +1,5 @@
 """A selection of the fault matrix with the real mpirun; benchmarks/faults/run.py runs all of it."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

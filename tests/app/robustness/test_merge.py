@@ -1,22 +1,17 @@
 """`calcidem merge`: the union of databases of one campaign, and no silent choice between different values."""
 
-from __future__ import annotations
-
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
-from calcidem.app.commands.merge import MergeConflictError, merge_databases
+from calcidem.app.cli.merge import MergeConflictError, merge_databases
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql_store import open_store
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+from calcidem.storage.sql.store import open_store
 
 
 def results(database: Path) -> dict[CellKey, CellResult]:

@@ -1,20 +1,15 @@
 """`calcidem retry`: cells that went wrong become pending again, and nothing else does."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from calcidem.app.commands.retry import retry_cells
+from calcidem.app.cli.retry import retry_cells
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError, UnknownCellError
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 PENDING_BEFORE = 6
 

@@ -3,8 +3,6 @@
 Needs Debian's packages slurm-wlm and munge, and root to start their daemons.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -14,7 +12,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -22,10 +19,9 @@ from calcidem.storage.campaign import open_campaign
 
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
-from fault_matrix import CHECKOUT, CONFIGURATION, NO_LIMIT
+from collections.abc import Callable, Iterator
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from fault_matrix import CHECKOUT, CONFIGURATION, NO_LIMIT
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol")
 

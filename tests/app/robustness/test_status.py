@@ -1,26 +1,21 @@
 """`calcidem status`: every state of a cell is seen, and the numbers are those of the database."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 from scipy import stats
 
-from calcidem.app.campaign_status import campaign_status, is_being_written
-from calcidem.app.commands.status import look
-from calcidem.app.status_view import status_view
+from calcidem.app.campaign.status import campaign_status, is_being_written
+from calcidem.app.cli.status import look
+from calcidem.app.cli.status_view import status_view
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql_store import open_store
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+from calcidem.storage.sql.store import open_store
 
 
 def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str]) -> None:

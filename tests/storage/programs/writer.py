@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, Signal
-from calcidem.storage.sql_store import open_store
+from calcidem.storage.sql.store import open_store
 
 SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
 

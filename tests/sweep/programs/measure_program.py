@@ -1,19 +1,13 @@
 """Measures what a sweep costs: CPU time of the master and wall time, printed by rank 0 as JSON."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from calcidem.sweep import Batch, Session, run_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from calcidem.sweep import BatchOutcome
+from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
 
 
 class Counter:

@@ -1,7 +1,5 @@
 """Does one thing that concerns all ranks, as told by the first argument."""
 
-from __future__ import annotations
-
 import sys
 import time
 

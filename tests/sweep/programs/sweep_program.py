@@ -4,8 +4,6 @@ The sink is an SQLite file with one commit for each group of outcomes. Every pro
 file continues where the first one ended.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import hashlib
@@ -14,17 +12,13 @@ import signal
 import sqlite3
 import sys
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
-from calcidem.sweep import LineProgress, Session, SweepOptions, plan_batches, run_sweep
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from calcidem.sweep import Batch, BatchOutcome, Cell
+from calcidem.sweep import Batch, BatchOutcome, Cell, LineProgress, Session, SweepOptions, plan_batches, run_sweep
 
 CONTENTS = (0.0, 2.55, 9.0)
 

@@ -1,7 +1,5 @@
 """Faults on order in a small real campaign, and what becomes of it: used by the tests and by benchmarks/faults."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sqlite3
@@ -12,8 +10,8 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from calcidem.app.commands.retry import retry_cells
-from calcidem.app.launch import find_mpirun
+from calcidem.app.campaign.launch import find_mpirun
+from calcidem.app.cli.retry import retry_cells
 from calcidem.storage.campaign import open_campaign
 
 CHECKOUT = Path(__file__).parents[4]
@@ -178,7 +176,7 @@ class Trial:
             "MPIRUN": str(self.folder / "launcher"),
             "FAULT_FOLDER": str(self.folder),  # marks all its processes as well
         }
-        command = [sys.executable, "-m", "calcidem.app", "run", "c.toml", "--ranks", str(ranks), *options]
+        command = [sys.executable, "-m", "calcidem", "run", "c.toml", "--ranks", str(ranks), *options]
         with (self.folder / "output").open("w") as output:
             return subprocess.Popen(
                 command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True

@@ -4,28 +4,24 @@ Environment: FAULT, VICTIM (worker, master, mpirun), MOMENT (before, while, afte
 FAULT_FOLDER, where it is noted that the fault has happened, which process each rank is, and what was acknowledged.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sqlalchemy import Engine, event
 
-from calcidem.app import campaign, run_command
-from calcidem.app.cell_computation import cell_computation
-from calcidem.app.command_line import main
-from calcidem.app.store_sink import StoreSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from calcidem.sweep import Batch, BatchOutcome
+from calcidem.app.campaign import run as campaign
+from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.task import cell_computation
+from calcidem.app.cli import run_campaign as run_command
+from calcidem.app.cli.main import main
+from calcidem.sweep import Batch, BatchOutcome
 
 FAULT, VICTIM, MOMENT = (os.environ.get(name, "") for name in ("FAULT", "VICTIM", "MOMENT"))
 FOLDER = Path(os.environ["FAULT_FOLDER"])

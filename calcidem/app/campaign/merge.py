@@ -1,0 +1,265 @@
+"""Joining stored campaigns of one configuration: plans, runs, histories and outcomes, with conflicts found first."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from calcidem.storage.campaign import Campaign
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records.canonical import config_difference
+from calcidem.storage.sql.reading import chunks
+from calcidem.storage.store import Store
+
+COMPARED = (
+    *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
+    *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
+    *("frequency", "time_step", "stability_limit", "steps"),
+    *("content_reached", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
+)
+"""Quantities that the physics of a done cell decides: equal to the last bit on the same kind of CPU."""
+
+BLOCK = 200
+"""Outcomes written in one transaction; with signals they take a few megabytes of memory."""
+
+Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
+"""New number of an attempt by its source, its cell and the number that it had there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A done cell on which sources disagree.
+
+    Attributes
+    ----------
+    key
+        The cell.
+    velocities
+        Vs, m/s, by the position of the source.
+    quantities
+        Names of the quantities that differ.
+    """
+
+    key: CellKey
+    velocities: Mapping[int, float]
+    quantities: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """What came of a merge.
+
+    Attributes
+    ----------
+    planned, settled
+        Cells of the merged campaign, and those of them with an outcome.
+    taken
+        Outcomes taken from each source.
+    shared
+        Done cells that several sources have with the same values.
+    overruled
+        Cells that are done in one source and went wrong in another.
+    conflicts
+        Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
+    """
+
+    planned: int
+    settled: int
+    taken: tuple[int, ...]
+    shared: int
+    overruled: int
+    conflicts: tuple[Conflict, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Outcome of a cell in one source, as far as the choice between sources needs it."""
+
+    status: CellStatus
+    values: tuple[float, ...]
+
+
+def merge_campaigns(sources: Sequence[Campaign], target: Store, prefer: int | None = None) -> Merged:
+    """Write the union of some campaigns of one configuration into a store.
+
+    A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
+    the source that comes first. Attempts of a cell are put in the order of time and counted anew; runs and attempts
+    that several sources have because one is a copy of the other occur once.
+
+    Parameters
+    ----------
+    sources
+        At least one; only read.
+    target
+        Empty, or without a campaign of that name.
+    prefer
+        Position of the source to follow where sources disagree on a done cell.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If configurations or packings differ.
+    """
+    refuse_other_campaigns(sources)
+    refuse_other_packings(sources)
+    outcomes = [outcomes_of(source) for source in sources]
+    cells = sorted(set().union(*(source.store.statuses() for source in sources)))
+    choice = {key: best for key in cells if (best := chosen_source(key, outcomes, prefer)) is not None}
+    conflicts = tuple(conflict for key in choice if (conflict := conflict_about(key, outcomes)) is not None)
+    merged = Merged(
+        planned=len(cells),
+        settled=len(choice),
+        taken=tuple(sum(source == chosen for chosen in choice.values()) for source in range(len(sources))),
+        shared=sum(done_in(key, outcomes) > 1 for key in choice) - len(conflicts),
+        overruled=sum(0 < done_in(key, outcomes) < settled_in(key, outcomes) for key in choice),
+        conflicts=conflicts,
+    )
+    if conflicts and prefer is None:
+        return merged
+    target.begin_campaign(replace(sources[0].record, seeds=(), contents=()))
+    for source in sources:
+        copy_plan(source.store, target)
+        for index in source.store.packing_indices():
+            target.save_packing(source.packing(index))
+    numbers = copy_history(sources, target)
+    for position, source in enumerate(sources):
+        copy_outcomes(source, position, target, choice, numbers)
+    return merged
+
+
+def refuse_other_campaigns(sources: Sequence[Campaign]) -> None:
+    """Raise `CampaignMismatchError` unless all sources have the same physical configuration."""
+    first = sources[0].record
+    for record in (source.record for source in sources[1:]):
+        if record.hash != first.hash:
+            differences = config_difference(first.config, record.config) or ["(none in the configurations' text)"]
+            raise CampaignMismatchError(
+                f"The campaigns '{first.name}' and '{record.name}' have different configurations (first -> other):\n  "
+                + "\n  ".join(differences)
+                + "\n",
+                "Only campaigns of the same configuration can be merged; seeds and contents may differ.",
+            )
+
+
+def refuse_other_packings(sources: Sequence[Campaign]) -> None:
+    """Raise `CampaignMismatchError` if two sources have different disks under the same number."""
+    first: dict[int, PackingRecord] = {}
+    for source in sources:
+        for index in source.store.packing_indices():
+            packing = source.packing(index)
+            other = first.setdefault(index, packing)
+            same = all(np.array_equal(getattr(packing, name), getattr(other, name)) for name in ("x", "y", "radius"))
+            if not same or packing.hash != other.hash:
+                raise CampaignMismatchError(
+                    f"Packing {index} differs between the databases: it was made on different kinds of CPU.",
+                    "Their cells can't be compared. Let all runs take the packing from one place: make it once with "
+                    "'calcidem packing CONFIG' and give all of them the same folder CALCIDEM_CACHE.",
+                )
+
+
+def outcomes_of(source: Campaign) -> dict[CellKey, Outcome]:
+    """Outcomes of all settled cells."""
+    columns = source.store.table(("seed", "content", "status", *COMPARED))
+    keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
+    values = zip(*(columns[name].astype(float).tolist() for name in COMPARED), strict=True)
+    found = zip(keys, map(CellStatus, columns["status"]), values, strict=True)
+    return {key: Outcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
+
+
+def chosen_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]], prefer: int | None) -> int | None:
+    """Position of the source whose outcome of a cell is taken, None if no source has one."""
+    settled = [position for position, found in enumerate(outcomes) if key in found]
+    done = [position for position in settled if outcomes[position][key].status is CellStatus.DONE]
+    candidates = done or settled
+    return prefer if prefer in candidates else next(iter(candidates), None)
+
+
+def done_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> int:
+    """Number of sources in which a cell is done."""
+    return sum(key in found and found[key].status is CellStatus.DONE for found in outcomes)
+
+
+def settled_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> int:
+    """Number of sources in which a cell has an outcome."""
+    return sum(key in found for found in outcomes)
+
+
+def conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> Conflict | None:
+    """How the sources disagree on a done cell, None if they don't."""
+    done = {
+        position: found[key].values
+        for position, found in enumerate(outcomes)
+        if key in found and found[key].status is CellStatus.DONE
+    }
+    by_quantity = zip(COMPARED, zip(*done.values(), strict=True), strict=False)
+    different = tuple(name for name, values in by_quantity if not all_same(values))
+    if not different:
+        return None
+    return Conflict(key, {position: values[0] for position, values in done.items()}, different)
+
+
+def all_same(values: Sequence[float]) -> bool:
+    """Whether numbers are equal; missing ones (NaN) are equal to one another."""
+    first = values[0]
+    return all(value == first or (math.isnan(value) and math.isnan(first)) for value in values[1:])
+
+
+def copy_plan(source: Store, target: Store) -> None:
+    """Plan the cells of a source, which need not be all of its seeds x contents."""
+    contents_of: defaultdict[int, list[float]] = defaultdict(list)
+    for key in source.statuses():
+        contents_of[key.seed].append(key.content)
+    seeds_with: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
+    for seed, contents in contents_of.items():
+        seeds_with[tuple(contents)].append(seed)
+    for some_contents, seeds in seeds_with.items():
+        target.extend(seeds, some_contents)
+
+
+def copy_history(sources: Sequence[Campaign], target: Store) -> Numbers:
+    """Copy runs and attempts, each once; return the new numbers of the attempts."""
+    runs: dict[tuple[object, ...], int] = {}
+    attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
+    copies: dict[tuple[int, CellKey, int], tuple[object, ...]] = {}
+    for position, source in enumerate(sources):
+        run_numbers: dict[int | None, int] = {}
+        for number, run in source.runs():
+            same_run = (run.started, run.host)
+            if same_run not in runs:
+                runs[same_run] = target.begin_run(run)
+            run_numbers[number] = runs[same_run]
+        for attempt in source.store.history():
+            identity = (attempt.recorded, attempt.outcome, attempt.host, attempt.rank)
+            moved = replace(attempt, run_id=run_numbers.get(attempt.run_id))
+            attempts[attempt.key].setdefault(identity, moved)
+            copies[position, attempt.key, attempt.number] = identity
+    numbers: dict[tuple[CellKey, tuple[object, ...]], int] = {}
+    for key, found in attempts.items():
+        in_time = sorted(found.items(), key=lambda item: (item[1].recorded, item[1].number))
+        numbers |= {(key, identity): number for number, (identity, _) in enumerate(in_time, start=1)}
+    target.restore_attempts(
+        replace(attempt, number=numbers[key, identity])
+        for key, found in attempts.items()
+        for identity, attempt in found.items()
+    )
+    return {(position, key, old): numbers[key, identity] for (position, key, old), identity in copies.items()}
+
+
+def copy_outcomes(
+    source: Campaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: Numbers
+) -> None:
+    """Copy the outcomes that were chosen from a source, with their arrays.
+
+    What a run has written into the source since the choice is left out.
+    """
+    chosen: Iterator[CellResult] = (
+        replace(result, attempt=numbers[position, result.key, result.attempt])
+        for result in source.select(with_arrays=True)
+        if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
+    )
+    for block in chunks(chosen, BLOCK):
+        target.record_results(block)

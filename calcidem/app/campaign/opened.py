@@ -1,0 +1,230 @@
+"""A stored campaign with all that can be computed from it: statistics, graphs, and samples to simulate again."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.distribution import describe_contents, tabulate
+from calcidem.analysis.outcomes import NOT_COMPUTED
+from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.app.campaign.packing_archive import DamagedPackingError
+from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.sample.cement import CementKind
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import wave_scene
+from calcidem.storage.campaign import Campaign
+from calcidem.storage.errors import DamagedStoreError, UnknownCellError
+from calcidem.storage.records import CellStatus, CementPattern
+from calcidem.storage.sql.store import open_store
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """A cemented sample, ready for `calcidem.dem`.
+
+    Attributes
+    ----------
+    seed, content
+        Its identity; content in percent of the sand's mass.
+    packing
+        Disks, contacts and the shear forces that they carry.
+    kind
+        (C,) what each of ``packing.pairs`` carries, see `calcidem.dem.sample.cement.CementKind`.
+    scene
+        The packing between transmitter and receiver, with its bonds, in the state before the wave is sent. Start it
+        with ``calcidem.dem.start(sample.scene, preload=sample.packing.preload)``.
+    """
+
+    seed: int
+    content: float
+    packing: Packing
+    kind: npt.NDArray[np.uint8]
+    scene: Scene
+
+    @property
+    def bonds(self) -> Bonds | None:
+        """The cemented contacts; None for none."""
+        return self.scene.bonds
+
+
+def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "OpenedCampaign":
+    """Open a campaign for reading; a run may go on writing it meanwhile.
+
+    Parameters
+    ----------
+    path_or_url
+        SQLite file or database URL.
+    name
+        Which campaign, where the database has several.
+
+    Raises
+    ------
+    StoreError
+        If the database can't be read or has no such campaign.
+
+    Examples
+    --------
+    >>> with open_campaign("quick.db") as campaign:
+    ...     vs = campaign.vs()
+    >>> vs.sizes["content"], vs.attrs["units"]
+    (5, 'm s-1')
+    """
+    store = open_store(path_or_url, read_only=True)
+    try:
+        return OpenedCampaign(store, store.use_campaign(name))
+    except BaseException:
+        store.close()
+        raise
+
+
+class OpenedCampaign(Campaign):
+    """A campaign as its readers see it; `calcidem.storage.campaign.Campaign` has the rest of its methods."""
+
+    def summary(self, level: float = 0.95) -> xr.Dataset:
+        """Return the distribution of Vs at each content.
+
+        Parameters
+        ----------
+        level
+            Level of all intervals, between 0 and 1.
+
+        Returns
+        -------
+        xarray.Dataset
+            Along content, intervals along bound too: n, missing, failed, mean, standard deviation (m/s), skewness,
+            kurtosis, Jarque-Bera, confidence and prediction intervals.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> summary = campaign.summary().sel(content=5.0)
+        >>> int(summary.n), 1000.0 < float(summary["mean"]) < 2000.0
+        (8, True)
+        >>> bool(summary.mean_interval[0] < summary["mean"] < summary.mean_interval[1])
+        True
+        """
+        # Of a large campaign these four columns are a small part of all that `to_xarray` would read.
+        columns = self.store.table(("seed", "content", "status", "vs"))
+        seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
+        contents, column = np.unique(columns["content"], return_inverse=True)
+        vs = np.full((seeds.size, contents.size), np.nan)
+        status = np.full(vs.shape, NOT_COMPUTED, dtype=object)
+        vs[row, column] = columns["vs"]
+        status[row, column] = np.where(columns["status"] == CellStatus.PENDING, NOT_COMPUTED, columns["status"])
+        coordinates, dimensions = {"seed": seeds, "content": contents}, ("seed", "content")
+        matrices = [xr.DataArray(values, coordinates, dimensions) for values in (vs, status)]
+        return tabulate(describe_contents(matrices[0], matrices[1], level))
+
+    def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
+        """Return the contact graph of a sample.
+
+        Returns
+        -------
+        networkx.Graph
+            Every grain is a vertex with `role` (transmitter, receiver or interior), every contact an edge with
+            `bonded` and `weight` by its physical meaning (Eq. 8 of the paper).
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome, or its cement was not kept.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> graph = campaign.graph(seed=1, content=5.0)
+        >>> graph.number_of_edges() == len(campaign.sample(seed=1, content=5.0).packing.pairs)
+        True
+        """
+        index, cement = self._cement(seed, content)
+        packed = self._graphs[index]
+        return packed.graph.to_networkx(packed.bonded(cement), packed.weights)
+
+    def sample(self, *, seed: int, content: float) -> Sample:
+        """Rebuild a sample as it was before its wave was sent: the same disks, forces and cement, to the last bit.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome, or its cement was not kept.
+        StoreError
+            If the database was not made by a run, so that its configuration or its packing is incomplete.
+
+        Examples
+        --------
+        >>> import calcidem.dem
+        >>> sample = open_campaign("quick.db").sample(seed=1, content=5.0)
+        >>> state = calcidem.dem.start(sample.scene, preload=sample.packing.preload)
+        >>> calcidem.dem.advance(state, 10).steps
+        10
+        """
+        index, cement = self._cement(seed, content)
+        experiment = self.experiment(index)
+        packing, sand = experiment.stiffened()
+        kind = contact_kinds(packing, cement)
+        cemented = packing.pairs[kind != CementKind.NONE]
+        bonds = Bonds(cemented, experiment.cement, installation=experiment.installation) if len(cemented) else None
+        return Sample(seed, content, packing, kind, wave_scene(packing, sand, experiment.wave, bonds))
+
+    def experiment(self, packing_index: int = 0) -> Experiment:
+        """Return what the cells of a packing share, for `calcidem.dem.wave.measurement.measure`.
+
+        Raises
+        ------
+        UnknownCellError
+            If there is no such packing.
+        StoreError
+            If the database was not made by a run, so that its configuration or its packing is incomplete.
+        """
+        record = self.packing(packing_index)
+        try:
+            packing = stored_packing(record)
+        except DamagedPackingError as error:
+            raise DamagedStoreError(
+                f"The stored state of packing {packing_index} can't be used: {error}.",
+                "The samples can't be rebuilt from this database; their results can be read as before.",
+            ) from error
+        return experiment_of(self.config, packing)
+
+    @cached_property
+    def _graphs(self) -> tuple[PackingGraph, ...]:
+        return CampaignAnalysis(self).graphs
+
+    def _cement(self, seed: int, content: float) -> tuple[int, CementPattern]:
+        """Return the index of a cell's packing, and its cement."""
+        cell = self.cell(seed=seed, content=content)
+        if cell.cement is None:
+            raise UnknownCellError(
+                f"The cement of seed {seed} and content {content} % is not stored.",
+                "Only cells that were computed have one.",
+            )
+        return cell.packing_index, cell.cement
+
+
+def contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uint8]:
+    """Return what each of ``packing.pairs`` carries, (C,), see `calcidem.dem.sample.cement.CementKind`.
+
+    Raises
+    ------
+    ValueError
+        If the pattern cements two disks that do not touch.
+    """
+    rows = {(min(pair), max(pair)): row for row, pair in enumerate(packing.pairs.tolist())}
+    kind = np.zeros(len(packing.pairs), dtype=np.uint8)
+    for pair, value in zip(cement.contacts.tolist(), cement.kind.tolist(), strict=True):
+        row = rows.get((min(pair), max(pair)))
+        if row is None:
+            raise ValueError(
+                f"disks {pair[0]} and {pair[1]} are cemented but do not touch: not the packing of this cell"
+            )
+        kind[row] = value
+    return kind

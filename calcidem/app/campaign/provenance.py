@@ -1,0 +1,71 @@
+"""Where results come from: versions, machine and launch of a run."""
+
+import platform
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from calcidem.storage.records import RunRecord
+from calcidem.sweep import describe_environment
+
+LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
+"""What the numbers and the files depend on."""
+
+
+def run_record(ranks: int) -> RunRecord:
+    """Provenance of the run that begins now, on rank 0 of so many."""
+    environment = describe_environment(ranks)
+    commit, dirty = source_tree_state()
+    return RunRecord(
+        versions={"python": platform.python_version()} | {name: version_of(name) for name in LIBRARIES},
+        host=environment.host,
+        cpu=cpu_model(),
+        ranks=ranks,
+        launch_line=" ".join(sys.argv),
+        started=datetime.now(UTC),
+        mpi_library=environment.mpi_library if ranks > 1 else None,
+        git_commit=commit,
+        git_dirty=dirty,
+        slurm_job_id=environment.slurm.get("SLURM_JOB_ID"),
+    )
+
+
+def version_of(name: str) -> str:
+    """Version of an installed distribution, empty if it is not installed as one."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def cpu_model() -> str:
+    """Model name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.machine()
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.machine())
+
+
+def source_tree_state() -> tuple[str | None, bool | None]:
+    """Commit of the source tree that runs and whether it was changed; None for an installed package."""
+    root = Path(__file__).parents[3]
+    git = shutil.which("git")
+    if git is None or not (root / ".git").exists():
+        return None, None
+    try:
+        commit = ask(git, root, "rev-parse", "HEAD")
+        return commit, bool(ask(git, root, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return None, None
+
+
+def ask(git: str, root: Path, *arguments: str) -> str:
+    """Answer of git about a tree."""
+    command = [git, "-C", str(root), *arguments]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed arguments
+    return done.stdout.strip()

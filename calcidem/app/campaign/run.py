@@ -1,0 +1,204 @@
+"""One campaign from its configuration to its database: the same in one process and on many ranks."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Self
+
+from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign.packing_record import packing_record
+from calcidem.app.campaign.packing_source import Tell, provide_packing
+from calcidem.app.campaign.provenance import run_record
+from calcidem.app.campaign.store_sink import Heartbeat, StoreSink
+from calcidem.app.campaign.task import cell_computation, expected_effort
+from calcidem.app.config.packing_checks import check_against_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.schema import Configuration
+from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import Store
+from calcidem.sweep import (
+    StopRequest,
+    SweepEnd,
+    SweepOptions,
+    plan_batches,
+    run_sweep,
+)
+
+
+def run(
+    configuration: Configuration | str | os.PathLike[str],
+    *,
+    db: str | os.PathLike[str] | None = None,
+    output: str | os.PathLike[str] | None = None,
+) -> "OpenedCampaign":
+    """Compute a campaign, or what is left of it, in this process.
+
+    Parameters
+    ----------
+    configuration
+        Or the TOML file that it is in.
+    db
+        SQLite file or database URL, instead of that of the configuration.
+    output
+        Folder for the results, instead of that of the configuration.
+
+    Returns
+    -------
+    OpenedCampaign
+        Open for reading; to be closed.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong with the configuration.
+    StoreError
+        If the database cannot be used.
+    PackingError
+        If the packing does not come to rest.
+
+    Examples
+    --------
+    >>> with calcidem.run("quick.toml", db="quick.db") as campaign:  # doctest: +SKIP
+    ...     print(campaign.vs().mean("seed"))
+    """
+    database, folder = (None if path is None else os.fspath(path) for path in (db, output))
+    if isinstance(configuration, Configuration):
+        own = configuration.run
+        options = replace(own, database=database or own.database, output=folder or own.output)
+        configuration = replace(configuration, run=options)
+    else:
+        configuration = load_configuration(configuration, {"database": database, "output": folder})
+    with CampaignRun(configuration, ranks=1, tell=lambda _: None) as work:
+        compute = cell_computation(configuration, work.packing, work.heartbeat)
+        # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
+        work.end = run_sweep(
+            None, work.batches, compute, work.sink, options=sweep_options(configuration), stop_request=StopRequest()
+        )
+    from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - statistics, which the ranks do not need
+
+    return open_campaign(configuration.database, configuration.campaign.name)
+
+
+def sweep_options(configuration: Configuration) -> SweepOptions:
+    """Limits of the sweep as the configuration has them."""
+    return SweepOptions(time_limit=configuration.run.time_limit)
+
+
+class CampaignRun:
+    """What rank 0 holds while a campaign is computed: its database, its packing and what is left to do.
+
+    As a context manager it closes the database and notes how the run ended. A database that is there is looked at
+    before the packing is made, so that one of another campaign is refused at once; a new one is made after the packing,
+    so that a configuration that the packing cannot fulfil leaves none behind.
+
+    Parameters
+    ----------
+    configuration
+        What to compute.
+    ranks
+        Number of MPI ranks that do.
+    tell
+        Takes sentences for the user.
+    check
+        Called every fraction of a second while the packing is made; may raise to end that.
+
+    Attributes
+    ----------
+    packing, store, record
+        Of the campaign.
+    batches
+        What is left to compute, in order.
+    sink
+        Takes the outcomes.
+    heartbeat
+        To be called often while cells are computed.
+    end
+        To be set to the end of the sweep.
+    """
+
+    def __init__(
+        self, configuration: Configuration, ranks: int, tell: Tell, check: Callable[[], None] = lambda: None
+    ) -> None:
+        self.configuration = configuration
+        self.end: SweepEnd | None = None
+        store = self._master(tell) if exists(configuration.database) else None
+        try:
+            self.packing = provide_packing(configuration, store, tell, check)
+            check_against_packing(configuration, self.packing)
+            store = store or self._master(tell)
+            self.store: Store = store
+            self._begin(ranks)
+        except BaseException:
+            if store is not None:
+                store.close()
+            raise
+
+    def _master(self, tell: Tell) -> Store:
+        """Open the database and become the only one that writes this campaign."""
+        configuration = self.configuration
+        path = parse_address(configuration.database).path
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        store = open_store(configuration.database)
+        try:
+            store.begin_campaign(
+                CampaignRecord(
+                    hash=configuration.hash,
+                    name=configuration.campaign.name,
+                    config=canonical_json(configuration.physics),
+                    contents=(),
+                    seeds=(),
+                    created=datetime.now(UTC),
+                )
+            )
+            former = store.acquire_lease().taken_over_from
+        except BaseException:
+            store.close()
+            raise
+        if former is not None:
+            tell(f"Taken over from {former}, which ended without saying so.")
+        return store
+
+    def _begin(self, ranks: int) -> None:
+        """Plan the cells and the batches."""
+        plan, run = self.configuration.campaign, self.configuration.run
+        record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
+        self.store.save_packing(record)
+        self.store.extend(plan.seed_numbers, plan.contents)
+        self.record = self.store.use_campaign(plan.name)
+        pending = self.store.pending(plan.seed_numbers, plan.contents)
+        self.sink = StoreSink(self.store, pending)
+        self.heartbeat = Heartbeat(self.store)
+        self.batches = plan_batches(
+            [(key.seed, key.content) for key in pending],
+            run.lanes,
+            lambda content: expected_effort(self.configuration, content),
+            self.sink.losses,
+        )
+        self.store.begin_run(run_record(ranks))
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Note how it ended and close the database."""
+        try:
+            if self.end is not None:
+                detail = f": {self.end.detail}" if self.end.detail else ""
+                self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
+        finally:
+            self.store.close()
+
+
+def exists(database: str) -> bool:
+    """Whether a database may be there already; a server always is."""
+    path = parse_address(database).path
+    return path is None or path.exists()

@@ -1,0 +1,259 @@
+"""How far a campaign is: states of its cells, running statistics, time left, what was retried or given up."""
+
+import os
+import socket
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import select
+
+from calcidem.analysis.intervals import Interval, mean_interval
+from calcidem.storage.campaign import Campaign
+from calcidem.storage.records import CellKey, CellStatus, RunRecord
+from calcidem.storage.sql.engine import make_engine, parse_address
+from calcidem.storage.sql.lease import STALE_AFTER
+from calcidem.storage.sql.models import Campaign as CampaignRow
+from calcidem.storage.sql.models import Lease
+from calcidem.storage.sql.transaction import transaction
+from calcidem.storage.store import Selection
+
+TROUBLES = (CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL)
+"""Outcomes other than done, the most alarming first."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContentStatus:
+    """How far the cells of one content are.
+
+    Attributes
+    ----------
+    content
+        Percent.
+    statuses
+        Status by seed.
+    counts
+        Number of cells by status.
+    mean, deviation
+        Of Vs over the done cells, m/s; NaN where there are too few.
+    interval
+        Of the mean at 95 %, m/s (Student's t).
+    seconds_per_cell
+        Computing time of a cell so far; NaN before any.
+    seconds_left
+        Computing time that the pending cells need on one core; NaN if nothing was measured.
+    """
+
+    content: float
+    statuses: Mapping[int, CellStatus]
+    counts: Mapping[CellStatus, int]
+    mean: float
+    deviation: float
+    interval: Interval
+    seconds_per_cell: float
+    seconds_left: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """A cell that went wrong, or that needed several attempts.
+
+    Attributes
+    ----------
+    key, status
+        Which cell, and what it is now.
+    attempts, losses
+        How often it was tried, and how many of these attempts took a worker down since the last retry.
+    reason
+        First line of why it is what it is; empty for a done or pending cell.
+    retry
+        Why its sample was sent again, with half the step; empty if it was not.
+    """
+
+    key: CellKey
+    status: CellStatus
+    attempts: int
+    losses: int
+    reason: str
+    retry: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignStatus:
+    """How far a campaign is.
+
+    Attributes
+    ----------
+    name, hash, seeds
+        Of the campaign.
+    contents
+        One for each content, ascending.
+    counts
+        Number of cells by status.
+    troubles
+        Cells that went wrong, were tried more than once, or needed half the step.
+    last_run, run_number
+        The latest run, if there was any.
+    running
+        Whether a process writes the campaign at this moment, as far as can be told.
+    workers
+        Ranks that compute in the latest run.
+    seconds_left
+        Until all cells are settled on so many workers; NaN if nothing was measured.
+    """
+
+    name: str
+    hash: str
+    seeds: tuple[int, ...]
+    contents: tuple[ContentStatus, ...]
+    counts: Mapping[CellStatus, int]
+    troubles: tuple[Trouble, ...]
+    last_run: RunRecord | None
+    run_number: int | None
+    running: bool
+    workers: int
+    seconds_left: float
+
+    @property
+    def pending(self) -> int:
+        """Number of cells without an outcome."""
+        return self.counts.get(CellStatus.PENDING, 0)
+
+
+def campaign_status(campaign: Campaign, *, running: bool) -> CampaignStatus:
+    """Gather how far a campaign is, in a few short queries.
+
+    Parameters
+    ----------
+    campaign
+        Open for reading.
+    running
+        Whether a process writes it (`is_being_written`).
+    """
+    columns = campaign.store.table(("seed", "content", "status", "vs", "seconds"))
+    contents = np.unique(columns["content"])
+    rows = [columns["content"] == content for content in contents]
+    seconds = [mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
+    expected = expected_seconds(contents, np.array(seconds))
+    statuses = tuple(
+        content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
+        for content, row, measured, cost in zip(contents, rows, seconds, expected, strict=True)
+    )
+    counts: Counter[CellStatus] = Counter()
+    for status in statuses:
+        counts.update(status.counts)
+    runs = campaign.runs()
+    number, last = runs[-1] if runs else (None, None)
+    workers = max(1, last.ranks - 1) if last is not None else 1
+    return CampaignStatus(
+        name=campaign.record.name,
+        hash=campaign.record.hash,
+        seeds=campaign.record.seeds,
+        contents=statuses,
+        counts=counts,
+        troubles=troubles_of(campaign),
+        last_run=last,
+        run_number=number,
+        running=running,
+        workers=workers,
+        seconds_left=sum(status.seconds_left for status in statuses) / workers,
+    )
+
+
+def content_status(
+    content: float, columns: Mapping[str, NDArray[np.generic]], measured: float, expected: float
+) -> ContentStatus:
+    """How far one content is, from the columns of its cells and the measured and expected seconds of a cell."""
+    found = dict(zip(columns["seed"].astype(int).tolist(), map(CellStatus, columns["status"].tolist()), strict=True))
+    counts = Counter(found.values())
+    vs = columns["vs"].astype(float)
+    vs = vs[np.isfinite(vs)]
+    pending = counts[CellStatus.PENDING]
+    return ContentStatus(
+        content=content,
+        statuses=found,
+        counts=counts,
+        mean=mean_or_nan(vs),
+        deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
+        interval=mean_interval(vs),
+        seconds_per_cell=measured,
+        seconds_left=pending * expected if pending else 0.0,
+    )
+
+
+def mean_or_nan(values: NDArray[np.float64]) -> float:
+    """Mean of the finite values, NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else np.nan
+
+
+def expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Seconds of a cell at each content: measured, or interpolated between the contents that are; both (C,)."""
+    known = np.isfinite(measured)
+    if not known.any():
+        return np.full(contents.shape, np.nan)
+    return np.interp(contents, contents[known], measured[known])
+
+
+def troubles_of(campaign: Campaign) -> tuple[Trouble, ...]:
+    """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
+    attempts = campaign.store.attempt_counts()
+    wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=TROUBLES))
+    reasons = {
+        CellKey(int(seed), float(content)): str(reason or "").partition("\n")[0]
+        for seed, content, reason in zip(wrong["seed"], wrong["content"], wrong["reason"], strict=True)
+    }
+    repeated = {key for key, count in attempts.items() if count.attempts > 1 or count.losses}
+    again = campaign.store.table(("seed", "content", "retry"), Selection(where="retry is not None"))
+    retries = {
+        CellKey(int(seed), float(content)): str(why)
+        for seed, content, why in zip(again["seed"], again["content"], again["retry"], strict=True)
+    }
+    keys = repeated | reasons.keys() | retries.keys()
+    statuses = campaign.store.statuses() if keys else {}
+    found = [
+        Trouble(
+            key,
+            statuses[key],
+            attempts[key].attempts,
+            attempts[key].losses,
+            reasons.get(key, ""),
+            retries.get(key, ""),
+        )
+        for key in keys
+    ]
+    return tuple(sorted(found, key=lambda trouble: (urgency(trouble.status), trouble.key)))
+
+
+def urgency(status: CellStatus) -> int:
+    """Place of a status among `TROUBLES`; the others come last."""
+    return TROUBLES.index(status) if status in TROUBLES else len(TROUBLES)
+
+
+def is_being_written(database: str | os.PathLike[str], campaign_name: str) -> bool:
+    """Whether a living process holds the lease of a campaign, as far as can be told from this machine.
+
+    On another machine a process counts as living until its heartbeat is five minutes old.
+    """
+    address = parse_address(database)
+    engine = make_engine(address, read_only=True)
+    try:
+        with transaction(engine, address, write=False) as session:
+            statement = select(Lease).join(CampaignRow, CampaignRow.id == Lease.campaign_id)
+            holder = session.scalar(statement.where(CampaignRow.name == campaign_name))
+    finally:
+        engine.dispose()
+    if holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER:
+        return False
+    return holder.host != socket.gethostname() or os.path.exists(f"/proc/{holder.pid}")  # noqa: PTH110 - a pid, no path
+
+
+def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:
+    """The most alarming of some statuses; pending if there is nothing worse and not all are done."""
+    alarming = [status for status in statuses if status in TROUBLES]
+    if alarming:
+        return min(alarming, key=urgency)
+    return CellStatus.DONE if set(statuses) == {CellStatus.DONE} else CellStatus.PENDING

@@ -1,0 +1,120 @@
+"""Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
+from calcidem.storage.store import Store
+from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
+from calcidem.sweep.heartbeat import SignOfLife
+
+PAUSE = 30.0
+"""Seconds between two signs of life of the master; half of what the store asks for."""
+
+
+class StoreSink:
+    """`calcidem.sweep.Sink` that writes into a store.
+
+    Parameters
+    ----------
+    store
+        With the campaign chosen.
+    keys
+        The cells that will be computed.
+    """
+
+    def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
+        self._store = store
+        self._counts = store.attempt_counts(keys) if keys else {}
+
+    @property
+    def losses(self) -> dict[Cell, int]:
+        """Workers that each cell has taken down so far."""
+        return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
+
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]], /) -> None:
+        """Write the outcomes in one transaction."""
+        results = [result for outcome in outcomes for result in self._results(outcome)]
+        self._store.record_results(results)
+        for result in results:
+            losses = self._counts.get(result.key, AttemptCount()).losses
+            self._counts[result.key] = AttemptCount(result.attempt, losses)
+
+    def lost(self, batch: Batch[Cell], reason: str, /) -> None:
+        """Count a lost attempt for each cell."""
+        self._counts |= self._store.record_lost([CellKey(*cell) for cell in batch.cells], reason)
+
+    def _results(self, outcome: BatchOutcome[Cell, CellResult]) -> list[CellResult]:
+        found = list(outcome.results or ())
+        if outcome.failure is not None:
+            status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
+            reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
+            keys = [CellKey(*cell) for cell in outcome.batch.cells]
+            found = [CellResult(key, status, reason, seconds=seconds) for key in keys]
+        place = outcome.place
+        return [
+            replace(
+                result,
+                rank=place.rank,
+                host=place.host,
+                attempt=self._counts.get(result.key, AttemptCount()).attempts + 1,
+            )
+            for result in found
+        ]
+
+
+class Heartbeat:
+    """Signs of life of the master, for other machines that might want to take the campaign over.
+
+    Parameters
+    ----------
+    store
+        Of which this process is the master.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._next = time.monotonic() + PAUSE
+
+    def __call__(self) -> None:
+        """Give one if it is time to."""
+        if time.monotonic() > self._next:
+            self._next = time.monotonic() + PAUSE
+            self._store.heartbeat()
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatProgress:
+    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps.
+
+    The heartbeat is for other machines, the sign of life for the command that started the ranks.
+    """
+
+    shown: Progress
+    heartbeat: Heartbeat
+    sign_of_life: SignOfLife = field(default_factory=SignOfLife)
+
+    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Pass it on."""
+        self.shown.started(batches, workers)
+
+    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Pass it on."""
+        self.shown.settled(outcome)
+
+    def lost(self, place: Place, reason: str) -> None:
+        """Pass it on."""
+        self.shown.lost(place, reason)
+
+    def tick(self, workers: int, running: int) -> None:
+        """Give a sign of life and pass it on."""
+        self.heartbeat()
+        self.sign_of_life.give()
+        self.shown.tick(workers, running)
+
+    def ended(self, end: SweepEnd) -> None:
+        """Pass it on; what follows may take its time."""
+        self.sign_of_life.end()
+        self.shown.ended(end)

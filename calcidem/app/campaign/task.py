@@ -1,0 +1,155 @@
+"""What a worker does: cells of one content in, records of their outcomes out."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from calcidem.analysis.packing_graph import packing_graph
+from calcidem.app.campaign.graph_summary import with_graph
+from calcidem.app.campaign.packing_record import packing_record
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.layout import Integers
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.sample.settling import SettlingError
+from calcidem.dem.wave.arrival import Reading
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.propagation import WaveRecord
+from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, Signal
+from calcidem.sweep import Batch, Cell, Compute
+
+SEEDS_REMEMBERED = 64
+"""Seeds whose cement is not drawn again for each content; 0.3 MB each."""
+
+AFTER_FIRST_CHUNK = 2
+"""Call of the check by which the kernel has run once."""
+
+
+def cell_computation(
+    configuration: Configuration, packing: Packing, alongside: Callable[[], None] = lambda: None
+) -> Compute[Cell, CellResult]:
+    """The computation of a batch, for `calcidem.sweep.run_sweep`.
+
+    Parameters
+    ----------
+    configuration
+        Of the campaign.
+    packing
+        Its packing.
+    alongside
+        Called together with the check of the deadline.
+    """
+    experiment = configuration.experiment(packing)
+    lanes, store_signals = configuration.run.lanes, configuration.run.store_signals
+    ordering = lru_cache(SEEDS_REMEMBERED)(experiment.ordering)
+    graph = packing_graph(
+        packing_record(packing, index=0, packing_hash=configuration.packing_hash),
+        configuration.wave.transmitter_half_width,
+        configuration.wave.receiver_half_width,
+    )
+
+    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[CellResult]:
+        def check() -> None:
+            deadline_check()
+            alongside()
+
+        content = batch.cells[0][1]
+        seeds = [seed for seed, _ in batch.cells]
+        measurements = measure(experiment, content, seeds, lanes=lanes, check=check, ordering=ordering)
+        results = (cell_result(measurement, packing.pairs, store_signals) for measurement in measurements)
+        return tuple(with_graph(result, graph) for result in results)
+
+    return compute
+
+
+def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) -> CellResult:
+    """Measurement as the store keeps it; attempt, rank and host are added by whoever stores it.
+
+    ``pairs`` (M, 2) are the contacts of the packing.
+    """
+    cement, record, picks = measurement.cement, measurement.record, measurement.picks
+    readings = (Reading(),) * 3 if picks is None else (picks.peak, picks.first_arrival, picks.cross_correlation)
+    peak, first_arrival, cross_correlation = readings
+    return CellResult(
+        key=CellKey(measurement.seed, measurement.content),
+        status=CellStatus(measurement.outcome.value),
+        reason=measurement.reason,
+        vs=measurement.vs,
+        vs_peak=peak.velocity,
+        vs_first_arrival=first_arrival.velocity,
+        vs_cross_correlation=cross_correlation.velocity,
+        quality_peak=peak.quality if picks else None,
+        quality_first_arrival=first_arrival.quality if picks else None,
+        quality_cross_correlation=cross_correlation.quality if picks else None,
+        frequency=measurement.frequency,
+        time_step=record.time_step,
+        stability_limit=record.stability_limit,
+        steps=record.steps,
+        error_estimate=measurement.error_estimate,
+        content_reached=cement.content_reached,
+        p_contacts=cement.p_contacts,
+        c_contacts=cement.c_contacts,
+        clusters=cement.clusters,
+        bonded_contacts=int(np.count_nonzero(cement.bonded)),
+        retry=record.retry,
+        seconds=measurement.seconds,
+        signal=signal_of(record) if store_signals else None,
+        cement=CementPattern(pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres),
+    )
+
+
+def signal_of(record: WaveRecord) -> Signal | None:
+    """Signals as the store keeps them; None for a record with numbers that are not finite."""
+    if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
+        return None
+    return Signal(
+        time_step=record.interval,
+        sent_velocity=record.sent.astype(float),
+        received_force=record.force.astype(float),
+        received_velocity=record.velocity.astype(float),
+    )
+
+
+def expected_effort(configuration: Configuration, content: float) -> float:
+    """Rough effort of a batch of a content: steps to do; only ratios matter, and measured ones replace them.
+
+    Cement makes the stable step about ten times shorter. The velocity rises from 200 to 2100 m/s at 9 %, and a record
+    lasts for the pulse and one and a half travel times.
+    """
+    steps_per_second = 10.0 if content > 0.0 else 1.0
+    velocity = 200.0 + 210.0 * content
+    frequency = configuration.excitation.table.at(content)
+    return steps_per_second * (1.0 / frequency + 1.5 * configuration.packing.width / velocity)
+
+
+class EnoughSeenError(Exception):
+    """Ends a measurement that was only made to have the kernel compiled."""
+
+
+def warm_up(configuration: Configuration, packing: Packing) -> None:
+    """Compile the kernels that the campaign needs, by starting samples and ending them at once."""
+    experiment = configuration.experiment(packing)
+    seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
+    contents = configuration.campaign.contents
+    for content in sorted({min(contents), max(contents)}):
+        if experiment.installation != "preserve":
+            hasty = replace(experiment, wave=replace(experiment.wave, most_settling_steps=1))
+            begin_and_end(hasty, content, seed, lanes)
+        begin_and_end(replace(experiment, installation="preserve"), content, seed, lanes)
+
+
+def begin_and_end(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
+    """Measure one sample until the kernel has run once."""
+    calls = 0
+
+    def check() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == AFTER_FIRST_CHUNK:
+            raise EnoughSeenError
+
+    with contextlib.suppress(EnoughSeenError, SettlingError):
+        measure(experiment, content, [seed], lanes=lanes, check=check)

@@ -1,0 +1,72 @@
+"""``calcidem calibrate``: fit named parameters to measured Vs against content."""
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.studies.calibrate import PARAMETERS, Calibration, calibrate, calibrated_text
+
+
+def calibrate_campaign(
+    configuration: Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")],
+    target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
+    out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
+    parameter: Annotated[
+        list[str] | None, typer.Option(help=f"Parameter to fit; may be repeated. Among {', '.join(PARAMETERS)}.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=2, help="Seeds of each content, the same in every trial.")] = 16,
+) -> None:
+    """Fit parameters so that mean Vs meets measured values, and write a calibrated configuration."""
+    loaded = load_configuration(configuration)
+    targets = read_targets(target)
+    packing = provide_packing(loaded, None, typer.echo)
+    names = parameter or list(PARAMETERS[: min(3, len(targets))])
+    fitted = calibrate(loaded, packing, targets, names, range(1, seeds + 1), typer.echo)
+    for line in calibration_lines(fitted):
+        typer.echo(line)
+    out.write_text(calibrated_text(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
+    typer.echo(f"Wrote {out}")
+
+
+def read_targets(file: Path) -> dict[float, float]:
+    """Mean Vs by content from a CSV file.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or an entry is no positive number.
+    """
+    with file.open(encoding="utf-8", newline="") as source:
+        rows = list(csv.DictReader(source))
+    missing = sorted({"content", "vs"} - set(rows[0] if rows else ()))
+    if missing:
+        raise ValueError(f"{file}: no column {' and no column '.join(missing)}; give a header line 'content,vs'")
+    try:
+        targets = {float(row["content"]): float(row["vs"]) for row in rows}
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}; give percent and m/s as numbers") from error
+    if not all(vs > 0.0 for vs in targets.values()):
+        raise ValueError(f"{file}: vs has to be positive, in m/s")
+    return targets
+
+
+def calibration_lines(fitted: Calibration) -> list[str]:
+    """Report on a calibration."""
+    lines = [f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}" for name, value in fitted.values.items()]
+    names = list(fitted.values)
+    for i, first in enumerate(names):
+        lines += [
+            f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+            for j, second in enumerate(names)
+            if j > i
+        ]
+    lines += [
+        f"{content:g} %: wanted {wanted:.1f} m/s, reached {fitted.fitted[content]:.1f} m/s "
+        f"({100.0 * (fitted.fitted[content] / wanted - 1.0):+.1f} %)"
+        for content, wanted in fitted.targets.items()
+    ]
+    return lines

@@ -1,0 +1,46 @@
+"""``calcidem doctor``: what stands between this machine and a campaign, a verdict a line."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from calcidem.app.doctor.checkup import findings
+from calcidem.app.doctor.finding import Finding, Verdict
+
+STYLES = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.PROBLEM: "bold red"}
+
+
+def doctor(
+    folder: Annotated[
+        Path, typer.Argument(metavar="[DIR]", help="Folder in which the database is to be; this one by default.")
+    ] = Path(),
+) -> None:
+    """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; say what to do about what is wrong.
+
+    Ends with 1 if there is a problem. Takes a few seconds, since it starts two ranks and writes a small database.
+    """
+    console = Console(highlight=False)
+    found = []
+    for finding in findings(folder):
+        console.print(finding_line(finding), soft_wrap=True)
+        found.append(finding)
+    console.print(conclusion(found))
+    if any(finding.verdict is Verdict.PROBLEM for finding in found):
+        raise typer.Exit(1)
+
+
+def finding_line(finding: Finding) -> Text:
+    """One line about a finding, the cure on one of its own."""
+    line = Text(f"{finding.verdict:<8}", STYLES[finding.verdict]).append(f" {finding.subject}: {finding.fact}", "")
+    return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line
+
+
+def conclusion(found: list[Finding]) -> str:
+    """The last line."""
+    numbers = {verdict: sum(finding.verdict is verdict for finding in found) for verdict in Verdict}
+    if not numbers[Verdict.PROBLEM] and not numbers[Verdict.WARNING]:
+        return "All is well."
+    return ", ".join(f"{number} {verdict}" for verdict, number in numbers.items())

@@ -1,0 +1,39 @@
+"""Errors that are the user's to cure: told in one message without a traceback, with the exit code they mean."""
+
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.dem.sample.packing import PackingError
+from calcidem.storage.errors import (
+    CampaignMismatchError,
+    ForeignDatabaseError,
+    NewerSchemaError,
+    OlderSchemaError,
+    StoreError,
+    StoreUnavailableError,
+    UnknownCampaignError,
+    UnknownCellError,
+)
+from calcidem.sweep import EXIT_ERROR, LaunchError
+
+EXIT_BAD_INPUT = 2
+"""Bad configuration or arguments."""
+
+USER_ERRORS = (ConfigurationError, LaunchError, PackingError, StoreError, OSError)
+
+BAD_INPUT = (
+    CampaignMismatchError,
+    ConfigurationError,
+    FileExistsError,
+    FileNotFoundError,
+    ForeignDatabaseError,
+    LaunchError,
+    NewerSchemaError,
+    OlderSchemaError,
+    StoreUnavailableError,
+    UnknownCampaignError,
+    UnknownCellError,
+)
+
+
+def exit_code_of(error: BaseException) -> int:
+    """Exit code of a program that ends because of an error."""
+    return EXIT_BAD_INPUT if isinstance(error, BAD_INPUT) else EXIT_ERROR

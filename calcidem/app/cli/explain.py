@@ -1,0 +1,93 @@
+"""``calcidem explain``: what the scenes of a campaign need, and what is left out of them."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.cli.run_campaign import make_console
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.studies.accuracy.measured import MeasuredErrors, measured_errors
+from calcidem.app.studies.explain import Explanation, explain
+
+DEFAULT_CELLS = 8
+"""Seeds of one content that are measured, one batch."""
+
+
+def explain_campaign(
+    configuration: Annotated[Path, typer.Argument(metavar="[CONFIG]", help="TOML file of the campaign.")] = Path(
+        "calcidem.toml"
+    ),
+    content: Annotated[
+        list[float] | None, typer.Option(help="Only this content, in percent; may be repeated. By default three.")
+    ] = None,
+    accuracy: Annotated[
+        Path | None, typer.Option(metavar="JSON", help="What 'calcidem accuracy' found for this campaign.")
+    ] = None,
+) -> None:
+    """Show what each content needs of the kernel and what is left out: why that is safe, what it saves and costs.
+
+    Times and differences are measured here and now, on cells of the campaign; errors are those that 'calcidem accuracy'
+    measured against a converged reference.
+    """
+    loaded = load_configuration(configuration)
+    try:
+        measured = measured_errors(loaded.hash, accuracy)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    packing = provide_packing(loaded, None, typer.echo)
+    contents = sorted(loaded.campaign.contents)
+    chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
+    seeds = loaded.campaign.seed_numbers[: min(DEFAULT_CELLS, loaded.run.lanes)]
+    rows = explain(
+        loaded.experiment(packing),
+        chosen,
+        seeds,
+        loaded.run.lanes,
+        measured,
+        progress=lambda text: typer.echo(f"measuring {text}", err=True),
+    )
+    console = make_console()
+    for value in chosen:
+        console.print(explanation_table(value, [row for row in rows if row.content == value]))
+    console.print(where_from(measured, str(configuration)))
+
+
+def where_from(measured: MeasuredErrors | None, configuration: str) -> str:
+    """Say where the errors are from, or how to get them."""
+    if measured is None:
+        return (
+            f"The errors of this campaign have not been measured: calcidem accuracy {configuration} --out DIR, "
+            "then add --accuracy DIR/accuracy.json."
+        )
+    return f"Errors: largest of the cells measured by calcidem accuracy, own way and other way, from {measured.source}."
+
+
+def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
+    """Table of one content."""
+    table = Table(title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("what")
+    table.add_column("needed")
+    table.add_column("why")
+    table.add_column("time the other way", justify="right")
+    table.add_column("difference in Vs", justify="right")
+    table.add_column("error of Vs, own and other way", justify="right")
+    for row in rows:
+        table.add_row(
+            row.alternative.what,
+            "yes" if row.alternative.needed else "left out",
+            row.alternative.why,
+            "-" if row.time_ratio is None else f"{row.time_ratio:.2f} x",
+            "-" if row.difference is None else f"{100.0 * row.difference:.2g} %",
+            f"{percent(row.error)}, {percent(row.other_error)}" if row.alternative.setting else "-",
+        )
+    return table
+
+
+def percent(error: float | None) -> str:
+    """Error in percent, or that it is not known."""
+    return "?" if error is None else f"{100.0 * error:.2g} %"

@@ -1,0 +1,172 @@
+"""``calcidem query``: the cells of a database that meet some conditions, as a table or a file."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Collection, Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from calcidem.storage.campaign import open_campaign
+from calcidem.storage.errors import QueryError
+from calcidem.storage.netcdf.export import replaced_atomically
+from calcidem.storage.records import CellStatus
+from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+from calcidem.storage.store import Selection
+
+DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_estimate", "seconds")
+
+Columns = Mapping[str, NDArray[Any]]
+"""Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
+
+
+class Format(StrEnum):
+    """How the answer is written."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+
+
+def query(
+    database: Annotated[str, typer.Argument(help="SQLite file or database URL.")],
+    content: Annotated[list[float] | None, typer.Option(help="Only this content, in percent; may be repeated.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Only this seed; may be repeated.")] = None,
+    status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status; may be repeated.")] = None,
+    where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
+    columns: Annotated[str | None, typer.Option(help='Quantities, such as "seed,vs,steps", or "all".')] = None,
+    sort: Annotated[str, typer.Option(help='Sort by these, such as "-vs,seed"; "-" is for descending.')] = "",
+    limit: Annotated[int | None, typer.Option(min=0, help="Give the first so many only.")] = None,
+    layout: Annotated[Format, typer.Option("--format", help="How to write the answer.")] = Format.TABLE,
+    out: Annotated[Path | None, typer.Option(help="File to write, instead of showing it.")] = None,
+    campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
+) -> None:
+    """Show the cells of a campaign that meet all the conditions given."""
+    try:
+        selection = Selection(seed or None, content or None, status or None, where)
+    except ValueError as error:
+        raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
+    found = find(database, selection, column_names(columns), split(sort), limit, campaign)
+    if layout is Format.PARQUET:
+        if out is None:
+            raise QueryError("Parquet is no text.", "Give a file with --out.")
+        write_parquet(found, out)
+    elif out is not None:
+        with replaced_atomically(out.absolute()) as temporary:
+            temporary.write_text(as_text(found, layout), encoding="utf-8")
+    else:
+        typer.echo(as_text(found, layout), nl=False)
+
+
+def find(
+    database: str,
+    selection: Selection,
+    columns: Sequence[str] = DEFAULT_COLUMNS,
+    sort: Sequence[str] = (),
+    limit: int | None = None,
+    campaign_name: str | None = None,
+) -> Columns:
+    """Return columns of the selected cells; see `calcidem.storage.store.Store.table`.
+
+    Raises
+    ------
+    QueryError
+        For an unknown quantity or a filter that can't be understood.
+    StoreError
+        If the database can't be read.
+    """
+    with open_campaign(database, campaign_name) as campaign:
+        return campaign.store.table(columns, selection, sort=sort, limit=limit)
+
+
+def column_names(text: str | None) -> Sequence[str]:
+    """Return the columns asked for: the default ones, all, or a list with commas."""
+    if text is None:
+        return DEFAULT_COLUMNS
+    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(split(text)))
+
+
+def split(text: str) -> list[str]:
+    """Return the parts of a list with commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def as_text(columns: Columns, layout: Format) -> str:
+    """Return the columns as a table, CSV or JSON."""
+    rows = list(zip(*(plain_values(name, values) for name, values in columns.items()), strict=True))
+    if layout is Format.JSON:
+        return json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1, ensure_ascii=False) + "\n"
+    if layout is Format.CSV:
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
+        return stream.getvalue()
+    return as_table(tuple(columns), rows)
+
+
+def plain_values(name: str, values: NDArray[Any]) -> list[Any]:
+    """Return the values of a column as Python's own, None where missing."""
+    if QUANTITY_BY_NAME[name].kind == "whole":
+        return [None if math.isnan(value) else int(value) for value in values.tolist()]
+    if QUANTITY_BY_NAME[name].kind == "real":
+        return [None if math.isnan(value) else value for value in values.tolist()]
+    return list(values)
+
+
+def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return rows in aligned columns with the units in the head; no wider than the numbers need."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        unit = f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
+        table.add_column(
+            f"{name}{unit}".replace("[", r"\["), justify="left" if quantity.kind == "text" else "right", no_wrap=True
+        )
+    for row in rows:
+        table.add_row(*(shown(value) for value in row))
+    stream = io.StringIO()
+    # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
+    Console(file=stream, width=1000, highlight=False, markup=True).print(table)
+    lines = (line.rstrip() for line in stream.getvalue().splitlines())
+    return "\n".join([*lines, f"{len(rows)} cells", ""])
+
+
+def shown(value: object) -> str:
+    """Return a value as people read it: six digits, the first line of a text, nothing where it is missing."""
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    first_line = str(value).partition("\n")[0]
+    return first_line.replace("[", r"\[")
+
+
+def write_parquet(columns: Columns, out: Path) -> None:
+    """Write columns into a Parquet file, replaced in one step.
+
+    Raises
+    ------
+    QueryError
+        If the library for Parquet isn't installed.
+    """
+    import pandas as pd  # noqa: PLC0415 - takes half a second to import, and only this format needs it
+
+    frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
+    frame = frame.astype({name: "Int64" for name in columns if QUANTITY_BY_NAME[name].kind == "whole"})
+    try:
+        with replaced_atomically(out.absolute()) as temporary:
+            frame.to_parquet(temporary, index=False)
+    except ImportError as error:
+        raise QueryError(
+            "Writing Parquet needs a library that isn't there.", "Install it: pip install 'calcidem[parquet]'."
+        ) from error

@@ -1,0 +1,24 @@
+"""``calcidem sample``: one sample for ParaView, or its packing as CSV."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.sample_files import SUFFIXES, write_sample
+
+
+def export_sample(
+    database: Annotated[str, typer.Argument(help="SQLite file or database URL.")],
+    out: Annotated[Path, typer.Argument(help=f"File to write; its ending decides: {', '.join(SUFFIXES)}.")],
+    seed: Annotated[int, typer.Option(help="Seed of the sample.")],
+    content: Annotated[float, typer.Option(help="Its calcite content, in percent.")],
+    campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
+) -> None:
+    """Write one sample for ParaView (.vtu, .vtk), or the disks of its packing as CSV (x, y, radius in m)."""
+    if out.suffix.lower() not in SUFFIXES:
+        raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
+    with open_campaign(database, campaign) as opened:
+        write_sample(opened.sample(seed=seed, content=content), out)
+    typer.echo(f"Written: {out}")

@@ -1,0 +1,28 @@
+"""``calcidem sensitivity``: what each choice of a campaign does to mean and scatter of Vs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.studies.sensitivity.plan import load_plan
+from calcidem.app.studies.sensitivity.study import changes, compute
+from calcidem.app.studies.sensitivity.table import sensitivity_table
+
+
+def measure_sensitivity(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Variants of a configuration.")],
+    database: Annotated[str, typer.Option("--db", metavar="FILE", help="Database for all of them.")],
+    out: Annotated[Path | None, typer.Option(metavar="TABLE.md", help="File for the table.")] = None,
+    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is there.")] = False,
+) -> None:
+    """Compute variants of a campaign with the same seeds, and show what each does to mean and scatter of Vs."""
+    variants = load_plan(plan, database)
+    if not only_table:
+        compute(variants, lambda text: typer.echo(text, err=True))
+    table = sensitivity_table(variants, changes(variants))
+    if out is None:
+        typer.echo(table)
+    else:
+        out.write_text(table, encoding="utf-8")
+        typer.echo(f"Wrote {out}")

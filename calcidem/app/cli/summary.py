@@ -1,0 +1,79 @@
+"""What a person reads of a campaign: the report on its packing, and Vs against content."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.dem.sample.packing import WALL_NAMES, Packing
+from calcidem.storage.records import CellStatus
+from calcidem.storage.store import Selection, Store
+
+
+def packing_lines(packing: Packing) -> Iterator[str]:
+    """Report on a packing."""
+    report = packing.report
+    yield (
+        f"Packing: {len(packing.radius)} disks in {packing.width:.4g} m x {packing.height:.4g} m, "
+        f"porosity {report.porosity:.4f}, {len(packing.pairs)} contacts"
+    )
+    yield (
+        f"  coordination number {report.coordination_number:.3f}, "
+        f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
+    )
+    stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
+    yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
+    yield (
+        f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
+        f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
+    )
+
+
+def velocity_table(store: Store, selection: Selection) -> Table:
+    """Table of Vs against content.
+
+    Parameters
+    ----------
+    store
+        With the campaign chosen.
+    selection
+        Cells to look at.
+    """
+    columns = store.table(("content", "status", "vs", "seconds"), selection)
+    table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
+    for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "seconds"):
+        table.add_column(name, justify="right")
+    table.add_column("other cells")
+    for content in np.unique(columns["content"]):
+        here = columns["content"] == content
+        vs = columns["vs"][here].astype(float)
+        seconds = np.nansum(columns["seconds"][here].astype(float))
+        table.add_row(
+            f"{content:g}",
+            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}",
+            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in moments(vs[np.isfinite(vs)])),
+            f"{seconds:.1f}",
+            other_outcomes(columns["status"][here]),
+        )
+    return table
+
+
+def moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Mean, standard deviation, smallest and largest; NaN where there are too few."""
+    if not vs.size:
+        return (np.nan,) * 4
+    deviation = float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan
+    return float(vs.mean()), deviation, float(vs.min()), float(vs.max())
+
+
+def other_outcomes(statuses: NDArray[np.object_]) -> str:
+    """How many cells have each outcome other than done."""
+    counts = Counter(CellStatus(status) for status in statuses)
+    return ", ".join(
+        f"{counts[status]} {status.replace('_', ' ')}"
+        for status in CellStatus
+        if counts[status] and status is not CellStatus.DONE
+    )

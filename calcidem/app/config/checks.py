@@ -1,0 +1,163 @@
+"""What no section can know alone: whether the parts of a configuration fit together."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calcidem.app.config.errors import Problem, shown
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.storage.errors import StoreError
+from calcidem.storage.sql.engine import parse_address
+
+
+def cross_check(configuration: Configuration) -> list[Problem]:
+    """Everything that does not fit together."""
+    checks = (cement_in_disks, bands_in_sample, installation_in_regime, frequencies, files)
+    return [problem for check in checks for problem in check(configuration)]
+
+
+def cement_in_disks(configuration: Configuration) -> Iterator[Problem]:
+    """No cement is wider than the disks it holds together, no cluster larger than the box."""
+    smallest = configuration.packing.diameter[0]
+    for name in ("p_diameter", "c_diameter"):
+        width = getattr(configuration.pattern, name)
+        if width >= smallest:
+            yield Problem(
+                f"pattern.{name} = {width}: the cement is wider than the smallest disk, "
+                f"packing.diameter[0] = {smallest}; make it narrower",
+                (f"pattern.{name}", "packing.diameter"),
+            )
+    box = min(configuration.packing.width, configuration.packing.height)
+    cluster = configuration.pattern.cluster_diameter
+    if cluster >= box:
+        yield Problem(
+            f"pattern.cluster_diameter = {cluster}: a cluster is larger than the box, {box} m; make it smaller",
+            ("pattern.cluster_diameter", "packing.width", "packing.height"),
+        )
+
+
+def bands_in_sample(configuration: Configuration) -> Iterator[Problem]:
+    """Transmitter, receiver and damped layers fit into the sample."""
+    half = configuration.packing.height / 2.0
+    for name in ("transmitter_half_width", "receiver_half_width", "boundary_thickness"):
+        value = getattr(configuration.wave, name)
+        if value >= half:
+            yield Problem(
+                f"wave.{name} = {value}: does not fit into the sample; give less than half of packing.height, {half} m",
+                (f"wave.{name}", "packing.height"),
+            )
+    depth, width = configuration.wave.listening_depth, configuration.packing.width
+    largest = configuration.packing.diameter[1]
+    if not largest < depth < width / 2.0:
+        yield Problem(
+            f"wave.listening_depth = {depth}: has to hold disks that do not touch the receiver; give more than the "
+            f"largest diameter, {largest} m, and less than half of packing.width, {width / 2.0} m",
+            ("wave.listening_depth", "packing.width", "packing.diameter"),
+        )
+
+
+def installation_in_regime(configuration: Configuration) -> Iterator[Problem]:
+    """Bonds that change the contact forces need a regime in which contacts follow them."""
+    installation = configuration.bonding.installation
+    if installation != "preserve" and configuration.wave.regime == "linear":
+        yield Problem(
+            f'cement.installation = "{installation}": changes the contact forces, which wave.regime = "linear" '
+            'takes as they are; choose wave.regime = "small" or "finite"',
+            ("cement.installation", "wave.regime"),
+        )
+    if installation == "pfc_absolute" and configuration.cement.linear_modulus == 0.0:
+        yield Problem(
+            'cement.installation = "pfc_absolute": it is the linear group that jumps, and there is none; '
+            "give cement.linear_modulus in Pa",
+            ("cement.installation", "cement.linear_modulus"),
+        )
+
+
+def frequencies(configuration: Configuration) -> Iterator[Problem]:
+    """Every content has a frequency, and one that grains pass on."""
+    table = configuration.excitation.table
+    contents = configuration.campaign.contents
+    outside = [content for content in contents if not table.covers(content)]
+    if outside:
+        yield Problem(
+            f"campaign.contents = {shown(outside)}: the excitation frequencies are known from {table.content[0]:g} to "
+            f"{table.content[-1]:g} % only; give wave.frequency for these contents",
+            ("campaign.contents", "wave.frequency"),
+        )
+    for content in contents:
+        limit = cutoff_estimate(configuration, cemented=content > 0.0)
+        if table.covers(content) and table.at(content) > limit:
+            yield Problem(
+                f"wave.frequency = {table.at(content):g}: at {content:g} % grains pass no wave on above about "
+                f"{limit:.3g} Hz (lattice cut-off); give a lower frequency",
+                ("wave.frequency", "campaign.contents", "sand.shear_modulus", "cement.bond_modulus"),
+            )
+            return
+
+
+def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
+    """Frequency that surely no sample passes on, Hz: cut-off of a hexagonal lattice of mean disks.
+
+    Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice). All its contacts
+    are cemented, or none, and these carry the force ``stress d`` each. Real packings have fewer contacts and are
+    softer, so what is refused here does not work for certain.
+    """
+    diameter = float(np.mean(configuration.packing.diameter))
+    radius = np.array([diameter / 2.0])
+    mass = configuration.sand.density * np.pi * diameter**2 / 4.0
+    if cemented:
+        normal, shear, _ = configuration.cement.bond_stiffness(radius, radius)[0]
+        group = configuration.cement.linear_stiffness(radius, radius)[0]
+        stiffness = normal + shear + group.sum()
+    else:
+        coefficient = float(configuration.sand.hertz_coefficient(radius, radius)[0])
+        overlap = (configuration.packing.stress * diameter / coefficient) ** (2.0 / 3.0)
+        tangent = 1.5 * coefficient * np.sqrt(overlap) * configuration.calibration.wave_stiffness_factor
+        stiffness = tangent * (1.0 + configuration.sand.shear_ratio)
+    velocity = diameter * np.sqrt(3.0 / 8.0 * stiffness / mass)
+    return float(cutoff_frequency(velocity, diameter))
+
+
+def files(configuration: Configuration) -> Iterator[Problem]:
+    """Results can be written where they are wanted."""
+    output = configuration.output
+    if output.exists() and not output.is_dir():
+        yield Problem(f"run.output = {shown(str(output))}: is a file; give the name of a folder", ("run.output",))
+    elif not can_make_files(output):
+        cure = "give a folder in which you may write"
+        yield Problem(f"run.output = {shown(str(output))}: nothing can be written there; {cure}", ("run.output",))
+    database = configuration.run.database
+    if database is None:
+        return
+    try:
+        path = parse_address(database).path
+    except StoreError as error:
+        yield Problem(f"run.database = {shown(database)}: {error}", ("run.database",))
+        return
+    if path is None:
+        return
+    if path.is_dir():
+        yield Problem(f"run.database = {shown(database)}: is a folder; give a file name", ("run.database",))
+    elif path.exists() and not os.access(path, os.R_OK | os.W_OK):
+        cure = "give one that you may write, or change its permissions"
+        yield Problem(f"run.database = {shown(database)}: the file cannot be written; {cure}", ("run.database",))
+    elif not can_make_files(path.parent):
+        cure = "give a file in a folder in which you may write"
+        yield Problem(f"run.database = {shown(database)}: its folder cannot be written; {cure}", ("run.database",))
+
+
+def can_make_files(folder: Path) -> bool:
+    """Whether files can be made in a folder, or folders above it where it is yet to be made.
+
+    It is tried with a file without name, since permissions do not tell of read-only file systems.
+    """
+    existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,211 @@
+"""From a TOML file to a `Configuration`, or to a list of everything that is wrong with it."""
+
+import difflib
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from calcidem.app.campaign.own_disks import take_own_disks
+from calcidem.app.config.checks import cross_check
+from calcidem.app.config.errors import ConfigurationError, Problem, in_words, shown
+from calcidem.app.config.schema import (
+    Bonding,
+    Calibration,
+    CampaignPlan,
+    Configuration,
+    Excitation,
+    PackingDraw,
+    RunOptions,
+    VelocityChoice,
+)
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.wave.arrival import PickRule
+from calcidem.dem.wave.propagation import WaveRule
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance  # known to type checkers only
+
+
+STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
+    "campaign": {"campaign": CampaignPlan},
+    "packing": {"packing": PackingRule, "packing_draw": PackingDraw},
+    "sand": {"sand": Sand, "calibration": Calibration},
+    "cement": {"cement": Cement, "bonding": Bonding},
+    "pattern": {"pattern": CementRule},
+    "wave": {"wave": WaveRule, "excitation": Excitation},
+    "pick": {"pick": PickRule, "velocity_choice": VelocityChoice},
+    "run": {"run": RunOptions},
+}
+"""Sections of the file, and the attributes of `Configuration` that each one gives, with their types."""
+
+TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
+"""Keys that a file does not have, because another one says the same."""
+
+
+def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
+    """Read and check a configuration.
+
+    Parameters
+    ----------
+    path
+        TOML file.
+    overrides
+        Values of section ``[run]`` that replace those of the file; None leaves the file's.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong.
+    """
+    source = os.fspath(path)
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        cure = "check the name, or write an example with 'calcidem init'"
+        raise ConfigurationError(source, [Problem(f"the file does not exist; {cure}")]) from None
+    except IsADirectoryError:
+        raise ConfigurationError(source, [Problem("this is a folder; give the name of a TOML file")]) from None
+    except OSError as error:
+        problem = f"the file cannot be read ({error.strerror}); give one that can"
+        raise ConfigurationError(source, [Problem(problem)]) from None
+    except UnicodeDecodeError as error:
+        problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
+        raise ConfigurationError(source, [Problem(problem)]) from None
+    except tomllib.TOMLDecodeError as error:
+        problem = f'not TOML: {error}; numbers are written 1.5, texts "...", lists [1, 2]'
+        raise ConfigurationError(source, [Problem(problem)]) from None
+    if not document:
+        problem = "the file is empty; write an example with 'calcidem init' and change it"
+        raise ConfigurationError(source, [Problem(problem)])
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    if given and isinstance(document.setdefault("run", {}), dict):
+        document["run"] |= given
+    return read_configuration(document, source, Path(path).parent)
+
+
+def read_configuration(
+    document: Mapping[str, Any], source: str = "configuration", folder: Path = Path()
+) -> Configuration:
+    """Turn a mapping of sections into a checked configuration; other files that it names are relative to the folder.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong.
+    """
+    problems = [unknown(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
+    parts: dict[str, Any] = {}
+    for name, types in SECTIONS.items():
+        values = document.get(name, {})
+        if not isinstance(values, Mapping):
+            cure = f"write [{name}] and its keys below it"
+            problems.append(Problem(f"{name} = {shown(values)}: is not a section; {cure}", (name,)))
+            values = {}
+        problems += read_section(name, values, types, parts)
+        if name == "packing":
+            problems += take_own_disks(parts, values, folder)
+    configuration = Configuration(**parts)
+    configuration = replace(
+        configuration, pattern=replace(configuration.pattern, sand_density=configuration.sand.density)
+    )
+    # A field that is wrong by itself was replaced by its default, with which nothing else should be compared.
+    broken = {field for problem in problems for field in problem.fields}
+    problems += [problem for problem in cross_check(configuration) if not broken & set(problem.fields)]
+    if problems:
+        raise ConfigurationError(source, problems)
+    return configuration
+
+
+def read_section(
+    section: str, values: Mapping[str, Any], types: Mapping[str, type["DataclassInstance"]], parts: dict[str, Any]
+) -> list[Problem]:
+    """Read one section into objects of its types, put them into ``parts``, and return what is wrong.
+
+    What is wrong is replaced by its default, so that reading goes on and finds all problems.
+    """
+    owner = {
+        field.name: kind
+        for kind in types.values()
+        for field in fields(kind)
+        if f"{section}.{field.name}" not in TAKEN_FROM_ELSEWHERE
+    }
+    problems: list[Problem] = []
+    good: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in owner:
+            problems.append(unknown(key, f"key of [{section}]", list(owner), section))
+            continue
+        good |= read_value(section, key, value, owner[key], problems)
+    for attribute, kind in types.items():
+        own = {key: value for key, value in good.items() if owner[key] is kind}
+        parts[attribute] = build(section, kind, own, problems)
+    return problems
+
+
+def read_value(
+    section: str, key: str, value: object, kind: type["DataclassInstance"], problems: list[Problem]
+) -> dict[str, Any]:
+    """Read the value of a key; an empty mapping, and a problem more, if it has the wrong type."""
+    hint = get_type_hints(kind)[key]
+    place = f"{section}.{key}"
+    table = next((choice for choice in get_args(hint) if is_dataclass(choice)), None)
+    if isinstance(value, Mapping) and isinstance(table, type):
+        found: dict[str, Any] = {}
+        wrong = read_section(place, value, {key: table}, found)
+        problems += [Problem(problem.message, (place, *problem.fields)) for problem in wrong]
+        return {} if wrong else found
+    try:
+        return {key: TypeAdapter(hint, config=STRICT).validate_python(listed(value))}
+    except ValidationError as error:
+        cure = next(field for field in fields(kind) if field.name == key).metadata.get("cure")
+        words = cure or "; ".join(in_words(detail) for detail in error.errors())
+        problems.append(Problem(f"{place} = {shown(value)}: {words}", (place,)))
+        return {}
+
+
+def build(
+    section: str, kind: type["DataclassInstance"], values: dict[str, Any], problems: list[Problem]
+) -> "DataclassInstance | None":
+    """Make the object; a value that it refuses becomes a problem, and then its default is taken instead."""
+    required = [field.name for field in fields(kind) if field.default is MISSING]
+    missing = [name for name in required if name not in values]
+    problems += [Problem(f"{section}.{name}: is missing; add it", (f"{section}.{name}",)) for name in missing]
+    while all(name in values for name in required):
+        try:
+            return kind(**values)
+        except ValueError as error:
+            message = str(error)
+            # Several fields may be compared with one another, and the one that is named may not be the wrong one.
+            named = [key for key in values if re.search(rf"\b{key}\b", message)] or list(values)
+            problems.append(Problem(f"{section}.{message}", tuple(f"{section}.{key}" for key in named)))
+            values = {key: value for key, value in values.items() if key not in named}
+    return None
+
+
+def unknown(name: str, what: str, known: list[str], section: str = "") -> Problem:
+    """Problem of a name that is not known, with the one that may be meant."""
+    place = f"{section}.{name}" if section else name
+    other = TAKEN_FROM_ELSEWHERE.get(place)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if other:
+        cure = f"{other} says it"
+    elif close:
+        cure = f'did you mean "{close[0]}"?'
+    else:
+        cure = f"there are {', '.join(known)}"
+    return Problem(f"{place}: unknown {what}; {cure}", (place,))
+
+
+def listed(value: object) -> object:
+    """Lists as tuples, all the way down: what is frozen stays as it is."""
+    return tuple(listed(item) for item in value) if isinstance(value, list) else value

@@ -1,0 +1,338 @@
+"""What a campaign is: the frozen `Configuration` that a TOML file is turned into.
+
+Each section of the file is described by one or two dataclasses, whose fields are the keys of the section. Where
+there are two, one comes from `calcidem.dem` and the other holds what a campaign adds to it.
+"""
+
+import itertools
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.scene import Installation
+from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.dem.wave.arrival import PickRule
+from calcidem.dem.wave.experiment import Experiment, Method, ReceivedSignal
+from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.pulse import EXCITATION
+from calcidem.storage.records import canonical_content
+from calcidem.storage.records.canonical import content_hash
+from calcidem.storage.sql.engine import parse_address
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance  # known to type checkers only
+
+
+PHYSICS_VERSION = 1
+"""To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignPlan:
+    """Section ``[campaign]``: which cells are computed.
+
+    Attributes
+    ----------
+    name
+        Of the campaign, of its files too.
+    seeds
+        A number n for the seeds 1 to n, or a list.
+    contents
+        Calcite contents, percent of the sand's mass.
+    root_seed
+        Root of all random numbers.
+    """
+
+    name: str = "campaign"
+    seeds: int | tuple[int, ...] = field(
+        default=4, metadata={"cure": "give a number n for the seeds 1 to n, or a list such as [1, 2, 5]"}
+    )
+    contents: tuple[float, ...] = field(
+        default=tuple(content for content, _ in EXCITATION),
+        metadata={"cure": "give a list of percentages such as [0.0, 0.66, 5.0]"},
+    )
+    root_seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse empty, double and negative entries."""
+        good_name = self.name.strip() == self.name != "" and not set(self.name) & set("/\\\0\n")
+        require(good_name, "name", repr(self.name), "give a name that can be part of a file name")
+        seeds = self.seed_numbers
+        require(bool(seeds), "seeds", self.seeds, "give at least one seed")
+        require(min(seeds, default=0) >= 0, "seeds", list(seeds), "give seeds of 0 or more")
+        require(len(set(seeds)) == len(seeds), "seeds", list(seeds), "list every seed once")
+        contents = list(self.contents)
+        require(bool(contents), "contents", contents, "give at least one content in percent")
+        require(
+            all(0.0 <= content <= 100.0 for content in contents),  # noqa: PLR2004 - percent
+            "contents",
+            contents,
+            "give percentages of 0 to 100",
+        )
+        different = {canonical_content(content) for content in contents}
+        require(len(different) == len(contents), "contents", contents, "list every content once")
+        require(self.root_seed >= 0, "root_seed", self.root_seed, "give 0 or more")
+
+    @property
+    def seed_numbers(self) -> tuple[int, ...]:
+        """The seeds one by one."""
+        return tuple(range(1, self.seeds + 1)) if isinstance(self.seeds, int) else self.seeds
+
+
+@dataclass(frozen=True, slots=True)
+class PackingDraw:
+    """The rest of section ``[packing]``: which of the possible packings is made, or the file that the user's is in.
+
+    Attributes
+    ----------
+    seed
+        Of the random sizes and positions.
+    file
+        CSV file with disks that are taken instead (`calcidem.dem.sample.packing_file`), relative to the configuration's.
+    file_sha256
+        Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
+    """
+
+    seed: int = 1
+    file: str | None = None
+    file_sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a negative seed."""
+        require(self.seed >= 0, "seed", self.seed, "give 0 or more")
+        require(self.file != "", "file", repr(self.file), "give the name of a CSV file, or leave the key out")
+
+
+SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
+"""Keys of ``[packing]`` that have no meaning where the disks are in a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The rest of section ``[sand]``.
+
+    Attributes
+    ----------
+    wave_stiffness_factor
+        Multiplies the grains' modulus, and with it the confining stress, while the wave is sent. With 1 the
+        packing is as it was made.
+    """
+
+    wave_stiffness_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a stiffness."""
+        factor = self.wave_stiffness_factor
+        require(factor > 0.0, "wave_stiffness_factor", factor, "give a positive factor, 1 for none")
+
+
+@dataclass(frozen=True, slots=True)
+class Bonding:
+    """The rest of section ``[cement]``: how bonds start on loaded contacts, see `calcidem.dem.Bonds`."""
+
+    installation: Installation = "preserve"
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyTable:
+    """Section ``[wave.frequency]``: excitation frequencies, Hz, at contents, percent; linear between them."""
+
+    content: tuple[float, ...]
+    frequency: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse tables that cannot be interpolated."""
+        contents = list(self.content)
+        rising = all(low < high for low, high in itertools.pairwise(contents))
+        require(bool(contents) and rising, "content", contents, "give increasing contents in percent")
+        frequencies = list(self.frequency)
+        cure = f"give one positive frequency in Hz for each of the {len(contents)} contents"
+        good = len(frequencies) == len(contents) and all(frequency > 0.0 for frequency in frequencies)
+        require(good, "frequency", frequencies, cure)
+
+    def covers(self, content: float) -> bool:
+        """Whether a content lies within the table."""
+        return self.content[0] <= content <= self.content[-1]
+
+    def at(self, content: float) -> float:
+        """Frequency at a content, Hz."""
+        return float(np.interp(content, self.content, self.frequency))
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """The rest of section ``[wave]``.
+
+    Attributes
+    ----------
+    frequency
+        Excitation frequency: one for all contents, Hz, or a table; without it Table 2 of the paper.
+    """
+
+    frequency: float | FrequencyTable | None = field(
+        default=None,
+        metadata={"cure": "give a number in Hz, or a table { content = [...], frequency = [...] }"},
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a frequency."""
+        if isinstance(self.frequency, float):
+            require(self.frequency > 0.0, "frequency", self.frequency, "give a positive frequency in Hz")
+
+    @property
+    def table(self) -> FrequencyTable:
+        """The frequencies as a table, whatever way they were given."""
+        if isinstance(self.frequency, FrequencyTable):
+            return self.frequency
+        if self.frequency is None:
+            contents, frequencies = zip(*EXCITATION, strict=True)
+            return FrequencyTable(contents, frequencies)
+        return FrequencyTable((0.0, 100.0), (self.frequency, self.frequency))
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityChoice:
+    """The rest of section ``[pick]``: which reading becomes Vs, see `calcidem.dem.wave.experiment.Experiment`."""
+
+    method: Method = "peak"
+    signal: ReceivedSignal = "velocity"
+    least_quality: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse a quality that no reading or every reading has."""
+        require(0.0 <= self.least_quality < 1.0, "least_quality", self.least_quality, "give a number in [0, 1)")
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Section ``[run]``: what does not change the physics.
+
+    Attributes
+    ----------
+    lanes
+        Cells computed side by side, 1 to 32; a power of two.
+    store_signals
+        Whether the signals of every cell are kept.
+    time_limit
+        Seconds that a batch of cells may take; without it there is no limit.
+    output
+        Folder for the database and the NetCDF file; made if it is missing.
+    database
+        SQLite file or database URL; ``<output>/<name>.db`` by default.
+    """
+
+    lanes: int = 8
+    store_signals: bool = True
+    time_limit: float | None = None
+    output: str = "results"
+    database: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what the kernel and the file system do not know."""
+        require(self.lanes in {1, 2, 4, 8, 16, 32}, "lanes", self.lanes, "choose 1, 2, 4, 8, 16 or 32")
+        limit = self.time_limit
+        require(limit is None or limit > 0.0, "time_limit", limit, "give seconds above 0, or leave the key out")
+        require(bool(self.output), "output", repr(self.output), 'give the name of a folder, "." for the present one')
+        require(self.database != "", "database", repr(self.database), "give a file name, or leave the key out")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A campaign, checked as a whole; see `calcidem.app.config.reader` for how it is read."""
+
+    campaign: CampaignPlan = field(default_factory=CampaignPlan)
+    packing: PackingRule = field(default_factory=PackingRule)
+    packing_draw: PackingDraw = field(default_factory=PackingDraw)
+    sand: Sand = field(default_factory=Sand)
+    calibration: Calibration = field(default_factory=Calibration)
+    cement: Cement = field(default_factory=Cement)
+    bonding: Bonding = field(default_factory=Bonding)
+    pattern: CementRule = field(default_factory=CementRule)
+    wave: WaveRule = field(default_factory=WaveRule)
+    excitation: Excitation = field(default_factory=Excitation)
+    pick: PickRule = field(default_factory=PickRule)
+    velocity_choice: VelocityChoice = field(default_factory=VelocityChoice)
+    run: RunOptions = field(default_factory=RunOptions)
+
+    @cached_property
+    def physics(self) -> dict[str, Any]:
+        """Everything that changes what a cell gives, section by section, ready for JSON."""
+        return {
+            "physics_version": PHYSICS_VERSION,
+            "root_seed": self.campaign.root_seed,
+            "packing": self.packing_origin,
+            "sand": plain(self.sand) | plain(self.calibration),
+            "cement": plain(self.cement) | plain(self.bonding),
+            "pattern": plain(self.pattern),
+            "wave": plain(self.wave) | {"frequency": plain(self.excitation.table)},
+            "pick": plain(self.pick) | plain(self.velocity_choice),
+        }
+
+    @property
+    def packing_origin(self) -> dict[str, Any]:
+        """What the packing is made from, ready for JSON: no key that does not matter, and no file name."""
+        values = plain(self.packing) | plain(self.packing_draw)
+        left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
+        return {name: value for name, value in values.items() if name not in left_out and value is not None}
+
+    @cached_property
+    def hash(self) -> str:
+        """Identity of the campaign's physics: SHA-256 of `physics`, 64 hexadecimal digits."""
+        return content_hash(self.physics)
+
+    @cached_property
+    def packing_hash(self) -> str:
+        """Identity of the packing: hash of everything that it is made from.
+
+        The friction of the sand is not part of it, since the packing is made with its own.
+        """
+        sand = replace(self.sand, friction=self.packing.friction_preparation)
+        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": plain(sand)}
+        if self.packing_draw.file is None:  # disks from a file have nothing random
+            origin["root_seed"] = self.campaign.root_seed
+        return content_hash(origin)
+
+    @property
+    def output(self) -> Path:
+        """Folder for the results."""
+        return Path(self.run.output)
+
+    @property
+    def database(self) -> str:
+        """File name or URL of the database."""
+        return self.run.database or str(self.output / f"{self.campaign.name}.db")
+
+    @property
+    def netcdf(self) -> Path:
+        """File name of the export: beside the database, or in the output folder if that is on a server."""
+        path = parse_address(self.database).path
+        return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
+
+    def experiment(self, packing: Packing) -> Experiment:
+        """Everything that the cells share, with the packing they are made from."""
+        table = self.excitation.table
+        return Experiment(
+            packing=packing,
+            sand=self.sand,
+            cement=self.cement,
+            cement_rule=self.pattern,
+            wave=self.wave,
+            pick=self.pick,
+            root_seed=self.campaign.root_seed,
+            stiffness_factor=self.calibration.wave_stiffness_factor,
+            installation=self.bonding.installation,
+            method=self.velocity_choice.method,
+            signal=self.velocity_choice.signal,
+            least_quality=self.velocity_choice.least_quality,
+            frequencies=(table.content, table.frequency),
+        )
+
+
+def plain(section: "DataclassInstance") -> dict[str, Any]:
+    """Dataclass as a mapping of what JSON knows."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}

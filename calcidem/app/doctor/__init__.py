@@ -1,0 +1,1 @@
+"""What a campaign needs of a machine, each point checked by trying it out."""

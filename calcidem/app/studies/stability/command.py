@@ -1,0 +1,84 @@
+"""The command `calcidem stability`: maps of extreme scenes, scenes drawn at random, limits, long runs, detection."""
+
+import json as to_json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from calcidem.analysis.figures.style import save
+from calcidem.app.studies.stability.detection import Detection, detections
+from calcidem.app.studies.stability.endurance import Endurance, endurance
+from calcidem.app.studies.stability.figure import draw_maps
+from calcidem.app.studies.stability.limits import Limits, limits
+from calcidem.app.studies.stability.maps import packing_map, walks
+from calcidem.app.studies.stability.report import draw_tables, tables
+from calcidem.app.studies.stability.scenes import BOXES, Extreme, drawn
+from calcidem.app.studies.stability.verdict import Judgement, judge
+
+CONTRASTS = (1.0, 1e2, 1e4, 1e6)
+CONTENTS = (0.0, 0.3, 1.0)
+PROGRESS = 64  # drawn scenes between two words
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Maps:
+    """What the maps gave: verdicts along each quantity, in small packings, limits, long runs and forced steps."""
+
+    walks: dict[str, tuple[Judgement, ...]]
+    packings: tuple[Judgement, ...]
+    limits: dict[float, tuple[Limits, ...]]
+    endurance: tuple[Endurance, ...]
+    detections: tuple[Detection, ...]
+
+
+def stability(*, out: Path | None = None, json: bool = False, say: Say, progress: Say = lambda _: None) -> None:
+    """Map what is stable, refused and detected; ``out`` takes ``stability.png``, ``.md`` and ``.json``."""
+    found = Maps(
+        walks=walks(progress=progress),
+        packings=packing_map(progress=progress),
+        limits={contrast: limits_at(contrast) for contrast in CONTRASTS},
+        endurance=endurance(),
+        detections=detections(),
+    )
+    text, data = tables(found.walks, found.packings, found.limits, found.endurance, found.detections), asdict(found)
+    as_json = to_json.dumps(data, indent=1)
+    if out is not None:
+        save(draw_maps(found.walks), out, "stability", ("png",))
+        (out / "stability.md").write_text(text)
+        (out / "stability.json").write_text(as_json)
+    say(as_json if json else text)
+
+
+def limits_at(contrast: float) -> tuple[Limits, ...]:
+    """Predicted and true limits of bare, partly and fully bonded scenes."""
+    return tuple(limits(Extreme(contrast=contrast, content=content)) for content in CONTENTS)
+
+
+def random_scenes(
+    count: int, draw: int, *, json: bool = False, say: Say, progress: Say = lambda _: None
+) -> tuple[Judgement, ...]:
+    """Judge scenes drawn at random from each of the `scenes.BOXES`.
+
+    Parameters
+    ----------
+    count
+        Of the scenes of each box.
+    draw
+        Seed of the draw; another one draws other scenes.
+    json
+        Say JSON instead of a table.
+    say, progress
+        Told the result, and what is done.
+    """
+    found: dict[str, list[Judgement]] = {}
+    for box in BOXES:
+        found[box] = []
+        for scene in drawn(count, draw, box):
+            found[box].append(judge(scene))
+            if len(found[box]) % PROGRESS == 0:
+                progress(f"{box}: {len(found[box])} of {count}")
+    data = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
+    say(to_json.dumps(data, indent=1) if json else draw_tables(found))
+    return tuple(judgement for row in found.values() for judgement in row)

@@ -1,0 +1,242 @@
+"""Small extreme scenes: a lattice of disks in a box, with everything that may go wrong as a number."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.state import Preload
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.packing import Packing, PackingReport
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import WaveRule
+
+RADIUS = 1.25e-3  # m, of the largest disks
+COLUMNS, ROWS = 6, 10
+SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
+SMALL_DISKS = 0.2  # of the pores that hold one
+REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
+RANGES = {
+    "step_fraction": (0.5, 1.1),
+    "contrast": (0.0, 6.0),
+    "damping": (0.0, 1.0),
+    "amplitude": (-9.0, 1.0),
+    "frequency": (-1.5, 0.3),
+    "size_ratio": (-0.5, 1.3),
+    "content": (0.0, 1.0),
+    "confinement": (0.0, 8.0),
+    "missing": (-0.6, 0.3),
+    "strength": (-2.0, 6.0),
+}
+"""Lower and upper end of every quantity of `Extreme`; powers of ten for those of `POWERS`."""
+PLAUSIBLE = {
+    "step_fraction": (0.5, 1.0),
+    "contrast": (0.0, 4.5),
+    "damping": (0.0, 0.5),
+    "amplitude": (-7.5, -4.5),
+    "frequency": (-1.0, -0.45),
+    "size_ratio": (-0.5, 0.5),
+    "content": (0.0, 0.5),
+    "confinement": (3.3, 5.3),
+    "missing": (-0.6, 0.01),
+    "strength": (1.0, 6.0),
+}
+"""The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
+BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
+POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
+FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
+
+
+@dataclass(frozen=True, slots=True)
+class Extreme:
+    """One scene of the map.
+
+    Attributes
+    ----------
+    step_fraction
+        Step over its predicted limit; above 1 it has to be refused.
+    contrast
+        Stiffness of bonds over that of the pressed contacts.
+    damping
+        Local damping factor.
+    amplitude
+        v0 of the pulse, m/s.
+    frequency
+        Over the cut-off of a chain of such contacts.
+    size_ratio
+        Largest over smallest radius; below 2.5 all disks are equal.
+    content
+        Part of the contacts' capacity for cement that is used; 1 bonds everything.
+    confinement
+        Stress that presses the disks, Pa.
+    missing
+        Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing. Below 0 none is.
+    strength
+        Strength of bonds over the stress of the pulse in them.
+    floating
+        Tiny disks in the pore in the middle: they touch each other, if they are several, and nothing else.
+    regime
+        See `state.start`.
+    seed
+        Of the disorder and of the cement.
+    """
+
+    step_fraction: float = 0.8
+    contrast: float = 1.0e3
+    damping: float = 0.3
+    amplitude: float = 1.0e-4
+    frequency: float = 0.2
+    size_ratio: float = 1.2
+    content: float = 0.3
+    confinement: float = 1.0e5
+    missing: float = 0.0
+    strength: float = 1.0e6
+    floating: int = 0
+    regime: Regime = "linear"
+    seed: int = 1
+
+
+def drawn(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
+    """Latin hypercube over all quantities of one of the `BOXES`, with regimes taking turns."""
+    ranges = BOXES[box]
+    sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
+    scenes = []
+    for number, row in enumerate(sample):
+        values: dict[str, Any] = {
+            name: float(10.0**value if name in POWERS else value) for name, value in zip(ranges, row, strict=True)
+        }
+        scenes.append(Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number))
+    return tuple(scenes)
+
+
+def experiment_of(extreme: Extreme) -> Experiment:
+    """Experiment for `measurement.measure`, whose single content is `content_of` it.
+
+    Raises
+    ------
+    ValueError
+        If the scene is refused.
+    """
+    sand = Sand()
+    packing = lattice(extreme, sand)
+    stiffness = pressed_stiffness(packing, RADIUS, sand)
+    modulus = extreme.contrast * stiffness
+    stress = max(extreme.amplitude * np.sqrt(sand.density * modulus), 1e-3)
+    cement = Cement(
+        bond_modulus=modulus,
+        tensile_strength=extreme.strength * stress,
+        cohesion=extreme.strength * stress,
+    )
+    width = 0.5 * float(packing.radius.min())
+    cut_off = cut_off_frequency(stiffness, RADIUS, sand)
+    frequency = extreme.frequency * cut_off
+    wave = WaveRule(
+        amplitude=extreme.amplitude,
+        damping=extreme.damping,
+        regime=extreme.regime,
+        step_fraction=extreme.step_fraction,
+        transmitter_half_width=4.0 * RADIUS,
+        receiver_half_width=6.0 * RADIUS,
+        boundary_thickness=2.0 * RADIUS,
+        listening_depth=4.0 * RADIUS,
+        slowest=2.0 * RADIUS * cut_off,
+    )
+    return Experiment(
+        packing,
+        sand=sand,
+        cement=cement,
+        cement_rule=CementRule(p_diameter=width, c_diameter=width, threshold=100.0),
+        wave=wave,
+        root_seed=extreme.seed,
+        frequencies=((0.0, 100.0), (frequency, frequency)),
+    )
+
+
+def content_of(extreme: Extreme, experiment: Experiment) -> float:
+    """Content that is the scene's part of what its contacts can hold, percent."""
+    return extreme.content * experiment.ordering(extreme.seed).maximum_content
+
+
+def lattice(extreme: Extreme, sand: Sand) -> Packing:
+    """Square lattice of disks in equilibrium under the confining stress; small disks and gaps sown in at random."""
+    generator = np.random.default_rng(extreme.seed)
+    overlap = overlap_under(extreme.confinement, sand)
+    spacing = 2.0 * RADIUS - overlap
+    # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
+    to_wall = RADIUS - overlap / 2.0 ** (1.0 / 3.0)
+    column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
+    kept = generator.random(column.size) >= extreme.missing
+    x, y = (to_wall + index.ravel()[kept] * spacing for index in (column, row))
+    radius = np.full(len(x), RADIUS)
+    small = RADIUS / extreme.size_ratio
+    if extreme.size_ratio > SMALLEST_RATIO:
+        # They sit in the pores and touch one disk so slightly that the balance does not change.
+        hosts = np.flatnonzero(generator.random(len(x)) < SMALL_DISKS)
+        apart = (RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
+        x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
+        radius = np.append(radius, np.full(len(hosts), small))
+    inside = (x < spacing * (COLUMNS - 1) + 1.1 * to_wall) & (y < spacing * (ROWS - 1) + 1.1 * to_wall)
+    x, y, radius = with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
+    pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
+    return Packing(
+        x,
+        y,
+        radius,
+        width=spacing * (COLUMNS - 1) + 2.0 * to_wall,
+        height=spacing * (ROWS - 1) + 2.0 * to_wall,
+        preload=Preload(pairs, np.zeros(len(pairs))),
+        report=report_of(extreme, overlap),
+    )
+
+
+def with_floaters(
+    count: int, x: Floats, y: Floats, radius: Floats, to_wall: float, spacing: float
+) -> tuple[Floats, Floats, Floats]:
+    """Disks and a row of floating ones in the pore in the middle of the lattice."""
+    own = FLOATER * RADIUS
+    # They overlap by rounding alone, so that they touch without pushing.
+    along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
+    middle = to_wall + spacing * np.array([COLUMNS // 2 - 0.5, ROWS // 2 - 0.5])
+    return (
+        np.append(x, middle[0] + along),
+        np.append(y, np.full(count, middle[1])),
+        np.append(radius, np.full(count, own)),
+    )
+
+
+def report_of(extreme: Extreme, overlap: float) -> PackingReport:
+    """Report of a lattice: what the wave stage reads of it."""
+    return PackingReport(
+        porosity=0.1,
+        coordination_number=6.0,
+        coordination_number_without_rattlers=6.0,
+        rattlers=0,
+        wall_stress=(extreme.confinement,) * 4,
+        mean_overlap=overlap,
+        largest_overlap=overlap,
+        unbalanced_ratio=0.0,
+        steps=0,
+        seconds=0.0,
+    )
+
+
+def overlap_under(stress: float, sand: Sand) -> float:
+    """Overlap of the contacts of a lattice that a stress (Pa) presses, m: force = stress times diameter, Hertz."""
+    coefficient = float(sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS)))
+    return float((stress * 2.0 * RADIUS / coefficient) ** (2.0 / 3.0))
+
+
+def pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
+    """Normal stiffness, N/m, of a contact of mean overlap between disks of a radius (m), Hertz."""
+    coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
+    return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))
+
+
+def cut_off_frequency(stiffness: float, radius: float, sand: Sand) -> float:
+    """Highest frequency, Hz, that a chain of disks with contacts of a stiffness (N/m) passes on: sqrt(k / m) / pi."""
+    return float(np.sqrt(stiffness / (sand.density * np.pi * radius**2)) / np.pi)

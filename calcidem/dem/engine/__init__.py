@@ -1,0 +1,1 @@
+"""Scenes, their states, and how they are advanced and read."""

@@ -1,0 +1,268 @@
+"""Turns a scene into the arrays of the kernel: order, neighbours, stiffnesses."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from calcidem.dem.engine.material import require
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.kernels.laws import NO_OVERLAP
+from calcidem.dem.kernels.layout import Floats, Grains, Integers, Pairs, WallPairs, Walls
+
+ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
+BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
+SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """Arrays shared by all lanes, and the histories of the contacts.
+
+    ``order`` lists the scene's disks in the order of the arrays: sorted along the longer side, so that the
+    neighbours of a disk are near it in memory.
+    """
+
+    order: Integers
+    grains: Grains
+    pairs: Pairs
+    wall_pairs: WallPairs
+    walls: Walls
+
+
+def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Array of zeros that starts on a cache line, so that no lane vector straddles two."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % ALIGNMENT
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Copy that starts on a cache line."""
+    copy = aligned_zeros(array.shape, array.dtype)
+    copy[...] = array
+    return copy
+
+
+def memory_order(scene: Scene) -> Integers:
+    """Order of the disks along the longer side of the scene."""
+    x, y = np.asarray(scene.x), np.asarray(scene.y)
+    along, across = (y, x) if np.ptp(y) >= np.ptp(x) else (x, y)
+    return np.lexsort((across, along))
+
+
+def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
+    """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second."""
+    found = cKDTree(centres).query_pairs(2.0 * float(radius.max()) + skin, output_type="ndarray")
+    gap = np.hypot(*(centres[found[:, 0]] - centres[found[:, 1]]).T) - radius[found].sum(axis=1)
+    found = np.sort(found[gap < skin], axis=1)
+    return found[np.lexsort((found[:, 1], found[:, 0]))]
+
+
+def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
+    """One number for each pair, increasing in the sorted order of pairs."""
+    return pairs[:, 0].astype(np.int64) * count + pairs[:, 1]
+
+
+def cement_bits(scene: Scene, rank: Integers) -> tuple[Integers, npt.NDArray[np.uint32]]:
+    """Cemented pairs in memory order, sorted, with their lanes."""
+    if scene.bonds is None or not len(scene.bonds.pairs):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.uint32)
+    pairs = np.sort(rank[np.asarray(scene.bonds.pairs)], axis=1)
+    sorting = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    return pairs[sorting], scene.bonds.bits[sorting]
+
+
+def assemble(
+    scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike, wall_moved: Floats | None = None
+) -> Assembly:
+    """Arrays of the kernel for a scene.
+
+    Parameters
+    ----------
+    scene
+        What to assemble.
+    centres
+        (N, 2, K) present centres of the disks in one or more samples, m: where neighbours are looked for.
+    skin
+        Pairs whose rims are closer than this in any of the samples are listed, m.
+    lanes, dtype
+        Width and precision.
+    wall_moved
+        (W, K) present displacements of the walls along their normals, m; zero by default.
+
+    Returns
+    -------
+    Arrays with zero histories.
+
+    Raises
+    ------
+    ValueError
+        If two disks have the same centre.
+    """
+    order = memory_order(scene)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    radius = np.asarray(scene.radius, dtype=float)[order]
+    reference = np.column_stack([scene.x, scene.y])[order]
+    cemented, bits = cement_bits(scene, rank)
+    # A sample that has blown up has no neighbours worth listing, and must not harm the others.
+    samples = np.flatnonzero((np.abs(centres) < BLOWN_UP).all(axis=(0, 1)))
+    near = [near_pairs(centres[order, :, sample], radius, skin) for sample in samples]
+    found = np.unique(np.concatenate([*near, cemented]), axis=0)
+    moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
+    faced = [near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
+    facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
+    return Assembly(
+        order=order,
+        grains=assemble_grains(scene, order, dtype),
+        pairs=assemble_pairs(scene, reference, radius, found, (cemented, bits), lanes, dtype),
+        wall_pairs=assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
+        walls=assemble_walls(scene, lanes, dtype),
+    )
+
+
+def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grains:
+    """Properties of the disks in memory order."""
+    free = np.ones(scene.count) if scene.held is None else 1.0 - np.asarray(scene.held, dtype=float)
+    load = np.zeros((scene.count, 3)) if scene.load is None else np.asarray(scene.load, dtype=float)
+
+    def sorted_copy(values: npt.ArrayLike) -> npt.NDArray[Any]:
+        return aligned_copy(np.asarray(values)[order].astype(dtype))
+
+    return Grains(
+        radius=sorted_copy(scene.radius),
+        inverse_mass=sorted_copy(free / scene.mass),
+        inverse_inertia=sorted_copy(free / scene.inertia),
+        damping=sorted_copy(scene.per_disk(scene.damping)),
+        friction=sorted_copy(scene.per_disk(scene.sand.friction)),
+        load=sorted_copy(load),
+    )
+
+
+def assemble_pairs(
+    scene: Scene,
+    reference: Floats,
+    radius: Floats,
+    found: Integers,
+    cement: tuple[Integers, npt.NDArray[np.uint32]],
+    lanes: int,
+    dtype: npt.DTypeLike,
+) -> Pairs:
+    """Pairs of disks with the constants of their contact laws; all arguments are in memory order."""
+    count, first, second = len(found), found[:, 0], found[:, 1]
+    apart = reference[second] - reference[first]
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
+    overlap = radius[first] + radius[second] - distance
+    arms = radius[found] - 0.5 * overlap[:, None]
+    hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
+    tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
+    shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
+    cemented = np.zeros(count, dtype=np.uint32)
+    bond: Floats = np.zeros((count, 3))
+    linear: Floats = np.zeros((count, 3))
+    strength: Floats = np.zeros((count, 4))
+    if scene.bonds is not None:
+        keys = pair_keys(found, scene.count)
+        # A pair that is named twice is cemented in the lanes of both.
+        np.bitwise_or.at(cemented, np.searchsorted(keys, pair_keys(cement[0], scene.count)), cement[1])
+        bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
+        linear[:, :2] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
+        strength = breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
+    used = np.uint32(2**lanes - 1)
+    return Pairs(
+        start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
+        first=aligned_copy(first.astype(np.int32)),
+        second=aligned_copy(second.astype(np.int32)),
+        geometry=aligned_copy(
+            np.column_stack([apart / distance[:, None], distance, overlap, apart, arms]).astype(dtype)
+        ),
+        hertz=aligned_copy(hertz.astype(dtype)),
+        mindlin=aligned_copy((1.5 * scene.sand.shear_ratio * hertz).astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
+        friction=aligned_copy(np.full(count, scene.sand.friction, dtype=dtype)),
+        bond=aligned_copy(bond.astype(dtype)),
+        linear=aligned_copy(linear.astype(dtype)),
+        strength=aligned_copy(strength.astype(dtype)),
+        cemented=cemented & used,
+        intact=cemented & used,
+        shear=aligned_zeros((count, lanes), dtype),
+        inverse_root=inverse_roots(np.zeros(count), lanes, dtype),
+        bond_force=aligned_zeros((count, 3, lanes), dtype),
+    )
+
+
+def inverse_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
+    """(M, L) inverse square roots of overlaps (M,), the same in all lanes."""
+    values = 1.0 / np.sqrt(np.maximum(overlap, NO_OVERLAP))
+    return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
+
+
+def breaking_limits(strength: Floats) -> Floats:
+    """(M, 4) as in `layout.Pairs.strength`, from bond radius, tensile strength, cohesion and friction slope."""
+    bond_radius, tensile_strength, cohesion, slope = strength.T
+    area = 2.0 * bond_radius
+    return np.column_stack([tensile_strength * area, cohesion * area, slope, 3.0 / bond_radius])
+
+
+def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
+    """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall.
+
+    Which of several walls of one side a disk faces is fixed by its reference position.
+    """
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for index, wall in enumerate(scene.walls):
+        along = wall.along(reference[:, 0], reference[:, 1])
+        facing = (along >= wall.span[0]) & (along < wall.span[1])
+        near = wall.distance(centres[:, 0], centres[:, 1]) - moved[index] < reach
+        disks = np.flatnonzero(facing & near)
+        found.append(np.column_stack([disks, np.full(len(disks), index)]))
+    return np.concatenate(found)
+
+
+def assemble_wall_pairs(
+    scene: Scene, reference: Floats, radius: Floats, facing: Integers, lanes: int, dtype: npt.DTypeLike
+) -> WallPairs:
+    """Contacts of disks with walls; ``facing`` lists disk and wall."""
+    disk, wall_index = facing[:, 0], facing[:, 1]
+    distance = np.zeros(len(disk))
+    for index, wall in enumerate(scene.walls):
+        chosen = wall_index == index
+        distance[chosen] = wall.distance(*reference[disk[chosen]].T)
+    overlap = radius[disk] - distance
+    hertz = scene.sand.hertz_coefficient(radius[disk])
+    tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
+    friction = np.array([wall.friction for wall in scene.walls])[wall_index] if len(disk) else np.zeros(0)
+    shear = np.where(np.minimum(friction, scene.sand.friction) > 0.0, scene.sand.shear_ratio * tangent, 0.0)
+    return WallPairs(
+        start=np.searchsorted(disk, np.arange(scene.count + 1)).astype(np.int64),
+        disk=aligned_copy(disk.astype(np.int32)),
+        wall=aligned_copy(wall_index.astype(np.int32)),
+        overlap=aligned_copy(overlap.astype(dtype)),
+        hertz=aligned_copy(hertz.astype(dtype)),
+        tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
+        shear=aligned_zeros((len(disk), lanes), dtype),
+        inverse_root=inverse_roots(np.zeros(len(disk)), lanes, dtype),
+    )
+
+
+def assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
+    """Walls at their reference positions."""
+    count = len(scene.walls)
+    motion = aligned_zeros((count, 4, lanes), dtype)
+    servo = np.zeros((count, 3))
+    for index, wall in enumerate(scene.walls):
+        motion[index, 2], motion[index, 3] = wall.velocity
+        if wall.servo_force is not None:
+            servo[index] = SERVO_GAIN, wall.servo_force, wall.servo_speed
+    return Walls(
+        normal=aligned_copy(np.array([wall.normal for wall in scene.walls], dtype=dtype).reshape(count, 2)),
+        friction=aligned_copy(np.array([wall.friction for wall in scene.walls], dtype=dtype)),
+        motion=motion,
+        reaction=aligned_zeros((count, 3, lanes), dtype),
+        servo=aligned_copy(servo.astype(dtype)),
+    )

@@ -1,0 +1,198 @@
+"""A scene: disks, walls, bonds and how they are damped. Built from plain arrays, checked once."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.kernels.layout import Floats, Integers
+
+Regime = Literal["finite", "small", "linear"]
+Installation = Literal["preserve", "zero", "pfc_absolute"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Straight rigid wall through ``point``; ``normal`` points to the disks.
+
+    Attributes
+    ----------
+    point, normal
+        (2,) m and unit vector.
+    friction
+        Coulomb coefficient; a contact takes the smaller of its two ends.
+    velocity
+        (normal, tangential) m/s, the tangent being ``(-n_y, n_x)``.
+    span
+        Range along the tangent coordinate (``point`` at 0) that this wall covers: a disk belongs to it by its
+        reference position, so several walls can make up one side.
+    servo_force
+        Normal force per metre of thickness that a servo holds, N/m; None for a wall without servo.
+    servo_speed
+        Largest speed of the servo, m/s.
+    """
+
+    point: tuple[float, float]
+    normal: tuple[float, float]
+    friction: float = 0.0
+    velocity: tuple[float, float] = (0.0, 0.0)
+    span: tuple[float, float] = (-np.inf, np.inf)
+    servo_force: float | None = None
+    servo_speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse walls without direction, roughness below zero and empty spans."""
+        require(abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1")  # noqa: PLR2004 - rounding of a hand-typed unit vector
+        require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
+        require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
+        for name in ("point", "velocity"):
+            values = getattr(self, name)
+            require(bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers")  # noqa: PLR2004 - a plane
+        if self.servo_force is not None:
+            require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
+        require(self.servo_speed > 0.0, "servo_speed", self.servo_speed, "give a positive speed in m/s")
+
+    def distance(self, x: Floats, y: Floats) -> Floats:
+        """Distance of points from the wall, positive on the side of the disks, m."""
+        return (x - self.point[0]) * self.normal[0] + (y - self.point[1]) * self.normal[1]
+
+    def along(self, x: Floats, y: Floats) -> Floats:
+        """Coordinate of points along the wall's tangent, m."""
+        return (y - self.point[1]) * self.normal[0] - (x - self.point[0]) * self.normal[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Bonds:
+    """Cemented pairs of disks.
+
+    Attributes
+    ----------
+    pairs
+        (B, 2) indices of the disks.
+    cement
+        Their material.
+    lanes
+        (B,) bit l is set if the pair is cemented in lane l; all lanes by default.
+    installation
+        How a bond starts on a loaded contact: ``preserve`` carries the contact's force over (the linear group
+        takes it if there is one, the bond if not), ``zero`` drops it, ``pfc_absolute`` drops it and lets the linear
+        group jump to k_n times the overlap, as PFC does.
+    """
+
+    pairs: Integers
+    cement: Cement = field(default_factory=Cement)
+    lanes: Integers | None = None
+    installation: Installation = "preserve"
+
+    def __post_init__(self) -> None:
+        """Refuse malformed pairs and an installation without its spring."""
+        pairs = np.asarray(self.pairs)
+        require(pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)")  # noqa: PLR2004 - two ends
+        require(
+            bool(np.all(pairs[:, 0] != pairs[:, 1])), "bonds.pairs", "a disk with itself", "bond two different disks"
+        )
+        if self.lanes is not None:
+            require(
+                np.shape(self.lanes) == (len(pairs),),
+                "bonds.lanes",
+                np.shape(self.lanes),
+                f"give shape ({len(pairs)},)",
+            )
+        known = ("preserve", "zero", "pfc_absolute")
+        require(self.installation in known, "installation", self.installation, f"choose one of {', '.join(known)}")
+        if self.installation == "pfc_absolute":
+            require(
+                self.cement.linear_modulus > 0.0,
+                "installation",
+                "pfc_absolute",
+                "needs linear_modulus > 0: it is the linear group that jumps",
+            )
+
+    @property
+    def bits(self) -> npt.NDArray[np.uint32]:
+        """(B,) lanes in which each pair is cemented, as bits."""
+        if self.lanes is None:
+            return np.full(len(self.pairs), 0xFFFFFFFF, dtype=np.uint32)
+        return np.asarray(self.lanes, dtype=np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Disks with their surroundings; the reference geometry from which displacements are measured.
+
+    Attributes
+    ----------
+    x, y, radius
+        (N,) m.
+    sand
+        Material of the disks.
+    walls
+        Rigid walls.
+    bonds
+        Cemented pairs, None for none.
+    damping
+        Local damping factor alpha in [0, 1], one for all or (N,).
+    held
+        (N,) True for a disk that keeps its velocity and spin whatever pushes it.
+    load
+        (N, 3) constant external force x, y (N/m) and moment (N).
+    rotation
+        False forbids all rotation.
+    rescaling
+        Shear rescaling mode 1 of PFC (True, energy-consistent) or 0.
+    """
+
+    x: Floats
+    y: Floats
+    radius: Floats
+    sand: Sand = field(default_factory=Sand)
+    walls: tuple[Wall, ...] = ()
+    bonds: Bonds | None = None
+    damping: float | Floats = 0.0
+    held: npt.NDArray[np.bool_] | None = None
+    load: Floats | None = None
+    rotation: bool = True
+    rescaling: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not describe disks."""
+        count = len(np.atleast_1d(self.radius))
+        require(count > 0, "radius", "empty", "give at least one disk")
+        for name in ("x", "y", "radius"):
+            values = np.asarray(getattr(self, name))
+            require(values.shape == (count,), name, values.shape, f"give an array of shape ({count},)")
+            require(bool(np.all(np.isfinite(values))), name, "NaN or infinite", "give finite numbers in m")
+        require(bool(np.all(np.asarray(self.radius) > 0.0)), "radius", np.min(self.radius), "give positive radii in m")
+        alpha = np.asarray(self.damping)
+        require(bool(np.all((alpha >= 0.0) & (alpha <= 1.0))), "damping", self.damping, "give factors in [0, 1]")
+        require(alpha.shape in ((), (count,)), "damping", alpha.shape, f"give one number or shape ({count},)")
+        if self.held is not None:
+            require(np.shape(self.held) == (count,), "held", np.shape(self.held), f"give shape ({count},)")
+        if self.load is not None:
+            require(np.shape(self.load) == (count, 3), "load", np.shape(self.load), f"give shape ({count}, 3)")
+            require(bool(np.all(np.isfinite(self.load))), "load", "NaN or infinite", "give finite forces and moments")
+        if self.bonds is not None and len(self.bonds.pairs):
+            indices = np.asarray(self.bonds.pairs)
+            inside = bool(indices.min() >= 0 and indices.max() < count)
+            require(inside, "bonds.pairs", f"{indices.min()} to {indices.max()}", f"use indices 0 to {count - 1}")
+
+    @property
+    def count(self) -> int:
+        """Number of disks."""
+        return len(self.radius)
+
+    @property
+    def mass(self) -> Floats:
+        """(N,) mass per metre of thickness, rho pi R^2, kg/m."""
+        return self.sand.density * np.pi * np.asarray(self.radius) ** 2
+
+    @property
+    def inertia(self) -> Floats:
+        """(N,) moment of inertia per metre of thickness, m R^2 / 2, kg m."""
+        return self.mass * np.asarray(self.radius) ** 2 / 2.0
+
+    def per_disk(self, value: npt.ArrayLike) -> Floats:
+        """One number spread over the disks, or the (N,) array as it is."""
+        return np.broadcast_to(np.asarray(value, dtype=float), (self.count,)).copy()

@@ -1,0 +1,1 @@
+"""Samples: packings of disks, and the cement in them."""

@@ -1,0 +1,342 @@
+"""The packing: disks poured into a box by expansion and pressed by a servo-controlled lid."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+import numpy as np
+
+from calcidem.dem.engine.material import Sand, require
+from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
+from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.stability import critical_time_step
+from calcidem.dem.engine.state import Preload, State, advance, start
+from calcidem.dem.kernels.layout import Floats, Integers
+
+LEFT, RIGHT, FLOOR, LID = range(4)
+WALL_NAMES = ("left", "right", "floor", "lid")
+CHUNK = 400  # steps between two looks at the step limit and the balance
+STEP_FRACTION = 0.8  # of the stability limit at the present overlaps
+FILLING_BALANCE = 1e-2  # unbalanced ratio, and
+FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
+STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
+
+
+class PackingError(RuntimeError):
+    """The packing did not come to rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class PackingRule:
+    """How a packing is made (paper, section 2.2.2 and Table 1).
+
+    Attributes
+    ----------
+    width, height
+        Box before the lid moves, m.
+    diameter
+        Smallest and largest, m; uniformly distributed between.
+    porosity
+        Of the box after the expansion, which fixes the number of disks.
+    expansion_steps
+        Number of radius steps.
+    friction_preparation
+        Between grains while packing; reset to the sand's friction afterwards.
+    stress
+        Vertical stress on the lid, Pa.
+    damping
+        Local damping factor while packing.
+    balance
+        Unbalanced-force ratio at which the packing is at rest.
+    most_steps
+        Time steps after which it is given up.
+    """
+
+    width: float = 0.1
+    height: float = 0.3
+    diameter: tuple[float, float] = (2.12e-3, 3.0e-3)
+    porosity: float = 0.192
+    expansion_steps: int = 5
+    friction_preparation: float = 0.2
+    stress: float = 5.0e3
+    damping: float = 0.7
+    balance: float = 1.0e-6
+    most_steps: int = 2_000_000
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be packed."""
+        require(self.width > 0.0, "width", self.width, "give a positive width in m")
+        require(self.height > 0.0, "height", self.height, "give a positive height in m")
+        smallest, largest = self.diameter
+        require(0.0 < smallest <= largest, "diameter", self.diameter, "give (smallest, largest) in m, both positive")
+        require(
+            largest < min(self.width, self.height) / 4.0,
+            "diameter",
+            self.diameter,
+            "at least 4 disks have to fit across the box",
+        )
+        possible = 0.1 <= self.porosity <= 0.5  # noqa: PLR2004 - crystal and gas
+        require(possible, "porosity", self.porosity, "two-dimensional packings lie between 0.1 and 0.5")
+        require(1 <= self.expansion_steps <= 100, "expansion_steps", self.expansion_steps, "choose 1 to 100")  # noqa: PLR2004 - as said
+        require(self.friction_preparation >= 0.0, "friction_preparation", self.friction_preparation, "give 0 or more")
+        require(self.stress > 0.0, "stress", self.stress, "give a positive stress in Pa")
+        require(
+            0.0 < self.damping < 1.0,
+            "damping",
+            self.damping,
+            "give a factor in (0, 1): without it nothing comes to rest",
+        )
+        require(0.0 < self.balance <= 1e-3, "balance", self.balance, "give a ratio in (0, 1e-3]")  # noqa: PLR2004 - above it is no equilibrium
+        require(self.most_steps > 0, "most_steps", self.most_steps, "give a positive number")
+
+
+@dataclass(frozen=True, slots=True)
+class PackingReport:
+    """What came out.
+
+    Attributes
+    ----------
+    porosity
+        1 - area of the disks / (width x height of the lid).
+    coordination_number, coordination_number_without_rattlers
+        2 contacts / disks; of all disks, and of those left when disks with fewer than 2 contacts are
+        taken away again and again.
+    rattlers
+        Number of these.
+    wall_stress
+        Normal stress on left, right, floor and lid, Pa.
+    mean_overlap, largest_overlap
+        Of touching pairs, m.
+    unbalanced_ratio
+        See `readout.unbalanced_ratio`.
+    steps, seconds
+        Cost.
+    """
+
+    porosity: float
+    coordination_number: float
+    coordination_number_without_rattlers: float
+    rattlers: int
+    wall_stress: tuple[float, float, float, float]
+    mean_overlap: float
+    largest_overlap: float
+    unbalanced_ratio: float
+    steps: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """Disks at rest in a box, with the shear forces of their contacts.
+
+    Attributes
+    ----------
+    x, y, radius
+        (N,) m.
+    width, height
+        Inner size of the box with the lid in place, m.
+    preload
+        Shear forces of the touching pairs.
+    report
+        What came out.
+    """
+
+    x: Floats
+    y: Floats
+    radius: Floats
+    width: float
+    height: float
+    preload: Preload
+    report: PackingReport
+
+    @property
+    def pairs(self) -> Integers:
+        """(C, 2) touching pairs."""
+        return self.preload.pairs
+
+
+@dataclass(slots=True)
+class Cost:
+    """Steps and wall time so far."""
+
+    steps: int = 0
+    began: float = field(default_factory=perf_counter)
+
+
+def make_packing(
+    rule: PackingRule, sand: Sand, generator: np.random.Generator, check: Callable[[], None] = lambda: None
+) -> Packing:
+    """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
+
+    Parameters
+    ----------
+    rule
+        What to make.
+    sand
+        Material; its friction is replaced by the one of preparation while packing.
+    generator
+        Source of sizes and positions.
+    check
+        Called every fraction of a second; may raise to end the work.
+
+    Raises
+    ------
+    PackingError
+        If it does not come to rest in ``rule.most_steps`` steps.
+    """
+    cost = Cost()
+    radius = draw_radii(rule, generator)
+    slippery = replace(sand, friction=rule.friction_preparation)
+    loose = loosest_factor(rule, radius)
+    x, y = place_apart(rule, radius * loose, generator)
+    preload: Preload | None = None
+    for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
+        scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
+        state = relax(scene, preload, rule, cost, check, filling=True)
+        x, y = state.position().T
+        preload = preload_of(state)
+    lid_force = rule.stress * rule.width
+    scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
+    state = relax(scene, preload, rule, cost, check, filling=False)
+    return finished(state, rule, cost)
+
+
+def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
+    """Radii whose disks fill the box to the porosity; all are scaled a little to make the area exact."""
+    area = (1.0 - rule.porosity) * rule.width * rule.height
+    low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
+    mean_area = np.pi * (low * low + low * high + high * high) / 3.0
+    radius = generator.uniform(low, high, round(area / mean_area))
+    # The scale differs from 1 by about 1e-3: the sampling error of the summed area.
+    scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
+    return scale * radius
+
+
+def loosest_factor(rule: PackingRule, radius: Floats) -> float:
+    """Part of the final radii at which the disks can be placed at random without touching."""
+    fraction = 0.35  # random sequential placement jams at 0.547
+    return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
+
+
+def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Random positions in the box without overlaps, found by random sequential placement on a grid of cells."""
+    cell = 2.0 * float(radius.max())
+    columns, rows = int(rule.width / cell) + 1, int(rule.height / cell) + 1
+    cells: dict[tuple[int, int], list[int]] = {}
+    x, y = np.empty_like(radius), np.empty_like(radius)
+    for disk in np.argsort(-radius, kind="stable"):
+        own = radius[disk]
+        for _ in range(10_000):
+            px = generator.uniform(own, rule.width - own)
+            py = generator.uniform(own, rule.height - own)
+            column, row = int(px / cell), int(py / cell)
+            near = [
+                other
+                for a in range(max(0, column - 1), min(columns, column + 2))
+                for b in range(max(0, row - 1), min(rows, row + 2))
+                for other in cells.get((a, b), ())
+            ]
+            if all((px - x[o]) ** 2 + (py - y[o]) ** 2 >= (own + radius[o]) ** 2 for o in near):
+                break
+        else:
+            raise PackingError(f"no room for disk {disk}: raise the porosity or enlarge the box")
+        x[disk], y[disk] = px, py
+        cells.setdefault((column, row), []).append(int(disk))
+    return x, y
+
+
+def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:
+    """Four frictionless walls; the lid holds a force if one is given."""
+    return (
+        Wall((0.0, 0.0), (1.0, 0.0)),
+        Wall((width, 0.0), (-1.0, 0.0)),
+        Wall((0.0, 0.0), (0.0, 1.0)),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force),
+    )
+
+
+def relax(
+    scene: Scene, preload: Preload | None, rule: PackingRule, cost: Cost, check: Callable[[], None], *, filling: bool
+) -> State:
+    """Let a scene come to rest.
+
+    The step follows the stability limit at the present overlaps. While the box is being filled it is enough
+    that the disks have moved apart again: a loose gas of disks has no balance to wait for.
+    """
+    state = start(scene, preload=preload)
+    while True:
+        check()
+        limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
+        state = advance(replace(state, time_step=STEP_FRACTION * limit), CHUNK)
+        cost.steps += CHUNK
+        ratio = unbalanced_ratio(state)
+        if not np.isfinite(ratio) or cost.steps > rule.most_steps:
+            raise PackingError(
+                f"the packing is not at rest after {cost.steps} steps (unbalanced ratio {ratio:.2g}): "
+                "raise packing.most_steps, packing.damping or packing.balance"
+            )
+        if filling:
+            if ratio < FILLING_BALANCE or overlaps(state).max(initial=0.0) < FILLING_OVERLAP * scene.radius.min():
+                return state
+        elif ratio < rule.balance and abs(lid_stress(state, rule) / rule.stress - 1.0) < STRESS_TOLERANCE:
+            return state
+
+
+def lid_stress(state: State, rule: PackingRule) -> float:
+    """Normal stress on the lid, Pa."""
+    return float(wall_reactions(state)[LID, 0]) / rule.width
+
+
+def preload_of(state: State) -> Preload:
+    """Shear forces of the touching pairs."""
+    contacts = contact_forces(state)
+    return Preload(contacts.pairs, contacts.shear)
+
+
+def finished(state: State, rule: PackingRule, cost: Cost) -> Packing:
+    """Packing and report of a state at rest."""
+    height = rule.height - float(state.assembly.walls.motion[LID, 0, 0])
+    position = state.position()
+    contacts = contact_forces(state)
+    backbone = without_rattlers(contacts.pairs, state)
+    reactions = wall_reactions(state)[:, 0]
+    lengths = np.array([height, height, rule.width, rule.width])
+    report = PackingReport(
+        porosity=1.0 - float(np.pi * np.sum(state.scene.radius**2)) / (rule.width * height),
+        coordination_number=2.0 * len(contacts.pairs) / state.scene.count,
+        coordination_number_without_rattlers=backbone[0],
+        rattlers=backbone[1],
+        wall_stress=tuple(float(value) for value in reactions / lengths),  # type: ignore[arg-type]
+        mean_overlap=float(contacts.overlap.mean()),
+        largest_overlap=float(contacts.overlap.max()),
+        unbalanced_ratio=unbalanced_ratio(state),
+        steps=cost.steps,
+        seconds=perf_counter() - cost.began,
+    )
+    return Packing(
+        x=position[:, 0].copy(),
+        y=position[:, 1].copy(),
+        radius=np.asarray(state.scene.radius, dtype=float).copy(),
+        width=rule.width,
+        height=height,
+        preload=Preload(contacts.pairs, contacts.shear),
+        report=report,
+    )
+
+
+def without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
+    """Coordination number of the disks that carry load, and the number of the others.
+
+    A disk with fewer than two contacts (walls included) carries nothing; taking it away may leave others so.
+    """
+    disk = np.repeat(np.arange(state.scene.count), np.diff(state.assembly.wall_pairs.start))
+    pressed = wall_overlaps(state)[:, 0] > 0.0
+    at_wall = np.bincount(state.assembly.order[disk[pressed]], minlength=state.scene.count)
+    kept = np.ones(state.scene.count, dtype=bool)
+    while True:
+        alive = kept[pairs].all(axis=1)
+        contacts = np.bincount(pairs[alive].ravel(), minlength=state.scene.count) + at_wall
+        fewer = kept & (contacts < 2)  # noqa: PLR2004 - one force alone cannot balance
+        if not fewer.any():
+            return 2.0 * int(alive.sum()) / max(1, int(kept.sum())), int((~kept).sum())
+        kept &= ~fewer

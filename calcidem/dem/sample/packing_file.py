@@ -1,0 +1,147 @@
+"""Packings as CSV files: out for other programs, and in to use one's own disks as the packing of a campaign."""
+
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.packing import Cost, Packing, PackingError, PackingRule, box_walls, finished, relax
+
+COLUMNS = ("x", "y", "radius")
+LARGEST_OVERLAP = 0.1
+"""Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
+FEWEST_DISKS = 10
+
+
+class PackingFileError(PackingError):
+    """A file that is no packing; the message names file, line and cure."""
+
+
+def write_packing_csv(packing: Packing, file: Path) -> None:
+    """Write the disks of a packing: a head line, then x, y and radius of each in m, in digits that lose nothing."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
+
+
+def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[[], None] = lambda: None) -> Packing:
+    """Make a packing of the disks in a file.
+
+    The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
+    lid's stress like the last stage of `calcidem.dem.sample.packing.make_packing`: a file has no contact forces, and
+    positions from elsewhere are in balance for another law of contact at best.
+
+    Parameters
+    ----------
+    file
+        CSV with a head line that has the columns x, y and radius, m; floor and left wall are at 0. Further columns,
+        and lines that begin with ``#``, are left out.
+    sand
+        Material; its friction is replaced by the rule's one of preparation while the disks come to rest.
+    rule
+        Width, stress, damping and balance are taken from it; its sizes and porosity are the file's business.
+    check
+        Called every fraction of a second; may raise to end the work.
+
+    Raises
+    ------
+    PackingFileError
+        If the file can't be read as disks, or disks overlap or reach out of the box by more than a tenth of a radius.
+    PackingError
+        If the disks don't come to rest.
+    """
+    x, y, radius = checked_disks(file, rule.width)
+    height = float(np.max(y + radius))
+    boxed = replace(rule, height=height)
+    slippery = replace(sand, friction=rule.friction_preparation)
+    walls = box_walls(rule.width, height, rule.stress * rule.width)
+    cost = Cost()
+    scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
+    return finished(relax(scene, None, boxed, cost, check, filling=False), boxed, cost)
+
+
+def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
+    """Return x, y, radius (N,) of the disks in a file, none of which overlaps another or the walls of a box too far.
+
+    Raises
+    ------
+    PackingFileError
+        Naming the line.
+    """
+    x, y, radius, lines = read_disks(file)
+    check_walls(file, lines, x, y, radius, width)
+    check_overlaps(file, lines, x, y, radius)
+    return x, y, radius
+
+
+def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
+    """Return x, y, radius (N,) and the line of each disk in the file.
+
+    Raises
+    ------
+    PackingFileError
+        Naming the line.
+    """
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            rows = list(numbered_rows(file, stream.read().splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
+    if len(rows) < FEWEST_DISKS:
+        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
+    numbers, values = zip(*rows, strict=True)
+    x, y, radius = np.array(values).T
+    return x.copy(), y.copy(), radius.copy(), list(numbers)
+
+
+def numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
+    """Yield the line number and x, y, radius of each disk."""
+    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    table = csv.reader(line for _, line in kept)
+    head = [name.strip() for name in next(table, [])]
+    if missing := [name for name in COLUMNS if name not in head]:
+        raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
+    places = [head.index(name) for name in COLUMNS]
+    for (number, line), row in zip(kept[1:], table, strict=True):
+        try:
+            x, y, radius = (float(row[place]) for place in places)
+        except (ValueError, IndexError) as error:
+            raise PackingFileError(f"{file}, line {number}: '{line}' is no disk; give three numbers in m") from error
+        if not (np.isfinite([x, y, radius]).all() and radius > 0.0):
+            raise PackingFileError(f"{file}, line {number}: '{line}'; give finite numbers and a positive radius, in m")
+        yield number, (x, y, radius)
+
+
+def check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
+    """Refuse disks that reach out of the box."""
+    for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
+        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
+        if len(out):
+            disk = out[0]
+            beyond = radius[disk] - gap[disk]
+            raise PackingFileError(
+                f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
+                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change packing.width"
+            )
+
+
+def check_overlaps(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats) -> None:
+    """Refuse disks that lie in one another."""
+    centres = np.column_stack([x, y])
+    pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
+    distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    overlap = radius[pairs].sum(axis=1) - distance
+    deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))
+    if len(deep):
+        first, second = sorted(lines[disk] for disk in pairs[deep[0]])
+        raise PackingFileError(
+            f"{file}, lines {first} and {second}: the disks overlap by {overlap[deep[0]]:.3g} m, more than a tenth of "
+            "a radius; move them apart, or make them smaller"
+        )

@@ -1,0 +1,66 @@
+"""Letting cemented samples come to rest again after bonds were installed that changed the forces."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calcidem.dem.engine.readout import unbalanced_ratio
+from calcidem.dem.engine.state import State, carried_on, duplicate, no_recording
+
+CHUNK = 500  # steps between two looks
+DAMPING = 0.7  # local damping factor while settling
+
+
+class SettlingError(RuntimeError):
+    """A cemented sample did not come to rest."""
+
+
+def settled(state: State, balance: float, most_steps: int, check: Callable[[], None] = lambda: None) -> State:
+    """State in which every lane is at rest under the lid's servo; steps are counted from zero again.
+
+    A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
+    alone.
+
+    Parameters
+    ----------
+    state
+        Just started.
+    balance
+        Unbalanced-force ratio to reach.
+    most_steps
+        Steps after which it is given up.
+    check
+        Called every fraction of a second; may raise to end the run.
+
+    Raises
+    ------
+    SettlingError
+        If a lane is not at rest by then.
+    """
+    lanes = state.features.lanes
+    open_lanes = np.ones(lanes, dtype=bool)
+    grains = state.assembly.grains
+    damped = grains._replace(damping=np.full_like(grains.damping, DAMPING))
+    current = replace(
+        duplicate(state),
+        assembly=replace(state.assembly, grains=damped),
+        features=replace(state.features, servo=True, damping=True, recording=False),
+    )
+    current = duplicate(current)
+    while open_lanes.any():
+        check()
+        if current.steps >= most_steps:
+            raise SettlingError(
+                f"a cemented sample is not at rest after {most_steps} steps: "
+                "raise wave.most_settling_steps or wave.balance"
+            )
+        current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
+        current = carried_on(current, CHUNK, no_recording(current))
+        current = replace(current, time_step=state.time_step)
+        for lane in np.flatnonzero(open_lanes):
+            open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < balance
+    current.motion.velocity[...] = 0.0
+    current.assembly.walls.motion[:, 2:] = 0.0
+    assembly = replace(current.assembly, grains=grains)
+    return replace(current, assembly=assembly, features=state.features, steps=0)

@@ -1,0 +1,1 @@
+"""The shear wave: pulse, propagation, arrival, and the velocity measured from it."""

@@ -1,0 +1,90 @@
+"""The part of a packing that takes part in a wave: disks that nothing can reach are left out.
+
+A layer with a local damping factor of 1 takes away any force that drives a disk on, so a wave dies within a few
+diameters: at a depth of four, a billionth of the pulse's stroke is left, at every content. What lies deeper only costs
+time. So do disks without a contact, as long as no contact can form.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calcidem.dem.engine.scene import Installation
+from calcidem.dem.engine.state import Preload
+from calcidem.dem.kernels.layout import Integers
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+
+Flags = npt.NDArray[np.bool_]
+
+DEPTH = 6.0  # mean diameters of a damping layer that are kept
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """Disks that are computed.
+
+    Attributes
+    ----------
+    packing
+        They alone, in the whole box.
+    pairs
+        (C,) which of the pairs of the whole packing they have among themselves.
+    held
+        (N,) of the disks that are computed: those that lean on one left out. They keep their places.
+    """
+
+    packing: Packing
+    pairs: Integers
+    held: Flags
+
+
+def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> Domain:
+    """Disks that a wave can reach, and those that listen.
+
+    Parameters
+    ----------
+    packing, rule
+        What the wave is sent through, and how. The whole packing is kept where the layers damp by less than 1, and
+        where the rule says so.
+    installation
+        Of the bonds. Those that change the contact forces let the whole packing settle anew.
+    """
+    count = len(packing.x)
+    if WHOLE_DOMAIN in rule.keep or installation != "preserve":
+        return Domain(packing, np.arange(len(packing.pairs)), np.zeros(count, dtype=bool))
+    kept = within_reach(packing, rule)
+    if rule.regime != "finite":
+        kept &= np.bincount(packing.pairs.ravel(), minlength=count) > 0
+    kept[listening_disks(packing, rule)] = True
+    inside = kept[packing.pairs]
+    pairs = np.flatnonzero(inside.all(axis=1))
+    held = np.zeros(count, dtype=bool)
+    held[packing.pairs[~inside.all(axis=1)].ravel()] = True
+    number = np.cumsum(kept) - 1
+    part = replace(
+        packing,
+        x=packing.x[kept],
+        y=packing.y[kept],
+        radius=packing.radius[kept],
+        preload=Preload(number[packing.pairs[pairs]], packing.preload.shear[pairs]),
+    )
+    return Domain(part, pairs, held[kept])
+
+
+def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
+    """Disks in the receiver's band, near the wall but not touching it."""
+    gap = packing.width - packing.x - packing.radius
+    in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
+    return np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < rule.listening_depth))
+
+
+def within_reach(packing: Packing, rule: WaveRule) -> Flags:
+    """(N,) disks that are not deep in a layer that damps by 1."""
+    if rule.boundary_damping < 1.0:
+        return np.ones(len(packing.x), dtype=bool)
+    middle = packing.height / 2.0
+    bands = max(rule.transmitter_half_width, rule.receiver_half_width)
+    reach = max(middle - rule.boundary_thickness, bands) + DEPTH * 2.0 * float(packing.radius.mean())
+    return np.asarray(np.abs(packing.y - middle) < reach)

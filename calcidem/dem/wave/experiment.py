@@ -1,0 +1,100 @@
+"""Everything that the samples of a campaign share: packing, materials, cement, wave and picking."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.scene import Installation
+from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.arrival import PickRule
+from calcidem.dem.wave.pulse import excitation_frequency
+from calcidem.dem.wave.rule import WaveRule
+
+Method = Literal["peak", "first_arrival", "cross_correlation"]
+ReceivedSignal = Literal["velocity", "force"]
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """Everything that all samples of a campaign share.
+
+    Attributes
+    ----------
+    packing, sand, cement, cement_rule, wave, pick
+        See their classes.
+    root_seed
+        Root of all random numbers of the campaign.
+    stiffness_factor
+        Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave
+        stage. 1 is the packing as it was made; anything else is a calibration.
+    installation
+        See `scene.Bonds`.
+    method
+        Reading that becomes Vs.
+    least_quality
+        Readings of lower quality are not trusted.
+    early_stop
+        End a record as soon as its reading is settled; it does not change the reading.
+    signal
+        Received signal that is read.
+    frequencies
+        (contents in percent, frequencies in Hz), interpolated between; None takes Table 2 of the paper.
+    """
+
+    packing: Packing
+    sand: Sand = field(default_factory=Sand)
+    cement: Cement = field(default_factory=Cement)
+    cement_rule: CementRule = field(default_factory=CementRule)
+    wave: WaveRule = field(default_factory=WaveRule)
+    pick: PickRule = field(default_factory=PickRule)
+    root_seed: int = 0
+    stiffness_factor: float = 1.0
+    installation: Installation = "preserve"
+    method: Method = "peak"
+    signal: ReceivedSignal = "velocity"
+    least_quality: float = 0.1
+    early_stop: bool = True
+    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what the linear regime cannot do and factors without meaning."""
+        require(self.stiffness_factor > 0.0, "stiffness_factor", self.stiffness_factor, "give a positive factor")
+        require(
+            self.installation == "preserve" or self.wave.regime != "linear",
+            "installation",
+            self.installation,
+            'changes the contact forces, which regime = "linear" takes as they are; choose "small" or "finite"',
+        )
+
+    def frequency(self, content: float) -> float:
+        """Excitation frequency at a content (percent), Hz."""
+        if self.frequencies is None:
+            return excitation_frequency(content)
+        return float(np.interp(content, *self.frequencies))
+
+    def ordering(self, seed: int) -> CementOrdering:
+        """Order in which the contacts and clusters of a seed are cemented."""
+        packing = self.packing
+        return draw_cement(
+            np.asarray(packing.x, dtype=np.float64),
+            np.asarray(packing.y, dtype=np.float64),
+            np.asarray(packing.radius, dtype=np.float64),
+            packing.pairs,
+            box=(packing.width, packing.height),
+            rule=self.cement_rule,
+            seed=seed,
+            root_seed=self.root_seed,
+        )
+
+    def stiffened(self) -> tuple[Packing, Sand]:
+        """Packing and sand of the wave stage."""
+        factor = self.stiffness_factor
+        preload = replace(self.packing.preload, shear=self.packing.preload.shear * factor)
+        left, right, floor, lid = self.packing.report.wall_stress
+        stress = (factor * left, factor * right, factor * floor, factor * lid)
+        report = replace(self.packing.report, wall_stress=stress)
+        sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
+        return replace(self.packing, preload=preload, report=report), sand

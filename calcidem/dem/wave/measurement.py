@@ -1,0 +1,184 @@
+"""From a seed and a content to a shear-wave velocity: cement the packing, send the wave, read its arrival."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from time import perf_counter
+
+from calcidem.dem.sample.cement import CementOrdering, PlacedCement
+from calcidem.dem.wave.arrival import PickFailure, Picks, Signals, arrived, read_arrival
+from calcidem.dem.wave.error_estimate import numerical_error
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import WaveRecord, send_waves
+
+LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
+INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
+NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower wave.amplitude or the frequency"
+SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
+MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
+MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
+
+
+class Outcome(StrEnum):
+    """What became of a sample."""
+
+    DONE = "done"
+    NO_ARRIVAL = "no_arrival"
+    UNSTABLE = "unstable"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """What one sample gave.
+
+    Attributes
+    ----------
+    seed, content
+        Its identity; content in percent of the sand's mass, as wanted.
+    outcome, reason
+        What became of it, and why if there is no velocity.
+    vs
+        Shear-wave velocity by the experiment's method, m/s; None without a trusted pick.
+    picks
+        All readings, of the experiment's signal; None if the run was unstable.
+    frequency
+        Excitation, Hz.
+    error_estimate
+        Relative error of ``vs``, see `error_estimate.numerical_error`; None without ``vs``.
+    cement
+        Where the cement is.
+    record
+        Signals and time step.
+    seconds
+        Wall time of this sample's share of its batch.
+    """
+
+    seed: int
+    content: float
+    outcome: Outcome
+    reason: str
+    vs: float | None
+    picks: Picks | None
+    frequency: float
+    error_estimate: float | None
+    cement: PlacedCement
+    record: WaveRecord
+    seconds: float
+
+
+def measure(
+    experiment: Experiment,
+    content: float,
+    seeds: Sequence[int],
+    *,
+    lanes: int = 8,
+    check: Callable[[], None] = lambda: None,
+    ordering: Callable[[int], CementOrdering] | None = None,
+) -> tuple[Measurement, ...]:
+    """Measure the samples of several seeds at one content, side by side.
+
+    Parameters
+    ----------
+    experiment
+        What they share.
+    content
+        Percent of the sand's mass.
+    seeds
+        At most ``lanes`` of them. What a seed gives does not depend on the others.
+    lanes
+        Width of the kernel.
+    check
+        Called every fraction of a second; may raise to end the run.
+    ordering
+        Stands for `Experiment.ordering`; one that remembers saves time where a seed is measured at many contents.
+
+    Raises
+    ------
+    CementCapacityError
+        If the content is more than the sample can hold.
+    """
+    began = perf_counter()
+    placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
+    frequency = experiment.frequency(content)
+    packing, sand = experiment.stiffened()
+
+    def heard_enough(record: WaveRecord) -> bool:
+        sent_all = len(record.sent) * record.interval > 1.0 / frequency
+        return experiment.early_stop and sent_all and arrived(signals_of(record, experiment), experiment.pick)
+
+    records = send_waves(
+        packing,
+        sand,
+        experiment.cement,
+        [cement.bonded for cement in placed],
+        frequency,
+        experiment.wave,
+        heard_enough=heard_enough,
+        lanes=lanes,
+        installation=experiment.installation,
+        check=check,
+    )
+    seconds = (perf_counter() - began) / len(seeds)
+    return tuple(
+        judged(experiment, seed, content, frequency, cement, record, seconds)
+        for seed, cement, record in zip(seeds, placed, records, strict=True)
+    )
+
+
+def measure_all(
+    experiment: Experiment,
+    content: float,
+    seeds: Sequence[int],
+    *,
+    lanes: int = 8,
+    ordering: Callable[[int], CementOrdering] | None = None,
+) -> tuple[Measurement, ...]:
+    """Measure any number of seeds at one content, in batches as wide as the kernel; see `measure`."""
+    found: list[Measurement] = []
+    for begin in range(0, len(seeds), lanes):
+        found += measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes, ordering=ordering)
+    return tuple(found)
+
+
+def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
+    """Signals of a record as the picking wants them.
+
+    A received velocity below a small part of the sent one is silence. The force that belongs to it is that of a wave
+    of the slowest velocity that is looked for, ``rho V v`` times the length of the receiver.
+    """
+    wave = experiment.wave
+    floor = (MUTED if wave.damping > MUTING else SILENCE) * wave.amplitude
+    if experiment.signal == "velocity":
+        return Signals(record.interval, record.sent, record.velocity, experiment.packing.width, floor)
+    floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
+    return Signals(record.interval, record.sent, record.force, experiment.packing.width, floor)
+
+
+def judged(
+    experiment: Experiment,
+    seed: int,
+    content: float,
+    frequency: float,
+    cement: PlacedCement,
+    record: WaveRecord,
+    seconds: float,
+) -> Measurement:
+    """Read a record; whatever cannot be trusted becomes an outcome with its reason, never a number."""
+    outcome, reason, vs, picks, error = Outcome.UNSTABLE, record.problem, None, None, None
+    if not record.problem:
+        picks = read_arrival(signals_of(record, experiment), experiment.pick)
+        reading = getattr(picks, experiment.method)
+        if reading.velocity is None or reading.travel_time is None:
+            outcome, reason = Outcome.NO_ARRIVAL, str(reading.failure)
+        elif reading.quality < experiment.least_quality:
+            outcome = Outcome.NO_ARRIVAL
+            reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
+        else:
+            noisy = picks.first_arrival.failure == PickFailure.NOISE
+            error = numerical_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
+            if error > LARGEST_ERROR:
+                outcome, error = Outcome.NO_ARRIVAL, None
+                reason = NOISY if noisy else INEXACT
+            else:
+                outcome, vs = Outcome.DONE, reading.velocity
+    return Measurement(seed, content, outcome, reason, vs, picks, frequency, error, cement, record, seconds)

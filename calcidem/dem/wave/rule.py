@@ -1,0 +1,134 @@
+"""How a shear wave is sent, carried and recorded, and what is refused beforehand."""
+
+from dataclasses import dataclass
+
+from calcidem.dem.engine.material import require
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.state import Precision
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.pulse import Pulse
+
+WHOLE_DOMAIN = "whole_domain"
+FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
+STRONGEST_DAMPING = 0.7  # of a sample: scenes with 0.92 and more changed Vs by 20 % with the step
+LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
+LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
+
+
+@dataclass(frozen=True, slots=True)
+class WaveRule:
+    """How the wave is sent, carried and recorded.
+
+    Attributes
+    ----------
+    amplitude
+        v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
+    transmitter_half_width, receiver_half_width
+        Of the bands, m.
+    band_friction
+        Coulomb coefficient of the two bands.
+    damping
+        Local damping factor of the sample.
+    boundary_damping, boundary_thickness
+        Local damping factor of the layers at floor and lid, and their thickness in m.
+    regime
+        See `state.start`.
+    precision
+        Of the kernel's arrays.
+    step_fraction
+        Time step as a part of the stability limit.
+    samples_per_period
+        Least number of samples in a period of the pulse. With 100 a parabola through a peak is good to 1e-5 of it.
+    slowest
+        Slowest velocity that is waited for, m/s.
+    listening_depth
+        Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
+    balance, most_settling_steps
+        Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
+    keep
+        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`, and
+        ``whole_domain`` if disks that the wave cannot reach are to be computed too, see `domain.domain_of`.
+    """
+
+    amplitude: float = 1.0e-3
+    transmitter_half_width: float = 0.01
+    receiver_half_width: float = 0.03
+    band_friction: float = 0.7
+    damping: float = 0.3
+    boundary_damping: float = 1.0
+    boundary_thickness: float = 0.05
+    regime: Regime = "linear"
+    precision: Precision = "float64"
+    step_fraction: float = 0.8
+    samples_per_period: int = 100
+    slowest: float = 60.0
+    listening_depth: float = 0.01
+    balance: float = 1.0e-6
+    most_settling_steps: int = 2_000_000
+    keep: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be sent."""
+        for name in (
+            "amplitude",
+            "transmitter_half_width",
+            "receiver_half_width",
+            "slowest",
+            "listening_depth",
+        ):
+            require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
+        for name in ("damping", "boundary_damping"):
+            require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
+        require(
+            self.damping <= STRONGEST_DAMPING,
+            "damping",
+            self.damping,
+            "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
+            f"{STRONGEST_DAMPING:g} (boundary_damping may be 1)",
+        )
+        require(
+            self.band_friction > 0.0,
+            "band_friction",
+            self.band_friction,
+            "a smooth transmitter moves nothing; give a positive coefficient",
+        )
+        require(
+            self.boundary_thickness >= 0.0,
+            "boundary_thickness",
+            self.boundary_thickness,
+            "give 0 or more, in m",
+        )
+        require(
+            self.samples_per_period >= FEWEST_SAMPLES,
+            "samples_per_period",
+            self.samples_per_period,
+            f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more",
+        )
+        require(
+            0.0 < self.step_fraction <= 1.0,
+            "step_fraction",
+            self.step_fraction,
+            "above 1 the scheme is unstable; choose 0.05 to 0.95",
+        )
+
+
+def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
+    """Raise a `ValueError` if a pulse moves the transmitter further than the regime can stand for.
+
+    Constant stiffnesses need a stroke of the order of the mean overlap, a fixed geometry one small against a disk.
+    """
+    stroke, overlap = Pulse(rule.amplitude, frequency).stroke, packing.report.mean_overlap
+    bounds = {
+        "linear": (LOUDEST_LINEAR * overlap, f"{LOUDEST_LINEAR:g} mean overlaps"),
+        "small": (LOUDEST_SMALL * float(packing.radius.min()), f"{LOUDEST_SMALL:g} radii of the smallest disk"),
+    }
+    if rule.regime in bounds:
+        bound, meaning = bounds[rule.regime]
+        require(
+            stroke <= bound,
+            "amplitude",
+            rule.amplitude,
+            f"moves the transmitter by {stroke:.3g} m, more than {meaning} ({bound:.3g} m), which the regime "
+            f'{rule.regime} cannot stand for: choose regime = "finite" or an amplitude of at most '
+            f"{bound * frequency:.3g} m/s",
+        )

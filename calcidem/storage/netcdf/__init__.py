@@ -1,0 +1,1 @@
+"""Campaigns as NetCDF files and xarray datasets."""

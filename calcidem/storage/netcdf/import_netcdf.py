@@ -1,0 +1,159 @@
+"""Rebuild a campaign in a store from a file that `calcidem.storage.netcdf.export` wrote."""
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+from numpy.typing import NDArray
+
+from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
+from calcidem.storage.netcdf.campaign_groups import read_attempts, read_packings
+from calcidem.storage.netcdf.dataset import FORMAT_VERSION, NOT_PLANNED, STATUS_CODES
+from calcidem.storage.netcdf.groups import Group
+from calcidem.storage.netcdf.sample_groups import cement_reader, path_reader, signal_reader
+from calcidem.storage.records import (
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    GraphSummary,
+    PathFeatures,
+    RunRecord,
+)
+from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
+from calcidem.storage.store import Store
+
+__all__ = ["import_netcdf"]
+
+SEEDS_IN_MEMORY = 500
+VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
+PATH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(PATH_PREFIX))
+GRAPH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(GRAPH_PREFIX))
+STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
+
+
+def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
+    """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
+
+    Importing into a store that has the campaign already adds what is missing and leaves done cells as they
+    are; runs are added each time.
+
+    Parameters
+    ----------
+    path : str or path
+    store : Store
+
+    Returns
+    -------
+    CampaignRecord
+        As stored.
+
+    Raises
+    ------
+    StoreUnavailableError
+        If the file can't be read as NetCDF.
+    ForeignDatabaseError
+        If calcidem didn't write it.
+    NewerSchemaError
+        If a later calcidem did, in another layout.
+    CampaignMismatchError
+        If the store has a campaign of that name with another hash.
+    """
+    with _open(Path(path)) as file:
+        campaign = CampaignRecord(
+            hash=file.calcidem_campaign_hash,
+            name=file.calcidem_campaign_name,
+            config=file.calcidem_config,
+            contents=(),
+            seeds=(),
+            created=datetime.fromisoformat(file.calcidem_created),
+        )
+        store.begin_campaign(campaign)
+        status = _plan(file, store)
+        run_numbers = {run.pop("number"): store.begin_run(_run(run)) for run in json.loads(file.calcidem_runs)}
+        for packing in read_packings(file):
+            store.save_packing(packing)
+        store.restore_attempts(read_attempts(file, run_numbers))
+        store.record_results(_results(file, status))
+    return store.use_campaign(campaign.name)
+
+
+def _open(path: Path) -> Group:
+    try:
+        file = netCDF4.Dataset(path, "r")
+    except OSError as error:
+        raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
+    file.set_auto_mask(False)
+    layout = getattr(file, "calcidem_format", None)
+    if layout == FORMAT_VERSION:
+        return file
+    file.close()
+    if layout is None:
+        raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
+    raise NewerSchemaError(
+        f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION}.",
+        "Use the calcidem that wrote it, or a later one.",
+    )
+
+
+def _plan(file: Group, store: Store) -> NDArray[np.int8]:
+    """Plan the file's cells, which need not be all of seeds x contents; return the status flags."""
+    status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
+    seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
+    seeds_of: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
+    for seed, planned in zip(seeds, status != STATUS_CODES[NOT_PLANNED], strict=True):
+        seeds_of[tuple(c for c, is_planned in zip(contents, planned, strict=True) if is_planned)].append(seed)
+    for some_contents, some_seeds in seeds_of.items():
+        store.extend(some_seeds, some_contents)
+    return status
+
+
+def _run(values: dict[str, Any]) -> RunRecord:
+    for name in ("started", "ended"):
+        if values[name] is not None:
+            values[name] = datetime.fromisoformat(values[name])
+    return RunRecord(**values)
+
+
+def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
+    """Outcomes of the file, a block of seeds in memory at a time."""
+    paths, signals, cement = path_reader(file), signal_reader(file), cement_reader(file)
+    seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
+    without_outcome = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
+    for start in range(0, len(seeds), SEEDS_IN_MEMORY):
+        rows = slice(start, start + SEEDS_IN_MEMORY)
+        # Files of earlier versions lack the quantities that were added since.
+        columns = {name: _plain(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
+        for i, j in np.argwhere(~np.isin(status[rows], without_outcome)).tolist():
+            key = CellKey(seeds[start + i], contents[j])
+            values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
+            values |= {name: column[i, j] for name, column in columns.items()}
+            of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in PATH_NAMES}
+            of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in GRAPH_NAMES}
+            features = None
+            if of_path["contacts"] is not None:
+                features = PathFeatures(**of_path, path=paths.get(key) or ())
+            yield CellResult(
+                key,
+                CellStatus(STATUS_NAMES[int(status[start + i, j])]),
+                features=features,
+                graph=GraphSummary(**of_graph) if of_graph["contacts"] is not None else None,
+                signal=signals.get(key),
+                cement=cement.get(key),
+                **values,
+            )
+
+
+def _plain(name: str, values: NDArray[Any]) -> NDArray[np.object_]:
+    """Values of a quantity as Python's own int, float or str, None where missing."""
+    kind = QUANTITY_BY_NAME[name].kind
+    plain = values.astype(object)
+    missing = plain == "" if kind == "text" else values < 0 if kind == "whole" else np.isnan(values)
+    plain[missing] = "" if name == "reason" else None
+    return plain

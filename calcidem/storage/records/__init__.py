@@ -1,0 +1,34 @@
+"""All records that callers of the store give and get, in one place.
+
+They are frozen, hold SI units (contents in percent of the sand's mass), and a missing number is None, never
+NaN; what happened to a cell is its `CellStatus`.
+"""
+
+from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord
+from calcidem.storage.records.cell import (
+    STORED_STATUSES,
+    AttemptCount,
+    AttemptRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    canonical_content,
+)
+from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
+
+__all__ = [
+    "STORED_STATUSES",
+    "AttemptCount",
+    "AttemptRecord",
+    "CampaignRecord",
+    "CellKey",
+    "CellResult",
+    "CellStatus",
+    "CementPattern",
+    "GraphSummary",
+    "PackingRecord",
+    "PathFeatures",
+    "RunRecord",
+    "Signal",
+    "canonical_content",
+]

@@ -1,0 +1,177 @@
+"""Frozen records of a campaign, its packings and its runs (cells are in `calcidem.storage.records.cell`)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calcidem.storage.records.arrays import ComparedByValue, frozen_array, plain_finite_numbers
+from calcidem.storage.records.cell import canonical_content
+
+__all__ = ["CampaignRecord", "PackingRecord", "RunRecord", "as_utc"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackingRecord(ComparedByValue):
+    """A packing with the report on its quality.
+
+    Parameters
+    ----------
+    index : int
+        0 to k - 1 when a campaign has k packings.
+    hash : str
+        Hash of everything the packing was made from.
+    x, y, radius : (grains,) arrays
+        Centres and radii of the disks [m].
+    width, height : float
+        Width of the box and final height of the lid [m].
+    porosity : float
+        Area of the voids over the area of the box.
+    coordination_number, coordination_number_without_rattlers : float
+        2 N_contacts / N with and without the grains that carry nothing.
+    wall_stress : mapping of str to float
+        Normal stress on each wall [Pa], by the wall's name.
+    mean_overlap, largest_overlap : float
+        Overlap of contacts relative to the mean diameter.
+    unbalanced_ratio : float
+        Mean unbalanced force over mean contact force at rest.
+    seconds : float
+        Time it took to make [s].
+    state : bytes
+        Complete state as its maker wrote it, to restore the packing bit for bit; opaque here.
+    """
+
+    index: int
+    hash: str
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    width: float
+    height: float
+    porosity: float
+    coordination_number: float
+    coordination_number_without_rattlers: float
+    wall_stress: Mapping[str, float]
+    mean_overlap: float
+    largest_overlap: float
+    unbalanced_ratio: float
+    seconds: float
+    state: bytes = b""
+
+    def __post_init__(self) -> None:
+        """Check and normalise the fields."""
+        plain_finite_numbers(self)
+        if self.index < 0:
+            raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
+        grains = np.shape(self.radius)[0] if np.ndim(self.radius) else 0
+        for name in ("x", "y", "radius"):
+            object.__setattr__(
+                self, name, frozen_array("PackingRecord", name, getattr(self, name), np.float64, (grains,))
+            )
+        if grains == 0 or not (self.radius > 0.0).all():
+            raise ValueError("PackingRecord.radius must hold positive radii of at least one grain.")
+        for wall, stress in self.wall_stress.items():
+            if not math.isfinite(stress):
+                raise ValueError(f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa.")
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRecord:
+    """What a campaign computes.
+
+    Parameters
+    ----------
+    hash : str
+        Hash of everything that changes the physics (`calcidem.storage.records.canonical.content_hash`).
+    name : str
+        Unique name within the store.
+    config : str
+        The hashed configuration as canonical JSON text (`calcidem.storage.records.canonical.canonical_json`).
+    contents : tuple of float
+        Planned contents [%], ascending.
+    seeds : tuple of int
+        Planned seeds, ascending.
+    created : datetime
+        With time zone; kept as UTC.
+    """
+
+    hash: str
+    name: str
+    config: str
+    contents: tuple[float, ...]
+    seeds: tuple[int, ...]
+    created: datetime
+
+    def __post_init__(self) -> None:
+        """Check and normalise the fields."""
+        for field in ("hash", "name"):
+            if not getattr(self, field):
+                raise ValueError(f"CampaignRecord.{field} is empty; give a text.")
+        object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
+        object.__setattr__(self, "seeds", tuple(sorted({int(s) for s in self.seeds})))
+        object.__setattr__(self, "created", as_utc(self.created))
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """Provenance of one run of the program on a campaign.
+
+    Parameters
+    ----------
+    versions : mapping of str to str
+        Versions of Python, calcidem and the libraries its numbers depend on.
+    host, cpu : str
+        Host of rank 0 and its CPU model.
+    ranks : int
+        Size of the MPI world, 1 without MPI.
+    launch_line : str
+        Command line.
+    started : datetime
+        With time zone; kept as UTC.
+    mpi_library : str or None
+        None without MPI.
+    git_commit : str or None
+        Commit of the source tree, None when installed from a package.
+    git_dirty : bool or None
+        Whether that tree had uncommitted changes.
+    slurm_job_id : str or None
+    ended : datetime or None
+        None while it runs, and for ever if it was killed.
+    exit_state : str or None
+        How it ended, as the program said it.
+    """
+
+    versions: Mapping[str, str]
+    host: str
+    cpu: str
+    ranks: int
+    launch_line: str
+    started: datetime
+    mpi_library: str | None = None
+    git_commit: str | None = None
+    git_dirty: bool | None = None
+    slurm_job_id: str | None = None
+    ended: datetime | None = None
+    exit_state: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check and normalise the fields."""
+        object.__setattr__(self, "started", as_utc(self.started))
+        if self.ended is not None:
+            object.__setattr__(self, "ended", as_utc(self.ended))
+
+
+def as_utc(moment: datetime) -> datetime:
+    """Return the moment in UTC.
+
+    Raises
+    ------
+    ValueError
+        For a moment without time zone: it could mean anything.
+    """
+    if moment.tzinfo is None:
+        raise ValueError(f"{moment} has no time zone; use datetime.now(UTC).")
+    return moment.astimezone(UTC)

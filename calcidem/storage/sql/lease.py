@@ -1,0 +1,159 @@
+"""One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
+
+The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides
+between machines, where locks on network file systems can't be relied on.
+"""
+
+import errno
+import fcntl
+import os
+import socket
+import uuid
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import cast
+
+from sqlalchemy import CursorResult, delete, update
+from sqlalchemy.orm import Session
+
+from calcidem.storage.errors import LeaseHeldError, LeaseLostError
+from calcidem.storage.sql.models import Lease
+from calcidem.storage.store import LeaseGrant
+
+__all__ = ["STALE_AFTER", "FileLock", "claim", "drop", "refresh"]
+
+STALE_AFTER = timedelta(minutes=5)
+"""A master on another machine that has been silent for this long counts as dead."""
+
+
+class FileLock:
+    """An exclusive lock on ``<database>.lock``; the kernel drops it when the process ends, however it ends.
+
+    Parameters
+    ----------
+    database : Path
+        The SQLite file.
+    """
+
+    def __init__(self, database: Path) -> None:
+        self.path = Path(f"{database}.lock")
+        self._descriptor: int | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether this object has the lock."""
+        return self._descriptor is not None
+
+    def acquire(self) -> bool:
+        """Try to lock without waiting; False if another process has the lock.
+
+        A file system without locks (some cluster mounts) counts as success with `held` False: the row alone
+        decides then.
+        """
+        while not self.held:
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                os.close(descriptor)
+                if error.errno in {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS}:
+                    return True
+                if error.errno in {errno.EWOULDBLOCK, errno.EACCES}:
+                    return False
+                raise
+            if self._is_current(descriptor):
+                self._descriptor = descriptor
+            else:  # its former holder removed the file between our open and our lock
+                os.close(descriptor)
+        return True
+
+    def _is_current(self, descriptor: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(descriptor), self.path.stat())
+        except FileNotFoundError:
+            return False
+
+    def release(self) -> None:
+        """Unlock and remove the file; does nothing without the lock."""
+        if self._descriptor is not None:
+            self.path.unlink(missing_ok=True)
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseGrant:
+    """Write the lease's row for this process.
+
+    Parameters
+    ----------
+    session : Session
+        In a writing transaction.
+    campaign_id : int
+    former_is_dead : bool
+        Whether a former holder on this machine is known to be gone because this process has its file lock.
+
+    Raises
+    ------
+    LeaseHeldError
+        If the holder may be alive.
+    """
+    now = datetime.now(UTC)
+    host, taken_over_from = socket.gethostname(), None
+    former = session.get(Lease, campaign_id, with_for_update=True)
+    if former is not None:
+        dead = now - former.heartbeat > STALE_AFTER
+        if former.host == host:
+            dead = dead or former_is_dead or not _is_alive(former.pid)
+        if not dead:
+            raise held_error(former)
+        taken_over_from = (
+            f"{former.host}, process {former.pid}, last heard of at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
+        )
+        session.delete(former)
+        session.flush()
+    token = uuid.uuid4().hex
+    session.add(Lease(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
+    return LeaseGrant(token, taken_over_from)
+
+
+def held_error(holder: Lease | None) -> LeaseHeldError:
+    """Return the error that names the present master."""
+    if holder is None:
+        who, cure = "another process on this machine", "Wait until it has ended."
+    else:
+        who = f"process {holder.pid} on {holder.host} (last heard of at {holder.heartbeat:%H:%M:%S} UTC)"
+        free = holder.heartbeat + STALE_AFTER
+        cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
+    return LeaseHeldError(f"The campaign is being written by {who}.", cure)
+
+
+def refresh(session: Session, token: str) -> None:
+    """Move the heartbeat to now.
+
+    Raises
+    ------
+    LeaseLostError
+        If the row is another process's by now.
+    """
+    statement = update(Lease).where(Lease.token == token)
+    result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=datetime.now(UTC))))
+    if result.rowcount == 0:
+        raise LeaseLostError(
+            "Another process has taken this campaign over because this one was silent for too long.",
+            "Nothing of this transaction was stored; end this process, the other one goes on.",
+        )
+
+
+def drop(session: Session, token: str) -> None:
+    """Remove the row if it is still this master's."""
+    session.execute(delete(Lease).where(Lease.token == token))
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,167 @@
+"""Translation between database rows and frozen records, both ways."""
+
+from dataclasses import fields
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Row
+
+from calcidem.storage.records import (
+    AttemptRecord,
+    CellKey,
+    CellResult,
+    CementPattern,
+    GraphSummary,
+    PackingRecord,
+    PathFeatures,
+    RunRecord,
+    Signal,
+)
+from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
+from calcidem.storage.sql.models import Attempt, CementRow, GraphRow, Packing, PathRow, Result, Run, SignalRow
+from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX
+
+__all__ = [
+    "ATTEMPT_COLUMNS",
+    "PATH_FIELDS",
+    "RESULT_COLUMNS",
+    "attempt_record",
+    "attempt_values",
+    "cell_result",
+    "cement_pattern",
+    "cement_values",
+    "graph_values",
+    "packing_record",
+    "packing_row",
+    "path_values",
+    "result_values",
+    "run_record",
+    "run_row",
+    "signal",
+    "signal_values",
+]
+
+RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in Result.__table__.columns)
+ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
+PATH_FIELDS = tuple(f.name for f in fields(PathFeatures))
+GRAPH_FIELDS = tuple(f.name for f in fields(GraphSummary))
+RUN_FIELDS = tuple(f.name for f in fields(RunRecord))
+PACKING_ARRAYS = ("x", "y", "radius")
+PACKING_FIELDS = tuple(f.name for f in fields(PackingRecord) if f.name not in (*PACKING_ARRAYS, "index"))
+SIGNAL_ARRAYS = ("sent_velocity", "received_force", "received_velocity")
+CEMENT_ARRAYS = ("contacts", "kind", "cluster_centres")
+
+RESULT_COLUMNS = (
+    *(getattr(Result, name) for name in RESULT_FIELDS),
+    *(getattr(Attempt, name) for name in ATTEMPT_FIELDS),
+    *(getattr(PathRow, name).label(PATH_PREFIX + name) for name in PATH_FIELDS),
+    *(getattr(GraphRow, name).label(GRAPH_PREFIX + name) for name in GRAPH_FIELDS),
+)
+"""Columns that `cell_result` needs besides seed and content."""
+
+ATTEMPT_COLUMNS = tuple(getattr(Attempt, f.name) for f in fields(AttemptRecord) if f.name != "key")
+"""Columns that `attempt_record` needs behind seed and content, in the order of the record's fields."""
+
+
+def cell_result(
+    row: Row[*tuple[Any, ...]], signal: Signal | None = None, cement: CementPattern | None = None
+) -> CellResult:
+    """Build the outcome of a cell from a row with its seed, content and `RESULT_COLUMNS`."""
+    values = row._mapping  # noqa: SLF001 - SQLAlchemy's public name for it
+    features = None
+    if values[PATH_PREFIX + "contacts"] is not None:
+        features = PathFeatures(**{name: values[PATH_PREFIX + name] for name in PATH_FIELDS})
+    graph = None
+    if values[GRAPH_PREFIX + "contacts"] is not None:
+        graph = GraphSummary(**{name: values[GRAPH_PREFIX + name] for name in GRAPH_FIELDS})
+    return CellResult(
+        key=CellKey(row.seed, row.content),
+        features=features,
+        graph=graph,
+        signal=signal,
+        cement=cement,
+        **{name: values[name] for name in (*RESULT_FIELDS, *ATTEMPT_FIELDS)},
+    )
+
+
+def result_values(cell_id: int, result: CellResult) -> dict[str, Any]:
+    """Columns of a `Result`."""
+    return {"cell_id": cell_id} | {name: getattr(result, name) for name in RESULT_FIELDS}
+
+
+def attempt_values(cell_id: int, result: CellResult, run_id: int | None, recorded: datetime) -> dict[str, Any]:
+    """Columns of the `Attempt` that ended with a result."""
+    return {
+        "cell_id": cell_id,
+        "number": result.attempt,
+        "run_id": run_id,
+        "outcome": result.status.value,
+        "recorded": recorded,
+        "forgiven": False,
+    } | {name: getattr(result, name) for name in ATTEMPT_FIELDS}
+
+
+def path_values(cell_id: int, features: PathFeatures) -> dict[str, Any]:
+    """Columns of a `PathRow`."""
+    values = {name: getattr(features, name) for name in PATH_FIELDS}
+    return values | {"cell_id": cell_id, "path": list(features.path)}
+
+
+def graph_values(cell_id: int, graph: GraphSummary) -> dict[str, Any]:
+    """Columns of a `GraphRow`."""
+    return {"cell_id": cell_id} | {name: getattr(graph, name) for name in GRAPH_FIELDS}
+
+
+def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:
+    """Columns of a `SignalRow`."""
+    samples = pack_arrays({name: getattr(signal, name) for name in SIGNAL_ARRAYS})
+    return {"cell_id": cell_id, "time_step": signal.time_step, "samples": samples}
+
+
+def signal(row: SignalRow) -> Signal:
+    """Inverse of `signal_values`."""
+    return Signal(row.time_step, **unpack_arrays(row.samples))
+
+
+def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:
+    """Columns of a `CementRow`."""
+    return {
+        "cell_id": cell_id,
+        "pattern": pack_arrays({name: getattr(cement, name) for name in CEMENT_ARRAYS}),
+    }
+
+
+def cement_pattern(row: CementRow) -> CementPattern:
+    """Inverse of `cement_values`."""
+    return CementPattern(**unpack_arrays(row.pattern))
+
+
+def attempt_record(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
+    """Build an attempt from a row of seed, content and `ATTEMPT_COLUMNS`."""
+    seed, content, *values = row
+    return AttemptRecord(CellKey(seed, content), *values)
+
+
+def packing_row(campaign_id: int, packing: PackingRecord) -> Packing:
+    """Row of a packing."""
+    values = {name: getattr(packing, name) for name in PACKING_FIELDS}
+    values["wall_stress"] = dict(packing.wall_stress)
+    grains = pack_arrays({name: getattr(packing, name) for name in PACKING_ARRAYS})
+    return Packing(campaign_id=campaign_id, number=packing.index, grains=grains, **values)
+
+
+def packing_record(row: Packing) -> PackingRecord:
+    """Inverse of `packing_row`."""
+    values: dict[str, Any] = {name: getattr(row, name) for name in PACKING_FIELDS}
+    return PackingRecord(index=row.number, **(values | unpack_arrays(row.grains)))
+
+
+def run_row(campaign_id: int, run: RunRecord) -> Run:
+    """Row of a run."""
+    values = {name: getattr(run, name) for name in RUN_FIELDS}
+    return Run(campaign_id=campaign_id, **(values | {"versions": dict(run.versions)}))
+
+
+def run_record(row: Run) -> RunRecord:
+    """Inverse of `run_row`."""
+    return RunRecord(**{name: getattr(row, name) for name in RUN_FIELDS})

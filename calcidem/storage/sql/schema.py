@@ -1,0 +1,96 @@
+"""Version of the schema in a database: create, upgrade, refuse."""
+
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, func, inspect, select
+
+from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
+from calcidem.storage.sql.engine import Address
+
+__all__ = ["VERSION_TABLE", "prepare_schema", "require_current_schema", "stored_revision"]
+
+VERSION_TABLE = "calcidem_schema"
+"""Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
+
+UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+
+
+def _configuration(connection: Connection | None = None) -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
+    config.attributes["connection"] = connection
+    return config
+
+
+def prepare_schema(connection: Connection, address: Address) -> None:
+    """Bring an empty or older database to the current schema, within the connection's transaction.
+
+    Raises
+    ------
+    ForeignDatabaseError, NewerSchemaError
+        As `stored_revision`.
+    """
+    if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
+        connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
+    if stored_revision(connection, address) != _head():
+        command.upgrade(_configuration(connection), "head")
+
+
+def require_current_schema(connection: Connection, address: Address) -> None:
+    """Refuse a database that can't be read as it is.
+
+    Raises
+    ------
+    ForeignDatabaseError, NewerSchemaError
+        As `stored_revision`; a database without tables is foreign too.
+    OlderSchemaError
+        If it has to be upgraded first.
+    """
+    revision = stored_revision(connection, address)
+    if revision is None:
+        raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
+    if revision != _head():
+        raise OlderSchemaError(
+            f"{address} was written by an earlier calcidem (schema {revision}, this one reads {_head()}).",
+            "Continue its campaign, or run 'calcidem retry' on it: opening it for writing upgrades it "
+            "and keeps its values.",
+        )
+
+
+def _head() -> str:
+    head = ScriptDirectory.from_config(_configuration()).get_current_head()
+    if head is None:
+        raise RuntimeError("calcidem was installed without its migrations; install it again.")
+    return head
+
+
+def stored_revision(connection: Connection, address: Address) -> str | None:
+    """Return the revision of a database, None if it has no tables.
+
+    Raises
+    ------
+    ForeignDatabaseError
+        If it has tables but not calcidem's mark.
+    NewerSchemaError
+        If its revision is unknown here.
+    """
+    tables = inspect(connection).get_table_names()
+    if not tables:
+        return None
+    if VERSION_TABLE not in tables:
+        raise ForeignDatabaseError(
+            f"{address} is a database of another program (its tables: {', '.join(sorted(tables)[:5])}).",
+            "Choose another name; it was left as it is.",
+        )
+    revision = MigrationContext.configure(connection, opts={"version_table": VERSION_TABLE}).get_current_revision()
+    known = {script.revision for script in ScriptDirectory.from_config(_configuration()).walk_revisions()}
+    if revision not in known:
+        raise NewerSchemaError(
+            f"{address} has schema {revision}, which this calcidem doesn't know: a later one wrote it.",
+            "Use that version (pip install --upgrade calcidem); the database was left as it is.",
+        )
+    return revision

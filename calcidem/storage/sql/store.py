@@ -1,0 +1,344 @@
+"""The store on a SQL database: SQLite by default, PostgreSQL by URL."""
+
+import os
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from datetime import datetime
+from typing import Any
+
+from numpy.typing import NDArray
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+from typing_extensions import override
+
+from calcidem.storage.errors import StoreUnavailableError, UnknownCampaignError
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    PackingRecord,
+    RunRecord,
+    Signal,
+)
+from calcidem.storage.records.campaign import as_utc
+from calcidem.storage.sql import lease, reading, rows, writing
+from calcidem.storage.sql.engine import Address, make_engine, parse_address
+from calcidem.storage.sql.models import Campaign, Cell, Lease, Packing, Run, SignalRow
+from calcidem.storage.sql.schema import prepare_schema, require_current_schema, stored_revision
+from calcidem.storage.sql.transaction import transaction
+from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
+
+__all__ = ["SqlStore", "open_store"]
+
+NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
+
+
+def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "SqlStore":
+    """Open a store, creating or upgrading its database unless `read_only`.
+
+    Parameters
+    ----------
+    path_or_url : str or path
+        File of a SQLite database, or an URL such as ``postgresql://user@host/database``.
+    read_only : bool
+        Refuse every write, and neither create nor upgrade.
+
+    Raises
+    ------
+    StoreError
+        `ForeignDatabaseError`, `NewerSchemaError`, `OlderSchemaError` (read-only), `StoreUnavailableError`,
+        `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left
+        as it was.
+    """
+    return SqlStore(parse_address(path_or_url), read_only=read_only)
+
+
+class SqlStore(Store):
+    """A `Store` on SQLAlchemy; see `open_store`.
+
+    Parameters
+    ----------
+    address : Address
+    read_only : bool
+    """
+
+    def __init__(self, address: Address, *, read_only: bool = False) -> None:
+        self.address = address
+        self.read_only = read_only
+        self._campaign_id: int | None = None
+        self._run_id: int | None = None
+        self._token: str | None = None
+        self._lock = lease.FileLock(address.path) if address.path and not read_only else None
+        _check_file(address, read_only=read_only)
+        if not read_only:
+            _look_before_writing(address)
+        self._engine = make_engine(address, read_only=read_only)
+        try:
+            with transaction(self._engine, address, write=not read_only) as session:
+                (require_current_schema if read_only else prepare_schema)(session.connection(), address)
+        except BaseException:
+            self._engine.dispose()
+            raise
+
+    # Transactions
+
+    def _reading(self) -> AbstractContextManager[Session]:
+        return transaction(self._engine, self.address, write=False)
+
+    @contextmanager
+    def _writing(self) -> Iterator[Session]:
+        """Open a writing transaction that fails if the lease was lost."""
+        with transaction(self._engine, self.address, write=True) as session:
+            if self._token is not None:
+                lease.refresh(session, self._token)
+            yield session
+
+    @property
+    def _campaign(self) -> int:
+        if self._campaign_id is None:
+            raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
+        return self._campaign_id
+
+    # Campaigns and runs
+
+    @override
+    def campaigns(self) -> tuple[CampaignRecord, ...]:
+        with self._reading() as session:
+            found = session.scalars(select(Campaign).order_by(Campaign.id))
+            return tuple(reading.campaign_record(session, row) for row in found)
+
+    @override
+    def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
+        with self._writing() as session:
+            row = writing.begin_campaign(session, campaign)
+            writing.plan_cells(session, row.id, campaign.seeds, campaign.contents)
+            record = reading.campaign_record(session, row)
+        self._campaign_id = row.id
+        return record
+
+    @override
+    def use_campaign(self, name: str | None = None) -> CampaignRecord:
+        with self._reading() as session:
+            found = list(session.scalars(select(Campaign).order_by(Campaign.id)))
+            chosen = [row for row in found if name is None or row.name == name]
+            if len(chosen) != 1:
+                names = ", ".join(f"'{row.name}'" for row in found) or "none"
+                wanted = f"no campaign '{name}'" if name is not None else f"{len(found)} campaigns"
+                raise UnknownCampaignError(f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}.")
+            self._campaign_id = chosen[0].id
+            return reading.campaign_record(session, chosen[0])
+
+    @override
+    def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
+        with self._writing() as session:
+            return writing.plan_cells(session, self._campaign, seeds, contents)
+
+    @override
+    def begin_run(self, run: RunRecord) -> int:
+        with self._writing() as session:
+            row = rows.run_row(self._campaign, run)
+            session.add(row)
+            session.flush()
+        self._run_id = row.id
+        return row.id
+
+    @override
+    def end_run(self, exit_state: str, ended: datetime) -> None:
+        with self._writing() as session:
+            row = session.get(Run, self._run_id)
+            if row is None:
+                raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
+            row.exit_state, row.ended = exit_state, as_utc(ended)
+        self._run_id = None
+
+    @override
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        with self._reading() as session:
+            found = session.scalars(select(Run).where(Run.campaign_id == self._campaign).order_by(Run.id))
+            return tuple((row.id, rows.run_record(row)) for row in found)
+
+    # Lease
+
+    @override
+    def acquire_lease(self) -> LeaseGrant:
+        if self._token is not None:
+            self.heartbeat()
+            return LeaseGrant(self._token, None)
+        if self._lock is not None and not self._lock.acquire():
+            raise lease.held_error(self._holder())
+        locked = self._lock is not None and self._lock.held
+        try:
+            with self._writing() as session:
+                grant = lease.claim(session, self._campaign, former_is_dead=locked)
+        except BaseException:
+            if self._lock is not None:
+                self._lock.release()
+            raise
+        self._token = grant.token
+        return grant
+
+    def _holder(self) -> Lease | None:
+        with self._reading() as session:
+            return session.get(Lease, self._campaign)
+
+    @override
+    def heartbeat(self) -> None:
+        with self._writing():
+            pass  # every writing transaction refreshes the lease
+
+    @override
+    def release_lease(self) -> None:
+        if self._token is not None:
+            token, self._token = self._token, None
+            with transaction(self._engine, self.address, write=True) as session:
+                lease.drop(session, token)
+        if self._lock is not None:
+            self._lock.release()
+
+    # Writing
+
+    @override
+    def save_packing(self, packing: PackingRecord) -> None:
+        with self._writing() as session:
+            writing.save_packing(session, self._campaign, packing)
+
+    @override
+    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
+        with self._writing() as session:
+            return writing.record_results(session, self._campaign, self._run_id, results, replace_done=replace_done)
+
+    @override
+    def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
+        with self._writing() as session:
+            return writing.record_lost(session, self._campaign, self._run_id, list(keys), reason)
+
+    @override
+    def retry(
+        self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
+    ) -> tuple[CellKey, ...]:
+        wrong = NEVER_RETRIED & set(statuses)
+        if wrong:
+            raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
+        with self._writing() as session:
+            return writing.make_pending(session, self._campaign, statuses, None if keys is None else list(keys))
+
+    @override
+    def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
+        with self._writing() as session:
+            writing.restore_attempts(session, self._campaign, attempts)
+
+    # Reading
+
+    @override
+    def load_packing(self, index: int = 0) -> PackingRecord | None:
+        with self._reading() as session:
+            statement = select(Packing).where(Packing.campaign_id == self._campaign, Packing.number == index)
+            row = session.scalar(statement)
+            return None if row is None else rows.packing_record(row)
+
+    @override
+    def packing_indices(self) -> tuple[int, ...]:
+        with self._reading() as session:
+            statement = select(Packing.number).where(Packing.campaign_id == self._campaign)
+            return tuple(session.scalars(statement.order_by(Packing.number)))
+
+    @override
+    def pending(
+        self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
+    ) -> tuple[CellKey, ...]:
+        return tuple(self.statuses(Selection(seeds, contents, (CellStatus.PENDING,))))
+
+    @override
+    def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
+        columns = self.table(("seed", "content", "status"), selection)
+        keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
+        return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
+
+    @override
+    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        with self._reading() as session:
+            return reading.status_counts(session, self._campaign)
+
+    @override
+    def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
+        with self._reading() as session:
+            return reading.attempt_counts(session, self._campaign, None if keys is None else list(keys))
+
+    @override
+    def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
+        for chunk in self._chunks(selection):
+            with self._reading() as session:
+                found = list(reading.attempts_of(session, chunk))
+            yield from found
+
+    @override
+    def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
+        for chunk in self._chunks(selection):
+            with self._reading() as session:
+                found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
+            yield from found
+
+    def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
+        """Choose the cells at once, then let the caller fetch them piece by piece.
+
+        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
+        """
+        with self._reading() as session:
+            chosen = reading.selected_cells(session, self._campaign, selection)
+        yield from reading.chunks(chosen)
+
+    @override
+    def signal(self, key: CellKey) -> Signal | None:
+        with self._reading() as session:
+            statement = select(SignalRow).join(Cell, Cell.id == SignalRow.cell_id)
+            row = session.scalar(statement.where(Cell.campaign_id == self._campaign, reading.cell_in([key])))
+            return None if row is None else rows.signal(row)
+
+    @override
+    def table(
+        self,
+        names: Sequence[str],
+        selection: Selection = ALL_CELLS,
+        *,
+        sort: Sequence[str] = (),
+        limit: int | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        with self._reading() as session:
+            return reading.table(session, self._campaign, names, selection, sort, limit)
+
+    # Life
+
+    @override
+    def close(self) -> None:
+        try:
+            self.release_lease()
+        finally:
+            self._engine.dispose()
+
+
+def _check_file(address: Address, *, read_only: bool) -> None:
+    """Say in plain words what is wrong with a path, where SQLite only says "unable to open database file"."""
+    path = address.path
+    if path is None:
+        return
+    if path.is_dir():
+        raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
+    if read_only and not path.exists():
+        raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
+    if not path.parent.is_dir():
+        raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
+
+
+def _look_before_writing(address: Address) -> None:
+    """Refuse a foreign or newer file before a writing connection changes it by setting the journal mode."""
+    if address.path is None or not address.path.exists() or address.path.stat().st_size == 0:
+        return
+    engine = make_engine(address, read_only=True)
+    try:
+        with transaction(engine, address, write=False) as session:
+            stored_revision(session.connection(), address)
+    finally:
+        engine.dispose()

@@ -1,0 +1,124 @@
+"""Filter expressions such as ``vs > 1500 and status == 'done'``, turned into bound SQL parameters.
+
+The text is parsed as a Python expression and only comparisons of known quantities with literals are
+accepted, so nothing of it ever reaches the database as SQL.
+"""
+
+import ast
+import difflib
+import io
+import math
+import operator
+import sys
+import tokenize
+from collections.abc import Callable
+from typing import Any
+
+from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, or_
+
+from calcidem.storage.errors import QueryError
+from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+
+__all__ = ["parse_where"]
+
+COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+
+LONGEST = 10_000
+LARGEST_WHOLE = 2**63 - 1
+"""Whole numbers beyond it are compared as real ones."""
+
+EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
+
+
+def parse_where(text: str) -> ColumnElement[bool]:
+    """Turn a filter expression into a condition for a query.
+
+    Parameters
+    ----------
+    text : str
+        Comparisons (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) of quantities
+        with numbers or quoted words, joined by ``and``, ``or``, ``not`` and parentheses.
+
+    Raises
+    ------
+    QueryError
+        If the text is anything else or names an unknown quantity.
+    """
+    if len(text) > LONGEST:
+        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {LONGEST}.")
+    try:
+        tree = ast.parse(_python_equality(text), mode="eval")
+        return _condition(tree.body, text)
+    # Deep nesting ends Python's parser with errors of its own.
+    except (SyntaxError, ValueError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise QueryError(f"The filter {text!r} can't be read.", EXAMPLE) from error
+
+
+def _python_equality(text: str) -> str:
+    """Write a single ``=``, as in SQL, as ``==``."""
+    tokens = tokenize.generate_tokens(io.StringIO(text.strip()).readline)
+    return tokenize.untokenize((t.type, "==" if t.string == "=" else t.string) for t in tokens)
+
+
+def _condition(node: ast.expr, text: str) -> ColumnElement[bool]:
+    if isinstance(node, ast.BoolOp):
+        join = and_ if isinstance(node.op, ast.And) else or_
+        return join(*(_condition(value, text) for value in node.values))
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        return not_(_condition(node.operand, text))
+    if isinstance(node, ast.Compare):
+        sides = [node.left, *node.comparators]
+        pairs = zip(sides, node.ops, sides[1:], strict=False)
+        return and_(*(_comparison(left, op, right, text) for left, op, right in pairs))
+    raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is not a comparison.", EXAMPLE)
+
+
+def _comparison(left: ast.expr, op: ast.cmpop, right: ast.expr, text: str) -> ColumnElement[bool]:
+    first = _operand(left, text)
+    if isinstance(op, ast.Is | ast.IsNot):
+        if not (isinstance(right, ast.Constant) and right.value is None):
+            raise QueryError(f"'is' in the filter '{text}' goes with None only.", EXAMPLE)
+        return first.is_(None) if isinstance(op, ast.Is) else first.is_not(None)
+    if isinstance(op, ast.In | ast.NotIn):
+        if not isinstance(right, ast.Tuple | ast.List):
+            raise QueryError(f"'in' in the filter '{text}' needs a list in parentheses.", EXAMPLE)
+        values = [_operand(item, text) for item in right.elts]
+        return first.in_(values) if isinstance(op, ast.In) else first.not_in(values)
+    result: ColumnElement[bool] = COMPARISONS[type(op)](first, _operand(right, text))
+    return result
+
+
+def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
+    if isinstance(node, ast.Name):
+        return _quantity(node.id, text)
+    try:
+        value = ast.literal_eval(node)
+    except ValueError:
+        value = None
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", EXAMPLE)
+    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        value = float(value) if abs(value) < sys.float_info.max else math.copysign(math.inf, value)
+    if isinstance(value, str) and not _storable(value):
+        raise QueryError(f"{value!r} in the filter can't be in a database.", "Write plain characters.")
+    return literal(value)
+
+
+def _storable(word: str) -> bool:
+    """Whether databases accept a text: no zero byte, no half of a surrogate pair."""
+    return "\0" not in word and not any("\ud800" <= character <= "\udfff" for character in word)
+
+
+def _quantity(name: str, text: str) -> SQLColumnExpression[Any]:
+    if name in QUANTITY_BY_NAME:
+        return QUANTITY_BY_NAME[name].expression
+    close = difflib.get_close_matches(name, list(QUANTITY_BY_NAME), n=1)
+    hint = f"Did you mean '{close[0]}'?" if close else f"Known are: {', '.join(QUANTITY_BY_NAME)}."
+    raise QueryError(f"The filter '{text}' names the unknown quantity '{name}'.", hint)

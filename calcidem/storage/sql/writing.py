@@ -1,0 +1,261 @@
+"""Statements that change a campaign, each within a transaction that its caller owns."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import product
+from typing import NamedTuple
+
+from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
+from sqlalchemy.orm import Session
+
+from calcidem.storage.errors import CampaignMismatchError, UnknownCellError
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    PackingRecord,
+)
+from calcidem.storage.records.canonical import config_difference
+from calcidem.storage.sql import rows
+from calcidem.storage.sql.models import (
+    LOST,
+    Attempt,
+    Campaign,
+    Cell,
+    CementRow,
+    GraphRow,
+    Packing,
+    PathRow,
+    Result,
+    SignalRow,
+)
+from calcidem.storage.sql.reading import CHUNK, attempt_counts, cell_in, chunks
+
+__all__ = [
+    "begin_campaign",
+    "make_pending",
+    "plan_cells",
+    "record_lost",
+    "record_results",
+    "restore_attempts",
+    "save_packing",
+]
+
+
+def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
+    """Find the campaign by its hash, or create it; its plan is the caller's next step.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If the name belongs to another hash.
+    """
+    row = session.scalar(select(Campaign).where(Campaign.hash == campaign.hash))
+    if row is not None:
+        return row
+    namesake = session.scalar(select(Campaign).where(Campaign.name == campaign.name))
+    if namesake is not None:
+        differences = config_difference(namesake.config, campaign.config) or ["(none in the configuration's text)"]
+        raise CampaignMismatchError(
+            f"The stored campaign '{campaign.name}' has another configuration (stored -> given):\n  "
+            + "\n  ".join(differences)
+            + "\n",
+            "Give the old values to continue it, or a new database or campaign name for the new ones.",
+        )
+    row = Campaign(hash=campaign.hash, name=campaign.name, config=campaign.config, created=campaign.created)
+    session.add(row)
+    session.flush()
+    return row
+
+
+def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], contents: Iterable[float]) -> int:
+    """Plan the cells of seeds x contents that are not planned yet; return how many."""
+    wanted = [CellKey(seed, content) for seed, content in product(sorted(set(seeds)), sorted(set(contents)))]
+    statement = select(Cell.seed, Cell.content).where(Cell.campaign_id == campaign_id)
+    planned = {(seed, content) for seed, content in session.execute(statement)}
+    new = [
+        {"campaign_id": campaign_id, "seed": key.seed, "content": key.content}
+        for key in dict.fromkeys(wanted)
+        if (key.seed, key.content) not in planned
+    ]
+    if new:
+        session.execute(insert(Cell), new)
+    return len(new)
+
+
+def save_packing(session: Session, campaign_id: int, packing: PackingRecord) -> None:
+    """See `Store.save_packing`."""
+    stored = session.scalar(
+        select(Packing.hash).where(Packing.campaign_id == campaign_id, Packing.number == packing.index)
+    )
+    if stored is None:
+        session.add(rows.packing_row(campaign_id, packing))
+    elif stored != packing.hash:
+        raise CampaignMismatchError(
+            f"Packing {packing.index} is stored with hash {stored}, the given one has {packing.hash}.",
+            "Continue with the stored packing (load_packing), or start a new database.",
+        )
+
+
+class _Known(NamedTuple):
+    """What the database knows of a planned cell."""
+
+    cell_id: int
+    status: str | None
+    attempt: int | None
+
+
+def record_results(
+    session: Session,
+    campaign_id: int,
+    run_id: int | None,
+    results: Iterable[CellResult],
+    *,
+    replace_done: bool,
+) -> int:
+    """See `Store.record_results`."""
+    stored = 0
+    recorded = datetime.now(UTC)
+    for batch in _distinct_batches(results):
+        known = _known_cells(session, campaign_id, [result.key for result in batch])
+        accepted = [
+            (known[result.key].cell_id, result)
+            for result in batch
+            if _gives_way(known[result.key], result, replace_done=replace_done)
+        ]
+        if accepted:
+            _replace(session, accepted, run_id, recorded)
+        stored += len(accepted)
+    return stored
+
+
+def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult]]:
+    """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
+    batch: dict[CellKey, CellResult] = {}
+    for result in results:
+        if result.key in batch or len(batch) == CHUNK:
+            yield list(batch.values())
+            batch = {}
+        batch[result.key] = result
+    if batch:
+        yield list(batch.values())
+
+
+def _known_cells(session: Session, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
+    statement = select(Cell.seed, Cell.content, Cell.id, Result.status, Result.attempt)
+    statement = statement.outerjoin(Result, Result.cell_id == Cell.id)
+    statement = statement.where(Cell.campaign_id == campaign_id, cell_in(keys))
+    known = {CellKey(row.seed, row.content): _Known(*row[2:]) for row in session.execute(statement)}
+    for key in keys:
+        if key not in known:
+            raise UnknownCellError(
+                f"Seed {key.seed} with content {key.content} % is not part of the campaign's plan.",
+                "Extend the plan (begin_campaign or extend) before storing its outcome.",
+            )
+    return known
+
+
+def _gives_way(known: _Known, result: CellResult, *, replace_done: bool) -> bool:
+    """Rule 5 of the contract: whether the stored outcome gives way to the new one."""
+    if known.status is None or known.attempt is None:
+        return True
+    if known.status == CellStatus.DONE:
+        return replace_done
+    return result.status is CellStatus.DONE or result.attempt >= known.attempt
+
+
+def _replace(
+    session: Session, accepted: Sequence[tuple[int, CellResult]], run_id: int | None, recorded: datetime
+) -> None:
+    """Store outcomes in place of what there was.
+
+    An attempt that is there with the same outcome keeps its row: an import has restored it.
+    """
+    session.execute(delete(Result).where(Result.cell_id.in_([cell_id for cell_id, _ in accepted])))
+    listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
+    statement = select(Attempt.cell_id, Attempt.number, Attempt.outcome).where(listed)
+    existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
+    new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
+    outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
+    if outdated:
+        session.execute(delete(Attempt).where(_attempt_in(outdated)))
+    if new:
+        session.execute(insert(Attempt), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
+    session.execute(insert(Result), [rows.result_values(i, result) for i, result in accepted])
+    paths = [rows.path_values(i, result.features) for i, result in accepted if result.features is not None]
+    graphs = [rows.graph_values(i, result.graph) for i, result in accepted if result.graph is not None]
+    signals = [rows.signal_values(i, result.signal) for i, result in accepted if result.signal is not None]
+    cements = [rows.cement_values(i, result.cement) for i, result in accepted if result.cement is not None]
+    tables = ((PathRow, paths), (GraphRow, graphs), (SignalRow, signals), (CementRow, cements))
+    for model, values in tables:
+        if values:
+            session.execute(insert(model), values)
+
+
+def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
+    """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
+    listed = tuple_(Attempt.cell_id, Attempt.number).in_(numbered)
+    return and_(Attempt.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
+
+
+def record_lost(
+    session: Session, campaign_id: int, run_id: int | None, keys: Sequence[CellKey], reason: str
+) -> dict[CellKey, AttemptCount]:
+    """See `Store.record_lost`."""
+    recorded = datetime.now(UTC)
+    counts = attempt_counts(session, campaign_id, keys)
+    for chunk in chunks(counts):
+        known = _known_cells(session, campaign_id, chunk)
+        values = [
+            {
+                "cell_id": known[key].cell_id,
+                "number": counts[key].attempts + 1,
+                "run_id": run_id,
+                "outcome": LOST,
+                "reason": reason,
+                "recorded": recorded,
+                "forgiven": False,
+            }
+            for key in chunk
+        ]
+        session.execute(insert(Attempt), values)
+    return {key: AttemptCount(count.attempts + 1, count.losses + 1) for key, count in counts.items()}
+
+
+def make_pending(
+    session: Session, campaign_id: int, statuses: Collection[CellStatus], keys: Sequence[CellKey] | None
+) -> tuple[CellKey, ...]:
+    """See `Store.retry`."""
+    statement = (
+        select(Cell.id, Cell.seed, Cell.content)
+        .join(Result, Result.cell_id == Cell.id)
+        .where(Cell.campaign_id == campaign_id, Result.status.in_([status.value for status in statuses]))
+        .order_by(Cell.seed, Cell.content)
+    )
+    wanted = None if keys is None else set(keys)
+    found = [(row.id, CellKey(row.seed, row.content)) for row in session.execute(statement)]
+    chosen = [(cell_id, key) for cell_id, key in found if wanted is None or key in wanted]
+    for chunk in chunks(cell_id for cell_id, _ in chosen):
+        session.execute(delete(Result).where(Result.cell_id.in_(chunk)))
+        session.execute(update(Attempt).where(Attempt.cell_id.in_(chunk)).values(forgiven=True))
+    return tuple(key for _, key in chosen)
+
+
+def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[AttemptRecord]) -> None:
+    """See `Store.restore_attempts`."""
+    for chunk in chunks(attempts):
+        known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
+        listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
+        statement = select(Attempt.cell_id, Attempt.number).where(listed)
+        existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
+        names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")
+        values = [
+            {"cell_id": known[attempt.key].cell_id} | {name: getattr(attempt, name) for name in names}
+            for attempt in chunk
+            if (known[attempt.key].cell_id, attempt.number) not in existing
+        ]
+        if values:
+            session.execute(insert(Attempt), values)

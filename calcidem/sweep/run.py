@@ -1,0 +1,94 @@
+"""`run_sweep`: compute all batches, on as many ranks as there are, and store what becomes of them."""
+
+from collections.abc import Iterable
+from contextlib import nullcontext
+from typing import TypeVar
+
+from mpi4py import MPI
+
+from calcidem.sweep.attempt import Compute
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.context import SweepContext
+from calcidem.sweep.environment import fault_tolerance_enabled
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.progress import Progress, SilentProgress
+from calcidem.sweep.schedule import Schedule
+from calcidem.sweep.serial import run_serial
+from calcidem.sweep.signals import StopRequest
+from calcidem.sweep.sink import Sink
+from calcidem.sweep.sweep_end import SweepEnd
+
+ResultT = TypeVar("ResultT")
+
+
+def run_sweep(
+    comm: MPI.Comm | None,
+    batches: Iterable[Batch[CellT]],
+    compute: Compute[CellT, ResultT],
+    sink: Sink | None,
+    *,
+    options: SweepOptions | None = None,
+    progress: Progress | None = None,
+    stop_request: StopRequest | None = None,
+) -> SweepEnd:
+    """Compute all batches and store what becomes of them.
+
+    To be called on all ranks of `comm`. Rank 0 hands out the batches and stores the outcomes; it sleeps most
+    of the time, so start one rank more than there are cores. All other ranks compute. With one rank, or
+    without a communicator, the same happens in this process.
+
+    Parameters
+    ----------
+    comm
+        Communicator whose ranks take part, or None. Nothing else may be sent over it during the sweep.
+    batches
+        What to compute, in the order in which to hand it out; used on rank 0 only.
+    compute
+        Computes a batch; used on the workers. See `Compute` for what it has to keep to.
+    sink
+        Keeps the outcomes; used on rank 0 only, may be None elsewhere.
+    options
+        Limits, the same on all ranks.
+    progress
+        Display, used on rank 0 only; silent by default.
+    stop_request
+        Signals as noted since the start of the program (`Session` has one); by default they are noted during
+        the sweep only. Used on rank 0 only.
+
+    Returns
+    -------
+    SweepEnd
+        How the sweep ended, on all ranks; `exit_code` is what the program should return.
+
+    Raises
+    ------
+    ValueError
+        On rank 0, if there is no sink or two batches have the same identifier.
+    MasterLostError
+        On a worker, if rank 0 has died (with ULFM; without it the launcher ends the job).
+    Exception
+        On rank 0, whatever the sink raises, after the workers have been told to stop.
+    """
+    options = options or SweepOptions()
+    parallel = comm is not None and comm.Get_size() > 1
+    if parallel and comm is not None and comm.Get_rank() != 0:
+        from calcidem.sweep.worker import run_worker  # noqa: PLC0415 - a serial run must not need an MPI library
+
+        return run_worker(comm, compute, options)
+
+    if sink is None:
+        raise ValueError("sink is None on rank 0: give the object that stores the outcomes")
+    schedule = Schedule(tuple(batches))
+    progress = progress or SilentProgress()
+    with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:
+        context = SweepContext(schedule, sink, progress, stop, options)
+        if parallel and comm is not None:
+            from calcidem.sweep.master import run_master  # noqa: PLC0415 - as above
+
+            progress.started(schedule.batches, workers=comm.Get_size() - 1)
+            end = run_master(comm, context, fault_tolerance_enabled())
+        else:
+            progress.started(schedule.batches, workers=1)
+            end = run_serial(context, compute)
+    progress.ended(end)
+    return end

@@ -1,0 +1,247 @@
+"""The workers as the master sees them: who is idle, who computes what, who is lost."""
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Generic
+
+from mpi4py import MPI
+
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
+from calcidem.sweep.protocol import (
+    MASTER,
+    Incoming,
+    Tag,
+    acknowledge_failures,
+    failed_ranks,
+    start_receive,
+    start_send,
+    wait_until,
+)
+from calcidem.sweep.sweep_end import SweepEnd
+
+WATCHDOG_INTERVAL = 0.25
+"""Seconds between looks for workers past their limit; going through all of them takes time."""
+
+KILL_PATIENCE = 1.0
+"""Seconds within which a killed process must be gone."""
+
+
+@dataclass(slots=True)
+class Worker(Generic[CellT]):
+    """What the master knows about a worker."""
+
+    place: Place
+    batch: Batch[CellT] | None = None
+    since: float = 0.0
+    task: MPI.Request | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Loss(Generic[CellT]):
+    """A worker that is gone, and the batch that was in its hands, if any."""
+
+    place: Place
+    batch: Batch[CellT] | None
+    reason: str
+    seconds: float
+
+
+class Crew(Generic[CellT]):
+    """All workers of a communicator; rank 0 is the master.
+
+    Parameters
+    ----------
+    comm
+        Communicator of the sweep.
+    options
+        Limits of a batch.
+    fault_tolerant
+        Whether the MPI library goes on when a rank is lost (ULFM).
+    """
+
+    def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:
+        self._comm = comm
+        self._hard_limit = options.hard_limit
+        self._watchdog_limit = options.watchdog_limit
+        self._next_watchdog = 0.0
+        self._fault_tolerant = fault_tolerant
+        self._workers: dict[int, Worker[CellT]] = {}
+        self._idle: deque[int] = deque()
+        self._incoming: list[Incoming] = []
+        self._watch = ProcessWatch()
+        self._known_failed: frozenset[int] = frozenset()
+        self._given_up: set[int] = set()
+        self.expected = set(range(comm.Get_size())) - {MASTER}
+        """Ranks not lost so far, whether they have reported yet or not."""
+
+    @property
+    def broken(self) -> bool:
+        """Whether a rank is lost and the MPI library cannot go on without it."""
+        return not self._fault_tolerant and len(self.expected) < self._comm.Get_size() - 1
+
+    @property
+    def running(self) -> int:
+        """Number of workers that have a batch."""
+        return len(self._workers) - len(self._idle)
+
+    @property
+    def has_idle(self) -> bool:
+        """Whether a worker waits for a batch."""
+        return bool(self._idle)
+
+    def assign(self, batch: Batch[CellT]) -> None:
+        """Hand a batch to a worker that waits for one."""
+        rank = self._idle.popleft()
+        worker = self._workers[rank]
+        worker.batch = batch
+        worker.since = time.monotonic()
+        worker.task = self._send(batch, rank, Tag.TASK)
+
+    def receive(self) -> list[BatchOutcome[CellT, Any]]:
+        """Take in what has arrived: note new workers, return the outcomes."""
+        while (message := self._probe()) is not None:
+            self._incoming.append(message)
+        outcomes: list[BatchOutcome[CellT, Any]] = []
+        on_their_way: list[Incoming] = []
+        for message in self._incoming:
+            try:
+                arrived = message.arrived()
+            except MPI.Exception:
+                continue  # the sender died half-way; it is buried soon
+            if not arrived:
+                on_their_way.append(message)
+            elif message.tag is Tag.HELLO:
+                self._join(message)
+            elif message.source in self._workers:  # else it was given up, and its batch handed out again
+                outcomes.append(self._outcome(message))
+        self._incoming = on_their_way
+        return outcomes
+
+    def lost(self) -> dict[int, str]:
+        """Return the ranks that are lost, each with the reason; they stay in the crew until `bury`."""
+        reasons: dict[int, str] = dict.fromkeys(self._watch.ended(), "its process ended")
+        failed = self._failed()
+        if failed != self._known_failed:
+            self._known_failed = failed
+            acknowledge_failures(self._comm)
+        for rank in failed & self.expected:
+            reasons.setdefault(rank, "MPI reports that its process failed")
+        now = time.monotonic()
+        if self._watchdog_limit is not None and now >= self._next_watchdog:
+            self._next_watchdog = now + WATCHDOG_INTERVAL
+            for rank, worker in self._workers.items():
+                if worker.batch is not None and now - worker.since > self._watchdog_limit:
+                    reasons.setdefault(rank, f"no answer within {self._watchdog_limit:g} s")
+        return reasons
+
+    def bury(self, lost: dict[int, str]) -> list[Loss[CellT]]:
+        """Strike lost workers off, kill those that still run, and return what they leave behind.
+
+        To be called after a `receive` that followed `lost`, so that an outcome sent before the death counts.
+        """
+        losses: list[Loss[CellT]] = []
+        for rank, reason in lost.items():
+            self.expected.discard(rank)
+            worker = self._workers.pop(rank, None)
+            # Without ULFM a kill would end the master as well; the session aborts all ranks instead.
+            gone = rank in self._gone() or (self._fault_tolerant and self._watch.kill(rank))
+            if not gone:
+                self._given_up.add(rank)
+            self._watch.remove(rank)
+            if worker is None:  # it died before it had reported
+                losses.append(Loss(Place(rank, "unknown host"), None, reason, 0.0))
+                continue
+            if worker.batch is None:
+                self._idle.remove(rank)
+            seconds = time.monotonic() - worker.since
+            losses.append(Loss(worker.place, worker.batch, self._explain(reason, seconds), seconds))
+        return losses
+
+    def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
+        """Tell all workers how the sweep ended; return those that don't answer and may still run."""
+        sends = {rank: self._send(end, rank, Tag.STOP) for rank in self.expected}
+        requests = {rank: request for rank, request in sends.items() if request is not None}
+
+        def all_stopped() -> bool:
+            self.receive()  # a worker that joins only now waits to be heard before it listens
+            for rank in [rank for rank, request in requests.items() if self._is_over(request)]:
+                del requests[rank]
+            return requests.keys() <= self._gone()
+
+        if not wait_until(all_stopped, grace) and self._fault_tolerant:
+            for rank in requests:
+                self._watch.kill(rank)
+            wait_until(all_stopped, KILL_PATIENCE)
+        silent = (self._given_up | requests.keys()) - self._gone()
+        for rank in self._workers:
+            self._watch.remove(rank)
+        return frozenset(silent)
+
+    def _explain(self, reason: str, seconds: float) -> str:
+        """Add to the reason of a loss that the worker's own hard stop was due."""
+        if self._hard_limit is None or self._watchdog_limit is None:
+            return reason
+        if self._hard_limit <= seconds < self._watchdog_limit:
+            return f"{reason} at the hard time limit of {self._hard_limit:g} s"
+        return reason
+
+    def _gone(self) -> set[int]:
+        return self._watch.ended() | self._failed()
+
+    def _failed(self) -> frozenset[int]:
+        # Without ULFM there are never any, and many an MPI library does not even have the call.
+        return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
+
+    def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
+        """Begin to send; return None if the receiver has just died, which `lost` will tell."""
+        try:
+            return start_send(self._comm, value, rank, tag)
+        except MPI.Exception as error:
+            self._raise_unless_rank_failed(error)
+            return None
+
+    @staticmethod
+    def _is_over(request: MPI.Request) -> bool:
+        try:
+            return request.Test()
+        except MPI.Exception:
+            return True  # the receiver died
+
+    def _probe(self) -> Incoming | None:
+        try:
+            return start_receive(self._comm, MPI.ANY_SOURCE)
+        except MPI.Exception as error:
+            self._raise_unless_rank_failed(error)
+            acknowledge_failures(self._comm)
+            return None
+
+    def _raise_unless_rank_failed(self, error: MPI.Exception) -> None:
+        classes = (MPI.ERR_PROC_FAILED, MPI.ERR_PROC_FAILED_PENDING)
+        if not self._fault_tolerant or error.Get_error_class() not in classes:
+            raise error
+
+    def _join(self, message: Incoming) -> None:
+        if message.source not in self.expected:
+            return
+        identity: ProcessIdentity = message.value()
+        self._workers[message.source] = Worker(Place(message.source, identity.host))
+        self._idle.append(message.source)
+        self._watch.add(message.source, identity)
+
+    def _outcome(self, message: Incoming) -> BatchOutcome[CellT, Any]:
+        worker = self._workers[message.source]
+        batch, worker.batch = worker.batch, None
+        if batch is None or worker.task is None:
+            raise RuntimeError(f"rank {message.source} sent an outcome without having a batch")
+        worker.task.Wait()  # complete, since the batch has been computed; this only frees the request
+        self._idle.append(message.source)
+        try:
+            outcome: BatchOutcome[CellT, Any] = message.value()
+        except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
+            failure = Failure.from_exception(FailureKind.FAILED, error)
+            return BatchOutcome(batch, worker.place, time.monotonic() - worker.since, failure=failure)
+        return outcome
