@@ -25,7 +25,7 @@ def test_help_does_not_wait_for_numerical_libraries() -> None:
     assert subprocess.run([sys.executable, "-c", program], check=False, env=environment).returncode == 0
 
 
-def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: Workshop) -> None:
+def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop") -> None:
     """`init` writes calcidem.toml, refuses to write it again, and writes the other preset on demand."""
     assert workshop.run("init").code == 0
     text = (workshop.folder / "calcidem.toml").read_text(encoding="utf-8")
@@ -39,7 +39,7 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: Workshop) 
     assert "seeds = 116" in (workshop.folder / "paper.toml").read_text(encoding="utf-8")
 
 
-def test_a_campaign_from_run_to_export(workshop: Workshop) -> None:
+def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
     """`run` reports packing, velocities and paths; `status` and `export` find what it stored."""
     workshop.configure(seeds=2, contents=(0.0, 2.55))
     database = workshop.folder / "elsewhere" / "mine.db"
@@ -61,7 +61,7 @@ def test_a_campaign_from_run_to_export(workshop: Workshop) -> None:
     assert (workshop.folder / "again.nc").exists()
 
 
-def test_the_packing_can_be_made_alone(workshop: Workshop) -> None:
+def test_the_packing_can_be_made_alone(workshop: "Workshop") -> None:
     """`packing` reports on the packing and makes no database."""
     workshop.configure()
     done = workshop.run("packing", "c.toml")
@@ -83,7 +83,7 @@ def test_the_packing_can_be_made_alone(workshop: Workshop) -> None:
     ],
 )
 def test_wrong_arguments_are_refused_without_a_traceback(
-    workshop: Workshop, arguments: tuple[str, ...], code: int, words: str
+    workshop: "Workshop", arguments: tuple[str, ...], code: int, words: str
 ) -> None:
     """What cannot be done is said in one message that names it."""
     workshop.configure()
@@ -93,7 +93,7 @@ def test_wrong_arguments_are_refused_without_a_traceback(
     assert "Traceback" not in refused.errors
 
 
-def test_a_content_over_the_maximum_leaves_no_database(workshop: Workshop) -> None:
+def test_a_content_over_the_maximum_leaves_no_database(workshop: "Workshop") -> None:
     """What only the packing can tell is refused after it is made and before anything else is."""
     table = "frequency = { content = [0.0, 90.0], frequency = [4e3, 25e3] }"
     workshop.configure(contents=(0.0, 60.0), wave=table)
@@ -104,7 +104,7 @@ def test_a_content_over_the_maximum_leaves_no_database(workshop: Workshop) -> No
 
 
 def test_run_in_process_gives_the_campaign(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, expected: dict[tuple[int, float], tuple[object, ...]]
+    workshop: "Workshop", monkeypatch: pytest.MonkeyPatch, expected: dict[tuple[int, float], tuple[object, ...]]
 ) -> None:
     """`calcidem.run` computes without MPI, gives the open campaign, and the same bits as the command."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(workshop.cache))
@@ -115,7 +115,7 @@ def test_run_in_process_gives_the_campaign(
 
 
 @pytest.mark.skipif("CALCIDEM_TEST_INSTALL" not in os.environ, reason="installs for minutes: set CALCIDEM_TEST_INSTALL")
-def test_an_installed_package_needs_no_checkout(workshop: Workshop, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_an_installed_package_needs_no_checkout(workshop: "Workshop", tmp_path_factory: pytest.TempPathFactory) -> None:
     """`pip install .` into an empty environment, outside the checkout: `calcidem init && calcidem run` works."""
     place = tmp_path_factory.mktemp("environment")
     venv.create(place, with_pip=True)

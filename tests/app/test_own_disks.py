@@ -40,7 +40,7 @@ lanes = 2
 
 
 @pytest.fixture
-def own(workshop: Workshop) -> Path:
+def own(workshop: "Workshop") -> Path:
     """Give a folder with a configuration and its disks: a hexagonal lattice of 9 x 12, a little loose."""
     folder = workshop.folder / "own"
     folder.mkdir()
@@ -53,7 +53,7 @@ def own(workshop: Workshop) -> Path:
     return folder
 
 
-def test_own_disks_make_a_campaign(workshop: Workshop, own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_disks_make_a_campaign(workshop: "Workshop", own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command computes on the disks of the file beside the configuration, confirms itself and goes on."""
     results = workshop.folder / "results"
     done = workshop.run("run", "own/c.toml", "--output", "results")

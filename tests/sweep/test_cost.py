@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.mpi
 
 
-def measure(campaign: Campaign, batches: int, seconds: float, ranks: int) -> dict[str, float]:
+def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> dict[str, float]:
     """Return wall and CPU seconds of the master for so many batches."""
     options = ("--batches", str(batches), "--seconds", str(seconds))
     launch = campaign.start(*options, ranks=ranks, program="measure_program.py").wait()
@@ -21,7 +21,7 @@ def measure(campaign: Campaign, batches: int, seconds: float, ranks: int) -> dic
     return measured
 
 
-def test_an_idle_master_sleeps(campaign: Campaign, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_idle_master_sleeps(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
     """While its workers compute, the master uses less than 3 % of a core."""
     measured = measure(campaign, batches=4, seconds=2.0, ranks=3)
     share = measured["cpu"] / measured["wall"]
@@ -32,7 +32,7 @@ def test_an_idle_master_sleeps(campaign: Campaign, capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize("ranks", [2, 4])
 def test_the_dispatch_rate_is_far_above_the_need(
-    campaign: Campaign, ranks: int, capsys: pytest.CaptureFixture[str]
+    campaign: "Campaign", ranks: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Even one worker on a busy machine gets more than 200 empty batches a second; real ones take seconds."""
     measured = measure(campaign, batches=3000, seconds=0.0, ranks=ranks)

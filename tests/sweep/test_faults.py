@@ -18,7 +18,7 @@ BAD_CELL = (5, 2.55)
 LIMITED = ("--time-limit", "0.6", "--seconds", "0.02")
 
 
-def resume_twice(campaign: Campaign, expected: Values, *options: str, ulfm: bool = True) -> None:
+def resume_twice(campaign: "Campaign", expected: "Values", *options: str, ulfm: bool = True) -> None:
     """Run the same command again until it is complete, and once more; compare with an undisturbed run."""
     assert campaign.leaves_no_process()
     for _ in range(2):
@@ -29,7 +29,7 @@ def resume_twice(campaign: Campaign, expected: Values, *options: str, ulfm: bool
 
 
 @pytest.mark.parametrize("fault", ["raise", "exit", "unpicklable"])
-def test_an_exception_on_a_worker_costs_its_cell(campaign: Campaign, expected: Values, fault: str) -> None:
+def test_an_exception_on_a_worker_costs_its_cell(campaign: "Campaign", expected: "Values", fault: str) -> None:
     """The bad cell alone is stored as failed; the run is complete; no worker is lost."""
     launch = campaign.run("--fault", fault)
     assert launch.exit_code == 0, launch.errors
@@ -38,7 +38,7 @@ def test_an_exception_on_a_worker_costs_its_cell(campaign: Campaign, expected: V
     assert campaign.rows("select count(*) from loss") == [(0,)]
 
 
-def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: Campaign) -> None:
+def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: "Campaign") -> None:
     """The four cells that are computed side by side time out together, the rest is done."""
     launch = campaign.run("--fault", "slow", *LIMITED)
     assert launch.exit_code == 0, launch.errors
@@ -51,7 +51,7 @@ def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: Campaign) 
 @pytest.mark.parametrize("moment", ["start", "end"])
 @pytest.mark.parametrize("fault", ["kill", "segfault", "stop", "loop"])
 def test_a_lost_worker_costs_nothing_but_time(
-    campaign: Campaign, expected: Values, tmp_path: Path, fault: str, moment: str
+    campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str, moment: str
 ) -> None:
     """Under ULFM the batch of a lost worker is computed by another one and the run is complete."""
     once = tmp_path / "once"
@@ -65,7 +65,7 @@ def test_a_lost_worker_costs_nothing_but_time(
 
 @pytest.mark.parametrize("moment", ["start", "end"])
 def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
-    campaign: Campaign, expected: Values, tmp_path: Path, moment: str
+    campaign: "Campaign", expected: "Values", tmp_path: Path, moment: str
 ) -> None:
     """After os._exit(1) on a worker the run completes, or mpirun ends it and the same command does."""
     options = ("--fault", "hard-exit", "--moment", moment, "--once", str(tmp_path / "once"), *LIMITED)
@@ -79,7 +79,7 @@ def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
 
 @pytest.mark.parametrize("fault", ["hard-exit", "kill", "segfault", "stop", "loop"])
 def test_a_lost_worker_without_ulfm_ends_the_run(
-    campaign: Campaign, expected: Values, tmp_path: Path, fault: str
+    campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str
 ) -> None:
     """Without ULFM the run ends as resumable, the loss is counted, and the same command completes it."""
     options = ("--fault", fault, "--once", str(tmp_path / "once"), *LIMITED)
@@ -91,7 +91,7 @@ def test_a_lost_worker_without_ulfm_ends_the_run(
 
 
 @pytest.mark.parametrize("fault", ["kill", "loop"])
-def test_a_cell_that_kills_three_workers_is_quarantined(campaign: Campaign, expected: Values, fault: str) -> None:
+def test_a_cell_that_kills_three_workers_is_quarantined(campaign: "Campaign", expected: "Values", fault: str) -> None:
     """The deadly cell costs three workers and is stored with the reason; all other cells are done."""
     launch = campaign.run("--fault", fault, *LIMITED, ranks=5)
     assert launch.exit_code == 0, launch.errors
@@ -104,7 +104,7 @@ def test_a_cell_that_kills_three_workers_is_quarantined(campaign: Campaign, expe
     assert campaign.values() == {cell: value for cell, value in expected.items() if cell != BAD_CELL}
 
 
-def test_losses_count_over_restarts(campaign: Campaign, expected: Values) -> None:
+def test_losses_count_over_restarts(campaign: "Campaign", expected: "Values") -> None:
     """With two workers the deadly cell takes down the whole crew, twice at most; then it is quarantined."""
     launch = campaign.run("--fault", "kill", *LIMITED, ranks=3)
     assert (launch.exit_code, launch.noted_exit_code) == (75, 75), launch.errors
@@ -118,7 +118,7 @@ def test_losses_count_over_restarts(campaign: Campaign, expected: Values) -> Non
 @pytest.mark.parametrize("moment", ["before", "while", "after"])
 @pytest.mark.parametrize("fault", ["kill", "segfault", "raise"])
 def test_a_lost_master_loses_nothing_acknowledged(
-    campaign: Campaign, expected: Values, fault: str, moment: str
+    campaign: "Campaign", expected: "Values", fault: str, moment: str
 ) -> None:
     """Whatever ends the master around a commit: no process is left, and the same command completes the run."""
     launch = campaign.run("--die", f"{fault}-{moment}", "--seconds", "0.05")
@@ -130,7 +130,7 @@ def test_a_lost_master_loses_nothing_acknowledged(
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
-def test_no_rank_outlives_mpirun(campaign: Campaign, expected: Values, number: signal.Signals, ulfm: bool) -> None:
+def test_no_rank_outlives_mpirun(campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool) -> None:
     """When mpirun itself is killed all ranks are gone at once, and what they had told of is stored."""
     launch = campaign.start("--seconds", "0.1", ulfm=ulfm)
     launch.wait_for_line("stored")

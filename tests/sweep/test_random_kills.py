@@ -14,7 +14,7 @@ pytestmark = pytest.mark.mpi
 KILLS = 20
 
 
-def test_random_kills_lose_nothing_acknowledged(campaign: Campaign, capsys: pytest.CaptureFixture[str]) -> None:
+def test_random_kills_lose_nothing_acknowledged(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
     """After each of 20 kills of a random rank or of mpirun, all cells told of as stored are in the database."""
     random_numbers = random.Random(2026)
     acknowledged: set[tuple[int, float]] = set()

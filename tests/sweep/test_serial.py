@@ -11,6 +11,9 @@ import pytest
 
 from calcidem.sweep import Batch, FailureKind, SweepOptions, SweepState, plan_batches, run_sweep
 
+if TYPE_CHECKING:
+    from conftest import MemorySink
+
 
 def square(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
     """Compute something cheap."""
@@ -168,9 +171,6 @@ def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
     program = """
 import os, signal, threading, time
 from calcidem.sweep import Batch, run_sweep
-
-if TYPE_CHECKING:
-    from conftest import MemorySink
 
 class Sink:
     def store(self, outcomes): pass

@@ -32,14 +32,14 @@ def test_a_program_alone_ends_with_its_exit_code(code: int) -> None:
 
 @pytest.mark.mpi
 @ULFM
-def test_a_broadcast_value_arrives_on_all_ranks(campaign: Campaign, ulfm: bool) -> None:
+def test_a_broadcast_value_arrives_on_all_ranks(campaign: "Campaign", ulfm: bool) -> None:
     """3 MB from rank 0 arrive unchanged everywhere."""
     launch = campaign.start("broadcast", ranks=4, ulfm=ulfm, program="session_program.py").wait()
     assert launch.exit_code == 0, launch.errors
 
 
 @pytest.mark.mpi
-def test_one_rank_of_a_node_acts_for_all(campaign: Campaign) -> None:
+def test_one_rank_of_a_node_acts_for_all(campaign: "Campaign") -> None:
     """An action that is needed once for each node is done once on this one."""
     launch = campaign.start("once", ranks=4, program="session_program.py").wait()
     assert launch.output == "once\n"
@@ -47,7 +47,7 @@ def test_one_rank_of_a_node_acts_for_all(campaign: Campaign) -> None:
 
 @pytest.mark.mpi
 @ULFM
-def test_an_exception_on_one_rank_ends_all(campaign: Campaign, ulfm: bool) -> None:
+def test_an_exception_on_one_rank_ends_all(campaign: "Campaign", ulfm: bool) -> None:
     """An error of one rank while the others wait ends the program with 1, its traceback and no process left."""
     launch = campaign.start("raise", ranks=3, ulfm=ulfm, program="session_program.py").wait()
     assert launch.exit_code == 1
@@ -56,7 +56,7 @@ def test_an_exception_on_one_rank_ends_all(campaign: Campaign, ulfm: bool) -> No
 
 
 @pytest.mark.mpi
-def test_ranks_sleep_while_they_wait_for_rank_0(campaign: Campaign) -> None:
+def test_ranks_sleep_while_they_wait_for_rank_0(campaign: "Campaign") -> None:
     """Waiting 2 s for a broadcast costs less than 0.2 s of CPU time; a blocking one would cost all of it."""
     launch = campaign.start("wait", ranks=3, program="session_program.py").wait()
     assert max(float(line) for line in launch.output.splitlines()) < 0.2

@@ -14,7 +14,7 @@ BATCH = 0.5
 
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
-def test_sigusr1_finishes_what_runs(campaign: Campaign, expected: Values, ulfm: bool) -> None:
+def test_sigusr1_finishes_what_runs(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """SIGUSR1 to mpirun: the running batches are stored too, exit code 75, and the run can be completed."""
     launch = campaign.start("--seconds", str(BATCH), ulfm=ulfm)
     launch.wait_for_line("stored (3, 9.0)")
@@ -30,7 +30,7 @@ def test_sigusr1_finishes_what_runs(campaign: Campaign, expected: Values, ulfm: 
 
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
-def test_sigusr2_drops_what_runs(campaign: Campaign, expected: Values, ulfm: bool) -> None:
+def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """SIGUSR2 to mpirun: the end comes long before the running batches would be done, with 75."""
     launch = campaign.start("--seconds", "5", "--seeds", "4", ulfm=ulfm)
     time.sleep(2.0)
@@ -48,7 +48,7 @@ def test_sigusr2_drops_what_runs(campaign: Campaign, expected: Values, ulfm: boo
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_terminated_mpirun_ends_quickly(
-    campaign: Campaign, expected: Values, number: signal.Signals, ulfm: bool
+    campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool
 ) -> None:
     """SIGTERM and SIGINT to mpirun: it gives its ranks 0.25 s; nothing told of is lost, no cell is blamed."""
     launch = campaign.start("--seconds", str(BATCH), ulfm=ulfm)

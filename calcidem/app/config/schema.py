@@ -93,7 +93,8 @@ class PackingDraw:
     seed
         Of the random sizes and positions.
     file
-        CSV file with disks that are taken instead (`calcidem.dem.sample.packing_file`), relative to the configuration's.
+        CSV file with disks that are taken instead (`calcidem.dem.sample.packing_file`); its path as seen from the
+        configuration's.
     file_sha256
         Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
     """
