@@ -1,0 +1,45 @@
+"""List names that more than one module of the package defines: one concept has one name, and one name one concept.
+
+Counted are functions, classes and constants at the top of a module, with or without an underscore before them. Left out
+are `__all__`, type variables and what alembic asks every migration to define. `tests/test_dialect.py` runs this.
+"""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "calcidem"
+ALEMBIC = {"revision", "down_revision", "upgrade"}
+
+REASONS: dict[str, str] = {}
+"""Names that may stand in several modules, and why."""
+
+
+def defined_names(source: str) -> Iterator[str]:
+    """Names of the functions, classes and constants at the top of a module."""
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            if isinstance(node.value, ast.Call) and ast.unparse(node.value.func).endswith("TypeVar"):
+                continue
+            for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+                yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
+
+
+def duplicate_names(package: Path = PACKAGE) -> dict[str, list[str]]:
+    """Modules of each name that stands in several, without leading underscores."""
+    modules = defaultdict(set)
+    for path in package.rglob("*.py"):
+        for name in defined_names(path.read_text(encoding="utf-8")):
+            if name != "__all__" and not (name in ALEMBIC and "migrations" in path.parts):
+                modules[name.lstrip("_")].add(str(path.relative_to(package)))
+    return {name: sorted(where) for name, where in sorted(modules.items()) if len(where) > 1}
+
+
+if __name__ == "__main__":
+    found = duplicate_names()
+    for name, where in found.items():
+        print(f"{name}: {', '.join(where)}{'; ' + REASONS[name] if name in REASONS else ''}")
+    print(f"{len(found)} names in more than one module")
