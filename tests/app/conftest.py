@@ -1,6 +1,7 @@
 """Shared by the tests of the application: small real campaigns, run by the real command."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -13,9 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from calcidem.app.config.reader import load_configuration
 from calcidem.storage.campaign import open_campaign
 
 CHECKOUT = Path(__file__).parents[2]
+SMALL_PACKING = CHECKOUT / "tests" / "assets" / "small_packing.npz"
 
 PATIENCE = 120.0
 """Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""
@@ -28,7 +31,7 @@ contents = {contents}
 [packing]
 width = 0.03
 height = 0.06
-balance = 1e-5
+unbalanced_force_ratio = 1e-5
 [sand]
 wave_stiffness_factor = 4.7
 [wave]
@@ -173,8 +176,13 @@ def _toml(value: object) -> str:
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a cache folder in which the small packing is kept once the first test has made it."""
-    return tmp_path_factory.mktemp("cache")
+    """Give a cache folder that holds the small packing, so that every run computes on the same disks."""
+    folder = tmp_path_factory.mktemp("cache")
+    configuration = folder / "c.toml"
+    configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave=""), encoding="utf-8")
+    packing_hash = load_configuration(configuration).packing_hash
+    shutil.copy(SMALL_PACKING, folder / f"packing-{packing_hash[:32]}.npz")
+    return folder
 
 
 @pytest.fixture(scope="session")
