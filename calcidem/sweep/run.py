@@ -2,9 +2,7 @@
 
 from collections.abc import Iterable
 from contextlib import nullcontext
-from typing import TypeVar
-
-from mpi4py import MPI
+from typing import TYPE_CHECKING, TypeVar
 
 from calcidem.sweep.attempt import Compute
 from calcidem.sweep.batch import Batch, CellT
@@ -18,11 +16,16 @@ from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sink import Sink
 from calcidem.sweep.sweep_end import SweepEnd
 
+if TYPE_CHECKING:
+    from mpi4py import (
+        MPI,
+    )  # not at run time: that loads and initializes an MPI library, which a serial run must not need
+
 ResultT = TypeVar("ResultT")
 
 
 def run_sweep(
-    comm: MPI.Comm | None,
+    comm: "MPI.Comm | None",
     batches: Iterable[Batch[CellT]],
     compute: Compute[CellT, ResultT],
     sink: Sink | None,

@@ -8,9 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import NoReturn, Self, TypeVar
-
-from mpi4py import MPI
+from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher
 from calcidem.sweep.errors import MasterLostError
@@ -18,6 +16,11 @@ from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
 from calcidem.sweep.sweep_end import SweepEnd
+
+if TYPE_CHECKING:
+    from mpi4py import (
+        MPI,
+    )  # not at run time: that loads and initializes an MPI library, which a serial run must not need
 
 ValueT = TypeVar("ValueT")
 
@@ -56,7 +59,7 @@ class Session:
     """
 
     def __init__(self) -> None:
-        self.comm: MPI.Comm | None = None
+        self.comm: "MPI.Comm | None" = None
         self.rank = 0
         self.size = 1
         self.stop_request = StopRequest(end_at_once=self._abort_mpi)
@@ -184,7 +187,7 @@ class Session:
         """Tell whether all other ranks end within half a second."""
         from calcidem.sweep.protocol import failed_ranks, wait_until  # noqa: PLC0415 - as above
 
-        def all_failed(comm: MPI.Comm) -> bool:
+        def all_failed(comm: "MPI.Comm") -> bool:
             comm.Iprobe(self.rank)  # MPI takes note of failures only while it is at work
             return len(failed_ranks(comm)) == self.size - 1
 
