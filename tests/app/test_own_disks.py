@@ -28,7 +28,7 @@ contents = [0.66]
 [packing]
 file = "disks.csv"
 width = 0.021
-balance = 1e-3
+unbalanced_force_ratio = 1e-3
 {packing}
 [wave]
 transmitter_half_width = 0.004

@@ -15,7 +15,7 @@ from calcidem.app.config.packing_checks import check_against_packing
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
 
-TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, balance=1e-3))
+TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))
 """Some 60 disks, made in less than a second."""
 
 

@@ -13,7 +13,7 @@ BASE = """
 [packing]
 width = 0.03
 height = 0.06
-balance = 1e-5
+unbalanced_force_ratio = 1e-5
 [sand]
 wave_stiffness_factor = 13.0
 [pattern]

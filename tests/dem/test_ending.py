@@ -11,7 +11,7 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.sample.packing import Packing, PackingRule, box_walls, make_packing
 from calcidem.dem.sample.settling import SettlingError, settled
 
-RULE = PackingRule(width=0.02, height=0.02, balance=1e-3)
+RULE = PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3)
 
 
 class EndedError(Exception):
@@ -52,6 +52,6 @@ def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
     scene = Scene(packing.x, packing.y, packing.radius, Sand(), walls, damping=RULE.damping)
     state = start(scene, preload=packing.preload)
     with pytest.raises(SettlingError):
-        settled(state, balance=1e-15, most_steps=1000)
+        settled(state, unbalanced_force_ratio=1e-15, most_steps=1000)
     with pytest.raises(EndedError):
-        settled(state, balance=1e-15, most_steps=1000, check=Check(2))
+        settled(state, unbalanced_force_ratio=1e-15, most_steps=1000, check=Check(2))

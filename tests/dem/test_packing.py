@@ -47,10 +47,10 @@ def rebuilt(packing: Packing, rule: PackingRule) -> State:
 
 def test_a_packing_is_at_rest(small: Packing) -> None:
     """Unbalanced forces are a millionth of the contact forces, in the report and when the scene is built again."""
-    assert small.report.unbalanced_ratio < SMALL.balance
+    assert small.report.unbalanced_ratio < SMALL.unbalanced_force_ratio
     state = rebuilt(small, SMALL)
     # The lid's position is rounded to the box height, the histories to the step before: both below the limit itself.
-    assert unbalanced_ratio(state) < 3.0 * SMALL.balance
+    assert unbalanced_ratio(state) < 3.0 * SMALL.unbalanced_force_ratio
     weight = contact_forces(state).normal.mean()
     assert np.abs(net_forces(state)[:, :2]).max() < 1e-3 * weight
 

@@ -83,7 +83,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: PackingRule(friction_preparation=-0.1), "friction_preparation", "-0.1", "0 or more"),
     (lambda: PackingRule(stress=0.0), "stress", "0.0", "positive"),
     (lambda: PackingRule(damping=1.0), "damping", "1.0", "(0, 1)"),
-    (lambda: PackingRule(balance=0.1), "balance", "0.1", "(0, 1e-3]"),
+    (lambda: PackingRule(unbalanced_force_ratio=0.1), "unbalanced_force_ratio", "0.1", "(0, 1e-3]"),
     (lambda: PackingRule(most_steps=0), "most_steps", "0", "positive"),
 ]
 

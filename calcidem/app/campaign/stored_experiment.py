@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
+from calcidem.app.config.schema import FORMER_KEYS
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
@@ -60,5 +61,6 @@ def experiment_of(physics: Mapping[str, Any], packing: Packing) -> Experiment:
 def part(kind: type[T], section: Mapping[str, Any]) -> T:
     """Return the dataclass whose fields are among the keys of a section."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]  # every caller's kind is a dataclass
-    values = {name: section[name] for name in names if name in section}
+    keys = {name: key for key, name in FORMER_KEYS.items()}
+    values = {name: section[keys.get(name, name)] for name in names if keys.get(name, name) in section}
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})

@@ -70,7 +70,7 @@ def measure_accuracy(
 
 def balanced(configuration: Configuration, balance: float) -> Packing:
     """The campaign's packing, left at another unbalanced-force ratio."""
-    changed = replace(configuration, packing=replace(configuration.packing, balance=balance))
+    changed = replace(configuration, packing=replace(configuration.packing, unbalanced_force_ratio=balance))
     return provide_packing(changed, None, tell)
 
 

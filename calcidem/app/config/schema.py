@@ -32,6 +32,10 @@ PHYSICS_VERSION = 1
 """To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
 
 
+FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
+"""Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
     """Section ``[campaign]``: which cells are computed.
@@ -335,5 +339,9 @@ class Configuration:
 
 
 def plain(section: "DataclassInstance") -> dict[str, Any]:
-    """Dataclass as a mapping of what JSON knows."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}
+    """Dataclass as a mapping of what JSON knows, with the keys that stored configurations have."""
+    keys = {name: key for key, name in FORMER_KEYS.items()}
+    return {
+        keys.get(name, name): list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(section).items()
+    }

@@ -46,7 +46,7 @@ class PackingRule:
         Vertical stress on the lid, Pa.
     damping
         Local damping factor while packing.
-    balance
+    unbalanced_force_ratio
         Unbalanced-force ratio at which the packing is at rest.
     most_steps
         Time steps after which it is given up.
@@ -60,7 +60,7 @@ class PackingRule:
     friction_preparation: float = 0.2
     stress: float = 5.0e3
     damping: float = 0.7
-    balance: float = 1.0e-6
+    unbalanced_force_ratio: float = 1.0e-6
     most_steps: int = 2_000_000
 
     def __post_init__(self) -> None:
@@ -86,7 +86,9 @@ class PackingRule:
             self.damping,
             "give a factor in (0, 1): without it nothing comes to rest",
         )
-        require(0.0 < self.balance <= 1e-3, "balance", self.balance, "give a ratio in (0, 1e-3]")  # noqa: PLR2004 - above it is no equilibrium
+        ratio = self.unbalanced_force_ratio
+        at_rest = 0.0 < ratio <= 1e-3  # noqa: PLR2004 - above it is no equilibrium
+        require(at_rest, "unbalanced_force_ratio", ratio, "give a ratio in (0, 1e-3]")
         require(self.most_steps > 0, "most_steps", self.most_steps, "give a positive number")
 
 
@@ -273,12 +275,14 @@ def relax(
         if not np.isfinite(ratio) or cost.steps > rule.most_steps:
             raise PackingError(
                 f"the packing is not at rest after {cost.steps} steps (unbalanced ratio {ratio:.2g}): "
-                "raise packing.most_steps, packing.damping or packing.balance"
+                "raise packing.most_steps, packing.damping or packing.unbalanced_force_ratio"
             )
         if filling:
             if ratio < FILLING_BALANCE or overlaps(state).max(initial=0.0) < FILLING_OVERLAP * scene.radius.min():
                 return state
-        elif ratio < rule.balance and abs(lid_stress(state, rule) / rule.stress - 1.0) < STRESS_TOLERANCE:
+        elif (
+            ratio < rule.unbalanced_force_ratio and abs(lid_stress(state, rule) / rule.stress - 1.0) < STRESS_TOLERANCE
+        ):
             return state
 
 

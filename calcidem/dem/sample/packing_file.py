@@ -46,7 +46,7 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[
     sand
         Material; its friction is replaced by the rule's one of preparation while the disks come to rest.
     rule
-        Width, stress, damping and balance are taken from it; its sizes and porosity are the file's business.
+        Its width, stress, damping and unbalanced-force ratio count; sizes and porosity are the file's business.
     check
         Called every fraction of a second; may raise to end the work.
 

@@ -16,7 +16,9 @@ class SettlingError(RuntimeError):
     """A cemented sample did not come to rest."""
 
 
-def settled(state: State, balance: float, most_steps: int, check: Callable[[], None] = lambda: None) -> State:
+def settled(
+    state: State, unbalanced_force_ratio: float, most_steps: int, check: Callable[[], None] = lambda: None
+) -> State:
     """State in which every lane is at rest under the lid's servo; steps are counted from zero again.
 
     A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
@@ -26,8 +28,8 @@ def settled(state: State, balance: float, most_steps: int, check: Callable[[], N
     ----------
     state
         Just started.
-    balance
-        Unbalanced-force ratio to reach.
+    unbalanced_force_ratio
+        To reach.
     most_steps
         Steps after which it is given up.
     check
@@ -53,13 +55,13 @@ def settled(state: State, balance: float, most_steps: int, check: Callable[[], N
         if current.steps >= most_steps:
             raise SettlingError(
                 f"a cemented sample is not at rest after {most_steps} steps: "
-                "raise wave.most_settling_steps or wave.balance"
+                "raise wave.most_settling_steps or wave.unbalanced_force_ratio"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
         current = carried_on(current, CHUNK, no_recording(current))
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
-            open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < balance
+            open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio
     current.motion.velocity[...] = 0.0
     current.assembly.walls.motion[:, 2:] = 0.0
     assembly = replace(current.assembly, grains=grains)

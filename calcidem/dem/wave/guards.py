@@ -124,7 +124,7 @@ def unrest(state: State, amplitude: float) -> Floats:
         "amplitude",
         amplitude,
         f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than {RESTLESS:g} of "
-        'the pulse: choose a stronger pulse, regime = "linear", or a smaller packing.balance',
+        'the pulse: choose a stronger pulse, regime = "linear", or a smaller packing.unbalanced_force_ratio',
     )
     return speed / amplitude
 

@@ -230,7 +230,7 @@ def prepared(
         skin_fraction=wave_skin(packing, rule, frequency),
     )
     if bonds is not None and installation != "preserve":
-        state = settled(state, rule.balance, rule.most_settling_steps, check)
+        state = settled(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     restless = unrest(state, rule.amplitude)
     longest_step = float(state.time_step.max())
     require(

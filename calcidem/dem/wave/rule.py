@@ -43,7 +43,7 @@ class WaveRule:
         Slowest velocity that is waited for, m/s.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
-    balance, most_settling_steps
+    unbalanced_force_ratio, most_settling_steps
         Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
     keep
         Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`, and
@@ -63,7 +63,7 @@ class WaveRule:
     samples_per_period: int = 100
     slowest: float = 60.0
     listening_depth: float = 0.01
-    balance: float = 1.0e-6
+    unbalanced_force_ratio: float = 1.0e-6
     most_settling_steps: int = 2_000_000
     keep: tuple[str, ...] = ()
 

@@ -52,7 +52,9 @@ class Packed:
 
 def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
-    rule = PackingRule(width=WIDTH, height=HEIGHT, stress=stress, friction_preparation=friction, balance=BALANCE)
+    rule = PackingRule(
+        width=WIDTH, height=HEIGHT, stress=stress, friction_preparation=friction, unbalanced_force_ratio=BALANCE
+    )
     return make_packing(rule, Sand(), np.random.default_rng(seed))
 
 

@@ -28,7 +28,7 @@ contents = [0.45, 0.66]
 [packing]
 width = 0.03
 height = 0.06
-balance = 1e-5
+unbalanced_force_ratio = 1e-5
 [sand]
 wave_stiffness_factor = 13.0
 [wave]
