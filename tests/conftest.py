@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.packing_archive import from_bytes
-from calcidem.app.campaign.packing_record import packing_record
+from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration
 from calcidem.app.report import write_report
@@ -32,7 +31,7 @@ It is a file because packing is chaotic: no test may hang on what one draw gives
 @pytest.fixture(scope="session")
 def small_packing() -> Packing:
     """Give a packing of 280 disks, the same bits on every machine."""
-    return from_bytes(SMALL_PACKING.read_bytes())
+    return packing_from_bytes(SMALL_PACKING.read_bytes())
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,7 @@ sys.path.insert(0, str(HERE.parent / "peers"))
 
 from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_pairs, with_time_step
 
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import Precision, choose_features, no_recording, run_sweep, start

@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
 
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.comparison import sample_times
 from calcidem.app.studies.accuracy.settings import with_wave

@@ -21,7 +21,7 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.csgraph import connected_components
 
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import State, choose_features, start

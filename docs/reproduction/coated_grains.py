@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.normality import skewness
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.wave.experiment import Experiment

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from calcidem.analysis.sensitivity import variance_parts
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.wave.experiment import Experiment

@@ -9,7 +9,7 @@ import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import features_record, packing_graph
-from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.packing import stored_packing
 from calcidem.storage.campaign import open_campaign
 from calcidem.storage.records import CementPattern
 

@@ -8,7 +8,7 @@ import xarray as xr
 
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.campaign.stored_experiment import experiment_of
 from calcidem.app.studies.frequency_and_damping import damping_study, frequency_study, pulse_frequency
 from calcidem.dem.wave.experiment import Experiment

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.campaign.run import run
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration

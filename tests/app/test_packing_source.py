@@ -8,10 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.app.campaign.packing_archive import DamagedPackingError, from_bytes, to_bytes
-from calcidem.app.campaign.packing_record import packing_record, stored_packing
-from calcidem.app.campaign.packing_source import cache_folder, provide_packing
-from calcidem.app.config.packing_checks import check_against_packing
+from calcidem.app.campaign.packing import (
+    DamagedPackingError,
+    cache_folder,
+    packing_from_bytes,
+    packing_record,
+    packing_to_bytes,
+    provide_packing,
+    stored_packing,
+)
+from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
 
@@ -36,12 +42,12 @@ def packing(tmp_path_factory: pytest.TempPathFactory) -> Packing:
 
 def same_bits(first: Packing, second: Packing) -> bool:
     """Tell whether two packings are equal to the last bit."""
-    return to_bytes(first) == to_bytes(second)
+    return packing_to_bytes(first) == packing_to_bytes(second)
 
 
 def test_an_archive_gives_the_same_bits_back(packing: Packing) -> None:
     """Positions, radii, size, shear forces and report survive the way into bytes and back."""
-    restored = from_bytes(to_bytes(packing))
+    restored = packing_from_bytes(packing_to_bytes(packing))
     for name in ("x", "y", "radius", "width", "height"):
         assert np.array_equal(getattr(restored, name), getattr(packing, name))
     assert np.array_equal(restored.preload.pairs, packing.preload.pairs)
@@ -61,7 +67,7 @@ def test_a_record_gives_the_same_bits_back(packing: Packing) -> None:
 @given(st.data())
 def test_every_damage_of_an_archive_is_noticed(packing: Packing, data: st.DataObject) -> None:
     """Whichever byte is changed, or wherever it is cut off, an archive is refused."""
-    archive = bytearray(to_bytes(packing))
+    archive = bytearray(packing_to_bytes(packing))
     place = data.draw(st.integers(0, len(archive) - 1))
     if data.draw(st.booleans()):
         damaged = bytes(archive[:place])
@@ -69,7 +75,7 @@ def test_every_damage_of_an_archive_is_noticed(packing: Packing, data: st.DataOb
         archive[place] ^= data.draw(st.integers(1, 255))
         damaged = bytes(archive)
     with pytest.raises(DamagedPackingError):
-        from_bytes(damaged)
+        packing_from_bytes(damaged)
 
 
 def test_a_packing_is_made_once(told: list[str], packing: Packing) -> None:
@@ -108,7 +114,7 @@ def test_a_damaged_cache_is_said_and_repaired(told: list[str], packing: Packing,
     assert f"{path} is damaged" in told[1]
     assert same_bits(replace(made, report=packing.report), packing)
     if path.is_file():
-        assert same_bits(from_bytes(path.read_bytes()), made)
+        assert same_bits(packing_from_bytes(path.read_bytes()), made)
 
 
 def test_a_cache_that_cannot_be_written_costs_only_time(

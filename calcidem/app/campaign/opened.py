@@ -13,8 +13,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import NOT_COMPUTED
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.packing_archive import DamagedPackingError
-from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
 from calcidem.app.campaign.stored_experiment import experiment_of
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.sample.cement import CementKind

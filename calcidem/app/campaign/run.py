@@ -8,12 +8,11 @@ from types import TracebackType
 from typing import Self
 
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.campaign.packing_record import packing_record
-from calcidem.app.campaign.packing_source import Tell, provide_packing
+from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.provenance import run_record
 from calcidem.app.campaign.store_sink import Heartbeat, StoreSink
 from calcidem.app.campaign.task import cell_computation, expected_effort
-from calcidem.app.config.packing_checks import check_against_packing
+from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CampaignRecord

@@ -9,7 +9,7 @@ import numpy as np
 
 from calcidem.analysis.packing_graph import packing_graph
 from calcidem.app.campaign.graph_summary import with_graph
-from calcidem.app.campaign.packing_record import packing_record
+from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Integers
 from calcidem.dem.sample.packing import Packing

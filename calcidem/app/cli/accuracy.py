@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.command import Task, accuracy, chosen_settings, share

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import PARAMETERS, Calibration, calibrate, calibrated_text
 

@@ -8,7 +8,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from calcidem.app.campaign.packing_source import provide_packing
+from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.cli.run_campaign import make_console
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.measured import MeasuredErrors, measured_errors

@@ -108,7 +108,7 @@ def run(
 @app.command()
 def packing(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
     """Make the packing of a campaign, keep it in the cache, and report on it."""
-    from calcidem.app.campaign.packing_source import provide_packing
+    from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.summary import packing_lines
     from calcidem.app.config.reader import load_configuration
 

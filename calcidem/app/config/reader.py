@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from calcidem.app.campaign.own_disks import take_own_disks
 from calcidem.app.config.checks import cross_check
-from calcidem.app.config.errors import ConfigurationError, Problem, in_words, shown
+from calcidem.app.config.errors import ConfigurationError, Problem, describe_error, format_value
+from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
     Bonding,
     Calibration,
@@ -103,13 +103,13 @@ def read_configuration(
     ConfigurationError
         With everything that is wrong.
     """
-    problems = [unknown(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
+    problems = [unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
     parts: dict[str, Any] = {}
     for name, types in SECTIONS.items():
         values = document.get(name, {})
         if not isinstance(values, Mapping):
             cure = f"write [{name}] and its keys below it"
-            problems.append(Problem(f"{name} = {shown(values)}: is not a section; {cure}", (name,)))
+            problems.append(Problem(f"{name} = {format_value(values)}: is not a section; {cure}", (name,)))
             values = {}
         problems += read_section(name, values, types, parts)
         if name == "packing":
@@ -143,7 +143,7 @@ def read_section(
     good: dict[str, Any] = {}
     for key, value in values.items():
         if key not in owner:
-            problems.append(unknown(key, f"key of [{section}]", list(owner), section))
+            problems.append(unknown_name(key, f"key of [{section}]", list(owner), section))
             continue
         good |= read_value(section, key, value, owner[key], problems)
     for attribute, kind in types.items():
@@ -165,11 +165,11 @@ def read_value(
         problems += [Problem(problem.message, (place, *problem.fields)) for problem in wrong]
         return {} if wrong else found
     try:
-        return {key: TypeAdapter(hint, config=STRICT).validate_python(listed(value))}
+        return {key: TypeAdapter(hint, config=STRICT).validate_python(freeze_lists(value))}
     except ValidationError as error:
         cure = next(field for field in fields(kind) if field.name == key).metadata.get("cure")
-        words = cure or "; ".join(in_words(detail) for detail in error.errors())
-        problems.append(Problem(f"{place} = {shown(value)}: {words}", (place,)))
+        words = cure or "; ".join(describe_error(detail) for detail in error.errors())
+        problems.append(Problem(f"{place} = {format_value(value)}: {words}", (place,)))
         return {}
 
 
@@ -192,7 +192,7 @@ def build(
     return None
 
 
-def unknown(name: str, what: str, known: list[str], section: str = "") -> Problem:
+def unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
     """Problem of a name that is not known, with the one that may be meant."""
     place = f"{section}.{name}" if section else name
     other = TAKEN_FROM_ELSEWHERE.get(place)
@@ -206,6 +206,6 @@ def unknown(name: str, what: str, known: list[str], section: str = "") -> Proble
     return Problem(f"{place}: unknown {what}; {cure}", (place,))
 
 
-def listed(value: object) -> object:
+def freeze_lists(value: object) -> object:
     """Lists as tuples, all the way down: what is frozen stays as it is."""
-    return tuple(listed(item) for item in value) if isinstance(value, list) else value
+    return tuple(freeze_lists(item) for item in value) if isinstance(value, list) else value

@@ -12,7 +12,7 @@ from pathlib import Path
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
-from calcidem.app.campaign.packing_source import CACHE_VARIABLE, cache_folder
+from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.doctor.finding import Finding, Verdict
 from calcidem.app.doctor.mpi import mpi_findings

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import xarray as xr
 
-from calcidem.app.campaign.packing_record import stored_packing
+from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.campaign.stored_experiment import experiment_of
 from calcidem.app.studies.frequency_and_damping import damping_study, frequency_study
 from calcidem.storage.campaign import open_campaign
