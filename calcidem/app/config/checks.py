@@ -1,26 +1,35 @@
-"""What no section can know alone: whether the parts of a configuration fit together."""
+"""What no section can know alone: whether the parts of a configuration fit together, and fit its packing."""
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.errors import Problem, shown
+from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.domain import listening_disks
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import wave_scene
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import parse_address
 
+SEEDS_ASKED_FIRST = 8
+
+SAFE_PART = 0.8
+"""Part of the largest content of these seeds that every other seed surely holds."""
+
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """Everything that does not fit together."""
-    checks = (cement_in_disks, bands_in_sample, installation_in_regime, frequencies, files)
+    checks = (check_cement, check_bands, check_installation, check_frequencies, check_files)
     return [problem for check in checks for problem in check(configuration)]
 
 
-def cement_in_disks(configuration: Configuration) -> Iterator[Problem]:
+def check_cement(configuration: Configuration) -> Iterator[Problem]:
     """No cement is wider than the disks it holds together, no cluster larger than the box."""
     smallest = configuration.packing.diameter[0]
     for name in ("p_diameter", "c_diameter"):
@@ -40,7 +49,7 @@ def cement_in_disks(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def bands_in_sample(configuration: Configuration) -> Iterator[Problem]:
+def check_bands(configuration: Configuration) -> Iterator[Problem]:
     """Transmitter, receiver and damped layers fit into the sample."""
     half = configuration.packing.height / 2.0
     for name in ("transmitter_half_width", "receiver_half_width", "boundary_thickness"):
@@ -60,7 +69,7 @@ def bands_in_sample(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def installation_in_regime(configuration: Configuration) -> Iterator[Problem]:
+def check_installation(configuration: Configuration) -> Iterator[Problem]:
     """Bonds that change the contact forces need a regime in which contacts follow them."""
     installation = configuration.bonding.installation
     if installation != "preserve" and configuration.wave.regime == "linear":
@@ -77,14 +86,14 @@ def installation_in_regime(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def frequencies(configuration: Configuration) -> Iterator[Problem]:
+def check_frequencies(configuration: Configuration) -> Iterator[Problem]:
     """Every content has a frequency, and one that grains pass on."""
     table = configuration.excitation.table
     contents = configuration.campaign.contents
     outside = [content for content in contents if not table.covers(content)]
     if outside:
         yield Problem(
-            f"campaign.contents = {shown(outside)}: the excitation frequencies are known from {table.content[0]:g} to "
+            f"campaign.contents = {quote(outside)}: the excitation frequencies are known from {table.content[0]:g} to "
             f"{table.content[-1]:g} % only; give wave.frequency for these contents",
             ("campaign.contents", "wave.frequency"),
         )
@@ -122,32 +131,32 @@ def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     return float(cutoff_frequency(velocity, diameter))
 
 
-def files(configuration: Configuration) -> Iterator[Problem]:
+def check_files(configuration: Configuration) -> Iterator[Problem]:
     """Results can be written where they are wanted."""
     output = configuration.output
     if output.exists() and not output.is_dir():
-        yield Problem(f"run.output = {shown(str(output))}: is a file; give the name of a folder", ("run.output",))
+        yield Problem(f"run.output = {quote(str(output))}: is a file; give the name of a folder", ("run.output",))
     elif not can_make_files(output):
         cure = "give a folder in which you may write"
-        yield Problem(f"run.output = {shown(str(output))}: nothing can be written there; {cure}", ("run.output",))
+        yield Problem(f"run.output = {quote(str(output))}: nothing can be written there; {cure}", ("run.output",))
     database = configuration.run.database
     if database is None:
         return
     try:
         path = parse_address(database).path
     except StoreError as error:
-        yield Problem(f"run.database = {shown(database)}: {error}", ("run.database",))
+        yield Problem(f"run.database = {quote(database)}: {error}", ("run.database",))
         return
     if path is None:
         return
     if path.is_dir():
-        yield Problem(f"run.database = {shown(database)}: is a folder; give a file name", ("run.database",))
+        yield Problem(f"run.database = {quote(database)}: is a folder; give a file name", ("run.database",))
     elif path.exists() and not os.access(path, os.R_OK | os.W_OK):
         cure = "give one that you may write, or change its permissions"
-        yield Problem(f"run.database = {shown(database)}: the file cannot be written; {cure}", ("run.database",))
+        yield Problem(f"run.database = {quote(database)}: the file cannot be written; {cure}", ("run.database",))
     elif not can_make_files(path.parent):
         cure = "give a file in a folder in which you may write"
-        yield Problem(f"run.database = {shown(database)}: its folder cannot be written; {cure}", ("run.database",))
+        yield Problem(f"run.database = {quote(database)}: its folder cannot be written; {cure}", ("run.database",))
 
 
 def can_make_files(folder: Path) -> bool:
@@ -161,3 +170,42 @@ def can_make_files(folder: Path) -> bool:
             return True
     except OSError:
         return False
+
+
+def check_against_packing(configuration: Configuration, packing: Packing) -> None:
+    """Refuse what the packing that was made cannot hold.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong.
+    """
+    problems = []
+    experiment, plan = configuration.experiment(packing), configuration.campaign
+    try:
+        wave_scene(packing, configuration.sand, configuration.wave, None)
+    except ValueError as error:
+        problems.append(Problem(f"wave.{error}"))
+    if not len(listening_disks(packing, configuration.wave)):
+        problem = f"wave.listening_depth = {configuration.wave.listening_depth}: holds no disk at the receiver"
+        problems.append(Problem(f"{problem}; make it or wave.receiver_half_width larger"))
+    seed, room = tightest_seed(experiment, plan.seed_numbers, max(plan.contents))
+    if max(plan.contents) > room:
+        limit = f"the packing holds at most {room:.4g} % of calcite (seed {seed})"
+        problems.append(Problem(f"campaign.contents = {quote(plan.contents)}: {limit}; leave larger contents out"))
+    if problems:
+        raise ConfigurationError("configuration", problems)
+
+
+def tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:
+    """Seed whose sample holds the least calcite, and how much that is, percent.
+
+    The first seeds tell enough for a content that is far from it: to draw the cement of every seed takes a while
+    where there are thousands.
+    """
+    few = seeds[:SEEDS_ASKED_FIRST]
+    room = {seed: experiment.ordering(seed).maximum_content for seed in few}
+    if content > SAFE_PART * min(room.values()):
+        room |= {seed: experiment.ordering(seed).maximum_content for seed in seeds[SEEDS_ASKED_FIRST:]}
+    tightest = min(room, key=lambda seed: room[seed])
+    return tightest, room[tightest]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pydantic_core import ErrorDetails
 
-CURES = {
+CURE_BY_ERROR_TYPE = {
     "float_type": "is not a number; write for example 0.5",
     "int_type": "is not a whole number; write for example 4",
     "bool_type": "is neither true nor false; write one of the two, without quotes",
@@ -55,16 +55,16 @@ class ConfigurationError(ValueError):
         return type(self), (self.source, self.problems)
 
 
-def shown(value: object) -> str:
+def quote(value: object) -> str:
     """Value as it would stand in the file."""
     if isinstance(value, tuple | list):
-        return f"[{', '.join(shown(item) for item in value)}]"
+        return f"[{', '.join(quote(item) for item in value)}]"
     if isinstance(value, str | bool):
         return json.dumps(value, ensure_ascii=False)
     return repr(value)
 
 
-def in_words(error: ErrorDetails) -> str:
+def phrase(error: ErrorDetails) -> str:
     """Problem and cure of one error of pydantic.
 
     Parameters
@@ -79,4 +79,4 @@ def in_words(error: ErrorDetails) -> str:
     if kind in {"missing", "too_long"}:
         return "has the wrong number of entries"
     where = f"entry {error['loc'][0] + 1} " if error["loc"] and isinstance(error["loc"][0], int) else ""
-    return where + CURES.get(kind, error["msg"])
+    return where + CURE_BY_ERROR_TYPE.get(kind, error["msg"])

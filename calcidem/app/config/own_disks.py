@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calcidem.app.config.errors import Problem, format_value
+from calcidem.app.config.errors import Problem, quote
 from calcidem.app.config.schema import SETTLED_BY_FILE
 from calcidem.dem.sample.packing_file import PackingFileError, checked_disks
 
@@ -38,7 +38,7 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
         return []
     problems = [
         Problem(
-            f"packing.{key} = {format_value(given[key])}: the disks in packing.file settle it; leave one of the two out",
+            f"packing.{key} = {quote(given[key])}: the disks in packing.file settle it; leave one of the two out",
             (f"packing.{key}", "packing.file"),
         )
         for key in SETTLED_BY_FILE
@@ -51,5 +51,5 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
         parts["packing"] = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
         parts["packing_draw"] = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
     except (PackingFileError, OSError, ValueError) as error:
-        problems.append(Problem(f"packing.file = {format_value(draw.file)}: {error}", CONCERNED))
+        problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", CONCERNED))
     return problems

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from calcidem.app.config.checks import cross_check
-from calcidem.app.config.errors import ConfigurationError, Problem, describe_error, format_value
+from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
 from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
     Bonding,
@@ -109,7 +109,7 @@ def read_configuration(
         values = document.get(name, {})
         if not isinstance(values, Mapping):
             cure = f"write [{name}] and its keys below it"
-            problems.append(Problem(f"{name} = {format_value(values)}: is not a section; {cure}", (name,)))
+            problems.append(Problem(f"{name} = {quote(values)}: is not a section; {cure}", (name,)))
             values = {}
         problems += read_section(name, values, types, parts)
         if name == "packing":
@@ -168,8 +168,8 @@ def read_value(
         return {key: TypeAdapter(hint, config=STRICT).validate_python(freeze_lists(value))}
     except ValidationError as error:
         cure = next(field for field in fields(kind) if field.name == key).metadata.get("cure")
-        words = cure or "; ".join(describe_error(detail) for detail in error.errors())
-        problems.append(Problem(f"{place} = {format_value(value)}: {words}", (place,)))
+        words = cure or "; ".join(phrase(detail) for detail in error.errors())
+        problems.append(Problem(f"{place} = {quote(value)}: {words}", (place,)))
         return {}
 
 

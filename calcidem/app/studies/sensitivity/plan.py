@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calcidem.app.config.errors import ConfigurationError, Problem, in_words
+from calcidem.app.config.errors import ConfigurationError, Problem, phrase
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration
 
@@ -138,7 +138,7 @@ def _read(model: type[ListedPlan], path: str | os.PathLike[str]) -> ListedPlan:
         return model.model_validate(_document(Path(path)))
     except ValidationError as error:
         problems = [
-            Problem(f"{'.'.join(str(part) for part in detail['loc'])}: {in_words(detail)}") for detail in error.errors()
+            Problem(f"{'.'.join(str(part) for part in detail['loc'])}: {phrase(detail)}") for detail in error.errors()
         ]
         raise ConfigurationError(os.fspath(path), problems) from None
 
