@@ -8,15 +8,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
-    from calcidem.app.campaign.paper import load_paper_campaign
+    from calcidem.app.campaign.opened import OpenedCampaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.run import run
 
 __all__ = ["OpenedCampaign", "load_paper_campaign", "open_campaign", "run"]
 
 HOMES = {
     "OpenedCampaign": "calcidem.app.campaign.opened",
-    "load_paper_campaign": "calcidem.app.campaign.paper",
+    "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",
     "run": "calcidem.app.campaign.run",
 }

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.graph_summary import with_graph
 from calcidem.app.campaign.run import run
+from calcidem.app.campaign.task import with_graph
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.sql.store import open_store
 

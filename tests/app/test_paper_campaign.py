@@ -8,7 +8,7 @@ import pytest
 
 import calcidem
 from calcidem.analysis.published import published_study
-from calcidem.app.campaign import paper as paper_campaign
+from calcidem.app.campaign import opened
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import read_configuration
 from calcidem.storage.records.canonical import canonical_json
@@ -16,7 +16,8 @@ from calcidem.storage.records.canonical import canonical_json
 
 def test_its_docstring_is_true() -> None:
     """The example in the docstring gives what it says."""
-    result = doctest.testmod(paper_campaign)
+    (example,) = doctest.DocTestFinder().find(opened.load_paper_campaign, globs={})
+    result = doctest.DocTestRunner().run(example)
     assert result.attempted > 0
     assert result.failed == 0
 

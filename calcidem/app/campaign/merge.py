@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from calcidem.storage.campaign import Campaign
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.canonical import config_difference
@@ -83,7 +83,7 @@ class Outcome:
     values: tuple[float, ...]
 
 
-def merge_campaigns(sources: Sequence[Campaign], target: Store, prefer: int | None = None) -> Merged:
+def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None = None) -> Merged:
     """Write the union of some campaigns of one configuration into a store.
 
     A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
@@ -131,7 +131,7 @@ def merge_campaigns(sources: Sequence[Campaign], target: Store, prefer: int | No
     return merged
 
 
-def refuse_other_campaigns(sources: Sequence[Campaign]) -> None:
+def refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
     """Raise `CampaignMismatchError` unless all sources have the same physical configuration."""
     first = sources[0].record
     for record in (source.record for source in sources[1:]):
@@ -145,7 +145,7 @@ def refuse_other_campaigns(sources: Sequence[Campaign]) -> None:
             )
 
 
-def refuse_other_packings(sources: Sequence[Campaign]) -> None:
+def refuse_other_packings(sources: Sequence[StoredCampaign]) -> None:
     """Raise `CampaignMismatchError` if two sources have different disks under the same number."""
     first: dict[int, PackingRecord] = {}
     for source in sources:
@@ -161,7 +161,7 @@ def refuse_other_packings(sources: Sequence[Campaign]) -> None:
                 )
 
 
-def outcomes_of(source: Campaign) -> dict[CellKey, Outcome]:
+def outcomes_of(source: StoredCampaign) -> dict[CellKey, Outcome]:
     """Outcomes of all settled cells."""
     columns = source.store.table(("seed", "content", "status", *COMPARED))
     keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
@@ -220,7 +220,7 @@ def copy_plan(source: Store, target: Store) -> None:
         target.extend(seeds, some_contents)
 
 
-def copy_history(sources: Sequence[Campaign], target: Store) -> Numbers:
+def copy_history(sources: Sequence[StoredCampaign], target: Store) -> Numbers:
     """Copy runs and attempts, each once; return the new numbers of the attempts."""
     runs: dict[tuple[object, ...], int] = {}
     attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
@@ -250,7 +250,7 @@ def copy_history(sources: Sequence[Campaign], target: Store) -> Numbers:
 
 
 def copy_outcomes(
-    source: Campaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: Numbers
+    source: StoredCampaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: Numbers
 ) -> None:
     """Copy the outcomes that were chosen from a source, with their arrays.
 

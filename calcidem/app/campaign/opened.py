@@ -1,8 +1,13 @@
-"""A stored campaign with all that can be computed from it: statistics, graphs, and samples to simulate again."""
+"""A stored campaign with all that can be computed from it: statistics, graphs, and samples to simulate or to write.
+
+The numbers of the paper's campaign, which come with the package, can be loaded without a database.
+"""
 
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.resources import as_file, files
+from pathlib import Path
 
 import networkx as nx
 import numpy as np
@@ -14,16 +19,23 @@ from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import NOT_COMPUTED
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
-from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import wave_scene
-from calcidem.storage.campaign import Campaign
-from calcidem.storage.errors import DamagedStoreError, UnknownCellError
+from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.errors import DamagedStoreError, StoreError, UnknownCellError
+from calcidem.storage.netcdf.export import replaced_atomically
 from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.sql.store import open_store
+
+SUFFIXES = (".vtu", ".vtk", ".csv")
+"""Formats of the file of a sample."""
+
+PAPER_CAMPAIGN = "paper.nc"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +97,8 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
         raise
 
 
-class OpenedCampaign(Campaign):
-    """A campaign as its readers see it; `calcidem.storage.campaign.Campaign` has the rest of its methods."""
+class OpenedCampaign(StoredCampaign):
+    """A campaign as its readers see it; `calcidem.storage.campaign.StoredCampaign` has the rest of its methods."""
 
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content.
@@ -192,7 +204,7 @@ class OpenedCampaign(Campaign):
                 f"The stored state of packing {packing_index} can't be used: {error}.",
                 "The samples can't be rebuilt from this database; their results can be read as before.",
             ) from error
-        return experiment_of(self.config, packing)
+        return Configuration.from_physics(self.config).experiment(packing)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:
@@ -227,3 +239,82 @@ def contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uin
             )
         kind[row] = value
     return kind
+
+
+def write_sample(sample: Sample, file: Path) -> Path:
+    """Write a sample in the format that the file's ending names.
+
+    Parameters
+    ----------
+    sample
+        From `OpenedCampaign.sample`.
+    file
+        ``.vtu`` or ``.vtk`` for ParaView, ``.csv`` for its disks alone; replaced in one step.
+
+    Raises
+    ------
+    ValueError
+        For another ending.
+    StoreError
+        If the library for VTK isn't installed.
+    """
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
+    with replaced_atomically(file.absolute()) as temporary:
+        if suffix == ".csv":
+            write_packing_csv(sample.packing, temporary)
+        else:
+            write_vtk(sample, temporary, "vtu" if suffix == ".vtu" else "vtk")
+    return file
+
+
+def write_vtk(sample: Sample, file: Path, file_format: str) -> None:
+    """Write disks as points and contacts as lines.
+
+    The points have `radius` (m); show them with the filter Glyph, scaled by it. The lines have `kind` (0 sand, 1 P,
+    2 C); vertices have the kind -1, so that a threshold parts them from the contacts.
+    """
+    try:
+        import meshio  # type: ignore[import-untyped]  # noqa: PLC0415 - an optional library, without types
+    except ModuleNotFoundError as error:
+        raise StoreError(
+            "Files for ParaView need the library meshio.", "Install it: pip install 'calcidem[paraview]'."
+        ) from error
+    packing = sample.packing
+    count = len(packing.radius)
+    cells = [("vertex", np.arange(count)[:, None]), ("line", packing.pairs.astype(np.int64))]
+    mesh = meshio.Mesh(
+        np.column_stack([packing.x, packing.y, np.zeros(count)]),
+        cells,
+        point_data={"radius": packing.radius},
+        cell_data={"kind": [np.full(count, -1, dtype=np.int32), sample.kind.astype(np.int32)]},
+    )
+    mesh.write(file, file_format=file_format)
+
+
+def load_paper_campaign() -> xr.Dataset:
+    """Return every number of the 1,972 samples of the paper's campaign, as computed by calcidem.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along (seed, content): Vs by three readings (m/s), their quality, path features, error estimate, time step and
+        so on, each with unit and meaning. NaN stands for a sample without readable arrival, of which there are seven.
+        Signals and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions
+        and machine are in ``calcidem_runs``.
+
+    Examples
+    --------
+    >>> import calcidem
+    >>> campaign = calcidem.load_paper_campaign()
+    >>> dict(campaign.sizes), int(campaign.vs.notnull().sum())
+    ({'seed': 116, 'content': 17}, 1965)
+    >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
+    380.0
+    """
+    with (
+        as_file(files("calcidem.app.config.presets").joinpath(PAPER_CAMPAIGN)) as path,
+        xr.open_dataset(path) as dataset,
+    ):
+        return dataset.load()

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from sqlalchemy import select
 
 from calcidem.analysis.intervals import Interval, mean_interval
-from calcidem.storage.campaign import Campaign
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.engine import make_engine, parse_address
 from calcidem.storage.sql.lease import STALE_AFTER
-from calcidem.storage.sql.models import Campaign as CampaignRow
-from calcidem.storage.sql.models import Lease
+from calcidem.storage.sql.models import CampaignRow, LeaseRow
 from calcidem.storage.sql.transaction import transaction
 from calcidem.storage.store import Selection
 
@@ -123,7 +122,7 @@ class CampaignStatus:
         return self.counts.get(CellStatus.PENDING, 0)
 
 
-def campaign_status(campaign: Campaign, *, running: bool) -> CampaignStatus:
+def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatus:
     """Gather how far a campaign is, in a few short queries.
 
     Parameters
@@ -198,7 +197,7 @@ def expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64
     return np.interp(contents, contents[known], measured[known])
 
 
-def troubles_of(campaign: Campaign) -> tuple[Trouble, ...]:
+def troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
     attempts = campaign.store.attempt_counts()
     wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=TROUBLES))
@@ -242,7 +241,7 @@ def is_being_written(database: str | os.PathLike[str], campaign_name: str) -> bo
     engine = make_engine(address, read_only=True)
     try:
         with transaction(engine, address, write=False) as session:
-            statement = select(Lease).join(CampaignRow, CampaignRow.id == Lease.campaign_id)
+            statement = select(LeaseRow).join(CampaignRow, CampaignRow.id == LeaseRow.campaign_id)
             holder = session.scalar(statement.where(CampaignRow.name == campaign_name))
     finally:
         engine.dispose()

@@ -1,4 +1,4 @@
-"""What a worker does: cells of one content in, records of their outcomes out."""
+"""What a worker does: cells of one content in, records of their outcomes and of their contact graphs out."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -6,9 +6,13 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.graph_summary import with_graph
+from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+from calcidem.analysis.packing_graph import PackingGraph, features_record, packing_graph
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Integers
@@ -18,7 +22,7 @@ from calcidem.dem.wave.arrival import Reading
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import WaveRecord
-from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, Signal
+from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, GraphSummary, Signal
 from calcidem.sweep import Batch, Cell, Compute
 
 SEEDS_REMEMBERED = 64
@@ -26,6 +30,9 @@ SEEDS_REMEMBERED = 64
 
 AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
+
+ALMOST_NOTHING = ContactWeights(hertz=1.0, bond=1e-7)
+"""Cemented contacts count so little that no number of them outweighs an uncemented one."""
 
 
 def cell_computation(
@@ -111,6 +118,54 @@ def signal_of(record: WaveRecord) -> Signal | None:
         received_force=record.force.astype(float),
         received_velocity=record.velocity.astype(float),
     )
+
+
+def with_graph(result: CellResult, packing: PackingGraph) -> CellResult:
+    """Return an outcome together with its path features and its graph summary.
+
+    One without cement pattern, whose cell was never made, is returned as it is. Where no chain of contacts joins
+    transmitter and receiver there is no path.
+    """
+    if result.cement is None:
+        return result
+    bonded = packing.bonded(result.cement)
+    summary = graph_summary(packing.graph, bonded)
+    features = None if summary.gap_contacts is None else features_record(packing.features(bonded))
+    return replace(result, features=features, graph=summary)
+
+
+def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
+    """Summarise the graph of one sample.
+
+    Parameters
+    ----------
+    graph
+        Contacts of the packing.
+    bonded
+        Which of them are cemented, shape (m,).
+    """
+    first, second = graph.pairs[bonded].T
+    count = graph.grain_count
+    cement = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    _, component = connected_components(cement, directed=False)
+    grains = np.bincount(component)
+    pieces = grains[grains > 1]
+    return GraphSummary(
+        contacts=graph.contact_count,
+        bonded_contacts=int(np.count_nonzero(bonded)),
+        coordination_number=graph.coordination_number,
+        components=len(pieces),
+        largest_component=int(pieces.max(initial=0)),
+        gap_contacts=fewest_uncemented_contacts(graph, bonded),
+    )
+
+
+def fewest_uncemented_contacts(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> int | None:
+    """Return how many uncemented contacts the best way from transmitter to receiver has; None without any way."""
+    try:
+        return preferential_path(graph, bonded, ALMOST_NOTHING).hertz_contacts
+    except ValueError:
+        return None
 
 
 def expected_effort(configuration: Configuration, content: float) -> float:

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.sample_files import SUFFIXES, write_sample
+from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
 
 
 def export_sample(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calcidem.analysis.contact_graph import ContactGraph
-from calcidem.app.campaign.graph_summary import graph_summary
+from calcidem.app.campaign.task import graph_summary
 from calcidem.storage.records import GraphSummary
 
 # Two rows of four grains from the transmitter (0, 4) to the receiver (3, 7), and one grain (8) that touches nothing:
