@@ -6,12 +6,10 @@ with Session() as session:
     session.end(end.exit_code, end)
 """
 
-from calcidem.sweep.attempt import Compute
+from calcidem.sweep.attempt import Compute, SweepInterrupted, TimeLimitReached
 from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.deadline import SweepInterrupted, TimeLimitReached
+from calcidem.sweep.context import Sink
 from calcidem.sweep.environment import LaunchEnvironment, describe_environment, refuse_singletons
-from calcidem.sweep.errors import LaunchError, MasterLostError, SweepError
-from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.progress import BarProgress, LineProgress, Progress, SilentProgress, progress_for
@@ -19,8 +17,16 @@ from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Tally
 from calcidem.sweep.session import Session
 from calcidem.sweep.signals import StopLevel, StopRequest
-from calcidem.sweep.sink import Sink
-from calcidem.sweep.sweep_end import SweepEnd, SweepState
+from calcidem.sweep.sweep_end import (
+    EXIT_COMPLETE,
+    EXIT_ERROR,
+    EXIT_RESUMABLE,
+    LaunchError,
+    MasterLostError,
+    SweepEnd,
+    SweepError,
+    SweepState,
+)
 
 __all__ = [
     "EXIT_COMPLETE",

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calcidem.sweep.errors import LaunchError
+from calcidem.sweep.sweep_end import LaunchError
 
 LAUNCHER_VARIABLES = {
     "OMPI_COMM_WORLD_SIZE": "Open MPI mpirun",

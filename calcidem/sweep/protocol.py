@@ -1,4 +1,4 @@
-"""The messages between master and workers.
+"""The messages between master and workers, and operations of all ranks together.
 
     worker                              master (rank 0)
     HELLO    identity of its process ->
@@ -10,6 +10,9 @@ Nothing here blocks: messages are probed for, received and sent by requests that
 that an idle rank costs next to nothing and a dead or silent partner cannot hold up anyone. Sends are
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
+
+The collective operations (`barrier`, `broadcast`, `once_per_node`) sleep as well while they wait: the blocking ones of
+MPI keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
 import pickle
@@ -17,9 +20,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 from mpi4py import MPI
+
+ValueT = TypeVar("ValueT")
 
 MASTER = 0
 """Rank of the master."""
@@ -135,3 +141,33 @@ def acknowledge_failures(comm: MPI.Comm) -> None:
     group = comm.Get_failed()
     comm.Ack_failed(group.Get_size())
     group.Free()
+
+
+def barrier(comm: MPI.Comm, limit: float = float("inf")) -> None:
+    """Return once all ranks have called this, or after ``limit`` seconds."""
+    request = comm.Ibarrier()
+    wait_until(request.Test, limit)
+
+
+def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:
+    """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
+    payload = bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if comm.Get_rank() == MASTER else bytearray()
+    size = np.array([len(payload)], dtype=np.int64)
+    wait_until(comm.Ibcast(size, MASTER).Test)
+    if comm.Get_rank() != MASTER:
+        payload = bytearray(int(size[0]))
+    wait_until(comm.Ibcast([payload, MPI.BYTE], MASTER).Test)
+    received: ValueT = pickle.loads(payload)  # noqa: S301 - written by rank 0 of the same program
+    return received
+
+
+def once_per_node(comm: MPI.Comm, action: Callable[[], object]) -> None:
+    """Call `action` on one rank of each node, and return on all ranks once all nodes are done.
+
+    Meant to fill a compile cache that the ranks of a node share.
+    """
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    if node.Get_rank() == 0:
+        action()
+    node.Free()
+    barrier(comm)

@@ -1,27 +1,23 @@
-"""`run_sweep`: compute all batches, on as many ranks as there are, and store what becomes of them."""
+"""`run_sweep`: compute all batches, on many ranks or in this process, and store what becomes of them."""
 
+import time
 from collections.abc import Iterable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from calcidem.sweep.attempt import Compute
+from calcidem.sweep.attempt import Compute, Deadline, SweepInterrupted, attempt
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.context import SweepContext
+from calcidem.sweep.context import Sink, SweepContext
 from calcidem.sweep.environment import fault_tolerance_enabled
 from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import Place, ResultT
 from calcidem.sweep.progress import Progress, SilentProgress
 from calcidem.sweep.schedule import Schedule
-from calcidem.sweep.serial import run_serial
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sink import Sink
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.signals import StopLevel, StopRequest
+from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
-    from mpi4py import (
-        MPI,
-    )  # not at run time: that loads and initializes an MPI library, which a serial run must not need
-
-ResultT = TypeVar("ResultT")
+    from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
 
 
 def run_sweep(
@@ -95,3 +91,37 @@ def run_sweep(
             end = run_serial(context, compute)
     progress.ended(end)
     return end
+
+
+def run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -> SweepEnd:
+    """Compute and store one batch after the other in this process, by the rules of the parallel sweep.
+
+    The hard limit does not apply: the process that it would kill is the only one there is.
+
+    Raises
+    ------
+    Exception
+        Whatever the sink raises.
+    """
+    schedule, stop_request = context.schedule, context.stop_request
+    start = time.monotonic()
+    place = Place.here(rank=0)
+
+    def end(state: SweepState, detail: str = "") -> SweepEnd:
+        return SweepEnd(state, detail, schedule.tally, time.monotonic() - start)
+
+    while stop_request.level is StopLevel.NONE:
+        batch = schedule.take()
+        if batch is None:
+            return end(SweepState.COMPLETE)
+        context.progress.tick(workers=1, running=1)
+        try:
+            deadline = Deadline(context.options.time_limit, stop_request.hurry)
+            outcome = attempt(batch, compute, deadline, place)
+        except SweepInterrupted:
+            return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was dropped")
+        final = schedule.settle(outcome)
+        context.store([final] if final is not None else [])
+    if len(schedule) == 0:
+        return end(SweepState.COMPLETE)
+    return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was finished")

@@ -3,12 +3,10 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Generic
 
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
-
-ResultT = TypeVar("ResultT")
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 
 LOSSES_BEFORE_SPLIT = 2
 """A batch that has lost this many workers goes on as single cells, so that the bad cell stands alone."""

@@ -11,16 +11,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher
-from calcidem.sweep.errors import MasterLostError
-from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
 
 if TYPE_CHECKING:
-    from mpi4py import (
-        MPI,
-    )  # not at run time: that loads and initializes an MPI library, which a serial run must not need
+    from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
 
 ValueT = TypeVar("ValueT")
 
@@ -59,7 +55,7 @@ class Session:
     """
 
     def __init__(self) -> None:
-        self.comm: "MPI.Comm | None" = None
+        self.comm: MPI.Comm | None = None
         self.rank = 0
         self.size = 1
         self.stop_request = StopRequest(end_at_once=self._abort_mpi)
@@ -116,7 +112,7 @@ class Session:
             if value is None:
                 raise ValueError("value is None on rank 0: give the value to broadcast")
             return value
-        from calcidem.sweep.collective import broadcast  # noqa: PLC0415 - as above
+        from calcidem.sweep.protocol import broadcast  # noqa: PLC0415 - as above
 
         return broadcast(self.comm, value)
 
@@ -125,7 +121,7 @@ class Session:
         if self.comm is None:
             action()
             return
-        from calcidem.sweep.collective import once_per_node  # noqa: PLC0415 - as above
+        from calcidem.sweep.protocol import once_per_node  # noqa: PLC0415 - as above
 
         once_per_node(self.comm, action)
 
@@ -147,7 +143,7 @@ class Session:
             own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
             from mpi4py import MPI  # noqa: PLC0415 - as above
 
-            from calcidem.sweep.collective import barrier  # noqa: PLC0415 - as above
+            from calcidem.sweep.protocol import barrier  # noqa: PLC0415 - as above
 
             if fault_tolerance_enabled():
                 if sweep_end is None:

@@ -8,7 +8,7 @@ from enum import IntEnum
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from calcidem.sweep.exit_codes import EXIT_RESUMABLE
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 DRAIN_SIGNALS = (signal.SIGUSR1,)
 """Finish the running batches, store them, then stop."""

@@ -1,10 +1,30 @@
-"""How a sweep ended."""
+"""How a sweep ends: its state, the exit code that says so, and the errors that end it."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from calcidem.sweep.exit_codes import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 from calcidem.sweep.schedule import Tally
+
+EXIT_COMPLETE = 0
+"""Everything asked for is settled."""
+
+EXIT_ERROR = 1
+"""Something went wrong that the same command would meet again."""
+
+EXIT_RESUMABLE = 75
+"""Stopped early, all that was finished is stored, the same command continues (EX_TEMPFAIL of sysexits.h)."""
+
+
+class SweepError(Exception):
+    """Base class of what can go wrong with a sweep as a whole."""
+
+
+class LaunchError(SweepError):
+    """The program was started in a way in which it cannot work as asked."""
+
+
+class MasterLostError(SweepError):
+    """Rank 0 has died; a worker alone can do nothing more."""
 
 
 class SweepState(StrEnum):

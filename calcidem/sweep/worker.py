@@ -4,22 +4,17 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
 
 from mpi4py import MPI
 
-from calcidem.sweep.attempt import Compute, attempt
+from calcidem.sweep.attempt import Compute, Deadline, SweepInterrupted, attempt
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.deadline import Deadline, SweepInterrupted
-from calcidem.sweep.errors import MasterLostError
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 from calcidem.sweep.processes import ProcessIdentity
 from calcidem.sweep.protocol import MASTER, Backoff, Incoming, Tag, start_receive, start_send, wait_until
 from calcidem.sweep.signals import leave_signals_to_master
-from calcidem.sweep.sweep_end import SweepEnd
-
-ResultT = TypeVar("ResultT")
+from calcidem.sweep.sweep_end import MasterLostError, SweepEnd
 
 
 def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepOptions) -> SweepEnd:

@@ -17,7 +17,7 @@ from calcidem.sweep import (
     progress_for,
 )
 from calcidem.sweep.forecast import Forecast
-from calcidem.sweep.wording import duration
+from calcidem.sweep.progress import duration
 
 PLACE = Place(rank=2, host="node7")
 BATCHES = [Batch(number, (number,), cost=1.0 + number, group=number) for number in range(3)]

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble, worst_status
 from calcidem.storage.records import CellStatus
-from calcidem.sweep.wording import count, duration
+from calcidem.sweep.progress import count, duration
 
 SYMBOLS = {
     CellStatus.DONE: ("#", "green"),
