@@ -20,7 +20,7 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
-from calcidem.storage.campaign import Campaign
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.netcdf.dataset import NOT_PLANNED, STATUS_CODES
 from calcidem.storage.records import CellResult, CellStatus, CementPattern, PackingRecord
 
@@ -93,7 +93,7 @@ class CampaignAnalysis:
         An open campaign.
     """
 
-    campaign: Campaign
+    campaign: StoredCampaign
 
     @cached_property
     def cells(self) -> xr.Dataset:

@@ -25,10 +25,10 @@ from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
 
-__all__ = ["Campaign", "open_campaign"]
+__all__ = ["StoredCampaign", "open_stored_campaign"]
 
 
-def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
+def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "StoredCampaign":
     """Open a campaign for reading; a run may go on writing it meanwhile.
 
     Parameters
@@ -45,19 +45,19 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
 
     Examples
     --------
-    >>> with open_campaign("example.db") as campaign:
+    >>> with open_stored_campaign("example.db") as campaign:
     ...     campaign.record.name
     'quick'
     """
     store = open_store(path_or_url, read_only=True)
     try:
-        return Campaign(store, store.use_campaign(name))
+        return StoredCampaign(store, store.use_campaign(name))
     except BaseException:
         store.close()
         raise
 
 
-class Campaign:
+class StoredCampaign:
     """A campaign as its readers see it.
 
     Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
@@ -85,7 +85,7 @@ class Campaign:
 
         Examples
         --------
-        >>> campaign = open_campaign("example.db")
+        >>> campaign = open_stored_campaign("example.db")
         >>> campaign.vs().sel(content=5.0).values
         array([1150., 1151.,   nan,   nan])
         """
@@ -96,7 +96,7 @@ class Campaign:
 
         Examples
         --------
-        >>> campaign = open_campaign("example.db")
+        >>> campaign = open_stored_campaign("example.db")
         >>> float(campaign.to_xarray()["steps"].sel(seed=0, content=5.0))
         12000.0
         """
@@ -120,7 +120,7 @@ class Campaign:
 
         Examples
         --------
-        >>> campaign = open_campaign("example.db")
+        >>> campaign = open_stored_campaign("example.db")
         >>> campaign.to_dataframe(["seed", "vs"], content=5.0, status="done")
            seed      vs
         0     0  1150.0
@@ -163,7 +163,7 @@ class Campaign:
 
         Examples
         --------
-        >>> campaign = open_campaign("example.db")
+        >>> campaign = open_stored_campaign("example.db")
         >>> [cell.key.seed for cell in campaign.select(content=5.0, where="vs > 1150")]
         [1]
         """
@@ -196,7 +196,7 @@ class Campaign:
 
         Examples
         --------
-        >>> campaign = open_campaign("example.db")
+        >>> campaign = open_stored_campaign("example.db")
         >>> signal = campaign.signal(seed=1, content=5.0)
         >>> signal.time.shape == signal.received_force.shape
         True

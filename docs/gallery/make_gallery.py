@@ -17,7 +17,7 @@ from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
 from calcidem.app.report.provenance import CHOSEN, flatten, value_text
 from calcidem.app.studies.stored_studies import run_studies
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 FOLDER = Path(__file__).parent
 SCREENS = {390: 1500, 1280: 1500}
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("database")
     database = parser.parse_args().database
     studies = run_studies(database)
-    with open_campaign(database) as campaign:
+    with open_stored_campaign(database) as campaign:
         analysis = CampaignAnalysis(campaign)
         shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
         facts, config = key_facts(analysis), flatten(campaign.config)

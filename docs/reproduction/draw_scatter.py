@@ -15,7 +15,7 @@ from calcidem import load_paper_campaign
 from calcidem.analysis.figures.style import BLACK, BLUE, CONTENT_LABEL, GREEN, SKY, VERMILION, WIDTH, render, styled
 from calcidem.analysis.normality import skewness
 from calcidem.analysis.published import published_study
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 HERE = Path(__file__).parent
 BANDS = "receiver of 10 mm half-width"
@@ -40,7 +40,7 @@ def draw(database: str) -> Figure:
     left.plot(campaign["content"], scatter, color=BLUE, label="campaign, 116 seeds")
     right.plot(campaign["content"], asymmetry, color=BLUE)
     for name, (label, colour) in CURVES.items():
-        with open_campaign(database, name) as variant:
+        with open_stored_campaign(database, name) as variant:
             vs = variant.vs()
         scatter, asymmetry = shape(vs)
         left.plot(vs["content"], scatter, "s--", color=colour, ms=4, lw=1.0, label=f"{label}, {vs.sizes['seed']} seeds")

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from calcidem.analysis.normality import jarque_bera, kurtosis, skewness
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import Signal
 
 SHARES = {"first half": 0.5, "first fifth": 0.2}
@@ -24,7 +24,7 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("database")
-    with open_campaign(parser.parse_args().database) as campaign:
+    with open_stored_campaign(parser.parse_args().database) as campaign:
         distance = campaign.packing().width
         velocities: defaultdict[tuple[float, str], list[float]] = defaultdict(list)
         for cell in campaign.select(status="done", with_arrays=True):

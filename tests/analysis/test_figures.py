@@ -17,13 +17,13 @@ from calcidem.analysis.figures.relations import law_text, symbol
 from calcidem.analysis.figures.samples import draw_preferential_paths
 from calcidem.analysis.figures.signals import received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_range
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 
 @pytest.fixture(scope="module")
 def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
     """Analysis of the small campaign."""
-    with open_campaign(small_database) as campaign:
+    with open_stored_campaign(small_database) as campaign:
         yield CampaignAnalysis(campaign)
 
 

@@ -10,14 +10,14 @@ import pytest
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import features_record, packing_graph
 from calcidem.app.campaign.packing import stored_packing
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CementPattern
 
 
 @pytest.fixture(scope="module")
 def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
     """Analysis of the small campaign."""
-    with open_campaign(small_database) as campaign:
+    with open_stored_campaign(small_database) as campaign:
         yield CampaignAnalysis(campaign)
 
 

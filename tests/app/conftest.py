@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[2]
 SMALL_PACKING = CHECKOUT / "tests" / "assets" / "small_packing.npz"
@@ -114,7 +114,7 @@ class Workshop:
 
     def cells(self) -> Cells:
         """Everything about each settled cell that physics decides, signals and cement included."""
-        with open_campaign(self.database) as campaign:
+        with open_stored_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.reason, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.steps),
@@ -127,7 +127,7 @@ class Workshop:
 
     def attempts(self) -> int:
         """How many cells were ever computed, repetitions counted."""
-        with open_campaign(self.database) as campaign:
+        with open_stored_campaign(self.database) as campaign:
             return sum(1 for _ in campaign.store.history())
 
     def wait_for_cells(self, count: int) -> None:

@@ -16,7 +16,7 @@ from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import outcome_table, velocity_table
 from calcidem.app.report.wording import duration, number, probability, significant
 from calcidem.app.studies.stored_studies import run_studies
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCellError
 
 VOID = {"meta", "link", "img", "br"}
@@ -76,7 +76,7 @@ def test_page_has_every_figure_or_says_why_not(page: str) -> None:
 
 def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: Path) -> None:
     """The cell that was not computed and the one that failed are in different columns, with the reason."""
-    with open_campaign(small_database) as campaign:
+    with open_stored_campaign(small_database) as campaign:
         analysis = CampaignAnalysis(campaign)
         table, outcomes = velocity_table(analysis), outcome_table(analysis)
         failed = analysis.outcomes["failed"].sel(content=9.0).item()
@@ -90,7 +90,7 @@ def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: P
 
 def test_calibrated_parameters_are_named(small_database: Path) -> None:
     """What differs from the published or the literal value is marked, what agrees is not."""
-    with open_campaign(small_database) as campaign:
+    with open_stored_campaign(small_database) as campaign:
         table = parameter_table(campaign.config)
     marked = {table.rows[place][0] for place in table.marked}
     assert {"sand.wave_stiffness_factor", "pattern.p_share", "wave.amplitude", "packing.width"} <= marked
@@ -99,7 +99,7 @@ def test_calibrated_parameters_are_named(small_database: Path) -> None:
 
 def test_published_table_shows_disagreeing_verdicts(small_database: Path) -> None:
     """At 0.34 % the published verdict and the one from the published moments differ, and both are shown."""
-    with open_campaign(small_database) as campaign:
+    with open_stored_campaign(small_database) as campaign:
         table = published_table(CampaignAnalysis(campaign))
     assert table is not None
     row = dict(zip(table.header[6:], next(row for row in table.rows if row[0] == "0.34")[6:], strict=True))
@@ -127,7 +127,10 @@ def test_analyse_writes_figures_tables_and_numbers(small_database: Path, tmp_pat
     with (tmp_path / "out" / "table_velocities.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["content (%)"] for row in rows] == ["0", "0.34", "0.66", "2.55", "5", "9"]
-    with xr.open_dataset(tmp_path / "out" / "distributions.nc") as numbers, open_campaign(small_database) as campaign:
+    with (
+        xr.open_dataset(tmp_path / "out" / "distributions.nc") as numbers,
+        open_stored_campaign(small_database) as campaign,
+    ):
         assert float(numbers["mean"].sel(content=0.66)) == pytest.approx(
             float(campaign.vs().sel(content=0.66).mean()), rel=1e-14
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.app.campaign.launch import find_mpirun
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def test_another_physics_is_refused(workshop: "Workshop") -> None:
     assert "wave.damping: 0.3 -> 0.2" in refused.errors
     assert "Traceback" not in refused.errors
     assert workshop.cells() == before
-    with open_campaign(workshop.database) as campaign:
+    with open_stored_campaign(workshop.database) as campaign:
         assert campaign.record.contents == (0.0,)
 
 
@@ -142,7 +142,7 @@ def test_a_time_limit_is_an_outcome(workshop: "Workshop") -> None:
     done = workshop.run("run", "c.toml")
     assert done.code == 0, done.errors
     assert "1 timed out" in done.output
-    with open_campaign(workshop.database) as campaign:
+    with open_stored_campaign(workshop.database) as campaign:
         assert "time limit" in next(campaign.select()).reason
 
 
@@ -177,7 +177,7 @@ def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: "Worksho
     ended = workshop.run("run", "c.toml", "--ranks", "2")
     assert ended.code == 0, ended.errors
     assert "started once more" in ended.errors
-    with open_campaign(workshop.database) as campaign:
+    with open_stored_campaign(workshop.database) as campaign:
         assert len(list(campaign.select(status=("done", "no_arrival")))) == 1
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from calcidem.storage import campaign as campaign_module
-from calcidem.storage.campaign import Campaign, open_campaign
+from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.netcdf import groups
 from calcidem.storage.netcdf.dataset import STATUS_CODES
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def campaign(store: SqlStore, open_here: Callable[..., SqlStore], records: "Records") -> Campaign:
+def campaign(store: SqlStore, open_here: Callable[..., SqlStore], records: "Records") -> StoredCampaign:
     """Open a campaign with outcomes of several kinds, one plan that isn't rectangular, and a packing."""
     store.extend((7,), (9.0,))
     store.save_packing(records.packing())
     store.record_results([records.with_arrays(0, 5.0), records.done(1, 5.0), records.done(7, 9.0)])
     store.record_results([records.failed(2, 5.0, status=CellStatus.NO_ARRIVAL)])
     reader = open_here(read_only=True)
-    return Campaign(reader, reader.use_campaign())
+    return StoredCampaign(reader, reader.use_campaign())
 
 
-def test_vs_is_labelled(campaign: Campaign) -> None:
+def test_vs_is_labelled(campaign: StoredCampaign) -> None:
     """Velocities come with seeds, contents and unit, NaN where not done."""
     vs = campaign.vs()
     assert vs.dims == ("seed", "content")
@@ -44,7 +44,7 @@ def test_vs_is_labelled(campaign: Campaign) -> None:
     assert int(vs.count()) == 3
 
 
-def test_dataset_tells_status_apart(campaign: Campaign) -> None:
+def test_dataset_tells_status_apart(campaign: StoredCampaign) -> None:
     """Done, no arrival, pending and not planned are four different flags."""
     dataset = campaign.to_xarray()
     status = dataset["status"]
@@ -58,7 +58,7 @@ def test_dataset_tells_status_apart(campaign: Campaign) -> None:
     np.testing.assert_array_equal(dataset["vs"], campaign.vs())
 
 
-def test_select_gives_frozen_records(campaign: Campaign, records: "Records") -> None:
+def test_select_gives_frozen_records(campaign: StoredCampaign, records: "Records") -> None:
     """Selections give records with or without arrays, in order, for single values and lists."""
     assert [r.key.seed for r in campaign.select(content=5.0, status="done")] == [0, 1]
     assert [r.key.seed for r in campaign.select(seed=[0, 7], status=["done", "failed"])] == [0, 7]
@@ -68,7 +68,7 @@ def test_select_gives_frozen_records(campaign: Campaign, records: "Records") -> 
         list(campaign.select(where="nonsense"))
 
 
-def test_missing_things_say_so(campaign: Campaign) -> None:
+def test_missing_things_say_so(campaign: StoredCampaign) -> None:
     """What isn't stored is an error that names it, never an empty object."""
     with pytest.raises(UnknownCellError, match="seed 1 and content"):
         campaign.signal(seed=1, content=5.0)
@@ -78,14 +78,14 @@ def test_missing_things_say_so(campaign: Campaign) -> None:
         campaign.packing(1)
 
 
-def test_packing_config_and_runs(campaign: Campaign, records: "Records") -> None:
+def test_packing_config_and_runs(campaign: StoredCampaign, records: "Records") -> None:
     """Packing, configuration and provenance are at hand."""
     assert campaign.packing() == records.packing()
     assert campaign.config["packing"]["friction"] == 0.2
     assert campaign.runs() == ()
 
 
-def test_dataframe(campaign: Campaign) -> None:
+def test_dataframe(campaign: StoredCampaign) -> None:
     """The table has a row for each planned cell, whole numbers as such, and NA where nothing is known."""
     frame = campaign.to_dataframe()
     assert len(frame) == 13
@@ -97,7 +97,7 @@ def test_dataframe(campaign: Campaign) -> None:
         campaign.to_dataframe(["vss"])
 
 
-def test_reader_sees_what_was_stored_since(campaign: Campaign, store: SqlStore, records: "Records") -> None:
+def test_reader_sees_what_was_stored_since(campaign: StoredCampaign, store: SqlStore, records: "Records") -> None:
     """An open reader sees cells stored after it was opened."""
     store.record_results([records.done(3, 5.0)])
     assert float(campaign.vs().sel(seed=3, content=5.0)) == 1153.0
@@ -106,10 +106,10 @@ def test_reader_sees_what_was_stored_since(campaign: Campaign, store: SqlStore, 
 def test_campaign_is_chosen_by_name(store: SqlStore, records: "Records", address: str) -> None:
     """Where there are several campaigns one is opened by name, and an unknown name lists them."""
     store.begin_campaign(records.campaign({"x": 1}, name="second"))
-    with open_campaign(address, "second") as campaign:
+    with open_stored_campaign(address, "second") as campaign:
         assert campaign.config == {"x": 1}
     with pytest.raises(UnknownCampaignError, match="'quick', 'second'"):
-        open_campaign(address, "third")
+        open_stored_campaign(address, "third")
 
 
 @pytest.mark.parametrize("module", [campaign_module, canonical, groups])

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import text
 
 import calcidem.storage
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
@@ -74,7 +74,7 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
             assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             assert connection.execute("PRAGMA foreign_key_check").fetchall() == []
         connection.close()
-        with open_campaign(database) as campaign:
+        with open_stored_campaign(database) as campaign:
             stored = {result.key for result in campaign.select()}
         assert said <= stored
         assert len(stored) <= len(said) + attempt + 1  # one row a kill may be stored and not yet acknowledged
@@ -88,7 +88,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     process.stdout.readline()
     log, largest_log, counts = Path(f"{database}-wal"), 0, [0]
     while process.poll() is None:
-        with open_campaign(database) as campaign:
+        with open_stored_campaign(database) as campaign:
             count = int(campaign.vs().count())
             assert all(r.signal is not None for r in campaign.select(seed=range(3), with_arrays=True))
         assert count >= counts[-1]
@@ -100,7 +100,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     # SQLite empties the log at 1000 pages of 4 kB; the transactions of the slowest reader's time come on top: on a busy
     # machine 15 MB were seen.
     assert largest_log < 30e6
-    with open_campaign(database) as campaign:
+    with open_stored_campaign(database) as campaign:
         assert int(campaign.vs().count()) == CELLS
 
 

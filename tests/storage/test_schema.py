@@ -13,7 +13,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine
 
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.schema import VERSION_TABLE, _head
@@ -65,7 +65,7 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
     path = tmp_path / "old.db"
     shutil.copy(ASSETS / f"schema_{schema}.db", path)
     open_store(path).close()
-    with open_campaign(path) as campaign:
+    with open_stored_campaign(path) as campaign:
         assert campaign.record == records.campaign()
         stored = records.with_arrays(1, 5.0)
         # The first schema had no graph summaries, the second none of the retry; everything else is as it was.

@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.models import Attempt, Cell
+from calcidem.storage.sql.models import AttemptRow, CellRow
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import cell_in, conditions, with_results
 from calcidem.storage.sql.store import open_store
@@ -53,7 +53,7 @@ def large(tmp_path_factory: pytest.TempPathFactory, records: "Records") -> tuple
 def test_seconds_for_100_000_cells(large: tuple[Path, Stopwatch], capsys: pytest.CaptureFixture[str]) -> None:
     """A campaign of 100,000 cells is complete in every way of reading it; its seconds are printed."""
     path, timed = large
-    with timed("open", lambda: open_campaign(path)) as campaign:
+    with timed("open", lambda: open_stored_campaign(path)) as campaign:
         assert timed("pending", lambda: campaign.store.pending(SEEDS, CONTENTS)) == ()
         counts = timed("status counts", campaign.status_counts)
         assert counts == {(content, CellStatus.DONE): len(SEEDS) for content in CONTENTS}
@@ -84,7 +84,9 @@ def test_queries_use_indices(large: tuple[Path, Stopwatch], selection: Selection
     path, _ = large
     with open_store(path) as store, store._reading() as session:
         columns = [quantity.expression for quantity in QUANTITIES]
-        statement = with_results(select(*columns)).where(*conditions(1, selection)).order_by(Cell.seed, Cell.content)
+        statement = (
+            with_results(select(*columns)).where(*conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
+        )
         compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
         plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
     assert not any(line.startswith("SCAN") for line in plan), plan
@@ -97,8 +99,11 @@ def test_listed_cells_are_searched_by_their_keys(large: tuple[Path, Stopwatch], 
     path, _ = large
     with open_store(path) as store, store._reading() as session:
         for statement, columns in (
-            (select(Cell.id).where(Cell.campaign_id == 1, cell_in(keys)), ("campaign_id=?", "seed=?", "content=?")),
-            (select(Attempt.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
+            (
+                select(CellRow.id).where(CellRow.campaign_id == 1, cell_in(keys)),
+                ("campaign_id=?", "seed=?", "content=?"),
+            ),
+            (select(AttemptRow.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
         ):
             compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
             plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]

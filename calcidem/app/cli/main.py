@@ -128,10 +128,10 @@ def export(
     ] = None,
 ) -> None:
     """Write a campaign into a NetCDF file."""
-    from calcidem.storage.campaign import open_campaign
+    from calcidem.storage.campaign import open_stored_campaign
     from calcidem.storage.netcdf.export import export_netcdf
 
-    with open_campaign(database, campaign) as opened:
+    with open_stored_campaign(database, campaign) as opened:
         typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf, without=without or ())}")
 
 

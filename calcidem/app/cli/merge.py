@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.merge import Conflict, Merged, merge_campaigns
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import StoreError
 from calcidem.storage.netcdf.export import replaced_atomically
 from calcidem.storage.sql.store import open_store
@@ -70,7 +70,7 @@ def merge_databases(
     if out.exists():
         raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
     with ExitStack() as stack:
-        campaigns = [stack.enter_context(open_campaign(source, campaign_name)) for source in sources]
+        campaigns = [stack.enter_context(open_stored_campaign(source, campaign_name)) for source in sources]
         temporary = stack.enter_context(replaced_atomically(out.absolute()))
         with open_store(temporary) as store:
             merged = merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))

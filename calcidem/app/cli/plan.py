@@ -6,7 +6,7 @@ import numpy as np
 import typer
 
 from calcidem.analysis.planning import plan_seeds
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
 
@@ -23,7 +23,7 @@ def plan(
     campaign: Annotated[str | None, typer.Option("--campaign", help="Which one, if the database has several.")] = None,
 ) -> None:
     """Tell how many more seeds narrow the mean of Vs at a content to an interval, and what they cost."""
-    with open_campaign(database, campaign) as opened:
+    with open_stored_campaign(database, campaign) as opened:
         columns = opened.store.table(("vs", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]

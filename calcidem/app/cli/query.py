@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import replaced_atomically
 from calcidem.storage.records import CellStatus
@@ -84,7 +84,7 @@ def find(
     StoreError
         If the database can't be read.
     """
-    with open_campaign(database, campaign_name) as campaign:
+    with open_stored_campaign(database, campaign_name) as campaign:
         return campaign.store.table(columns, selection, sort=sort, limit=limit)
 
 

@@ -11,7 +11,7 @@ from rich.live import Live
 
 from calcidem.app.campaign.status import CampaignStatus, campaign_status, is_being_written
 from calcidem.app.cli.status_view import as_json, status_view
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 PLAIN_WIDTH = 110
 """Columns where no terminal says how many there are."""
@@ -42,7 +42,7 @@ def look(database: str, campaign_name: str | None = None) -> CampaignStatus:
     StoreError
         If the database can't be read or has no such campaign.
     """
-    with open_campaign(database, campaign_name) as campaign:
+    with open_stored_campaign(database, campaign_name) as campaign:
         return campaign_status(campaign, running=is_being_written(database, campaign.record.name))
 
 

@@ -19,7 +19,7 @@ from calcidem.app.report.results import (
     velocity_table,
 )
 from calcidem.app.report.wording import Table
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "velocities": velocity_table,
@@ -62,7 +62,7 @@ def analyse(
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     left_out: dict[str, str] = {}
-    with open_campaign(database, campaign_name) as campaign:
+    with open_stored_campaign(database, campaign_name) as campaign:
         analysis = CampaignAnalysis(campaign)
         for entry in CAMPAIGN_FIGURES:
             try:

@@ -23,7 +23,7 @@ from calcidem.app.report.results import (
     velocity_table,
 )
 from calcidem.app.report.wording import Table, duration, number, significant
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 FEW_SEEDS = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
@@ -86,7 +86,7 @@ def write_report(
         If the file can't be written.
     """
     target = Path(out)
-    with open_campaign(database, campaign_name) as campaign:
+    with open_stored_campaign(database, campaign_name) as campaign:
         text = render_page(CampaignAnalysis(campaign), studies or {})
     partial = target.with_name(f"{target.name}.{os.getpid()}.part")
     partial.write_text(text, encoding="utf-8")

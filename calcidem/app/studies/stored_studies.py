@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 import xarray as xr
 
 from calcidem.app.campaign.packing import stored_packing
-from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.frequency_and_damping import damping_study, frequency_study
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": frequency_study, "damping": damping_study}
 
@@ -49,7 +49,7 @@ def run_studies(
     unknown = sorted(set(names) - set(STUDIES))
     if unknown:
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(STUDIES)}")
-    with open_campaign(database, campaign_name) as campaign:
-        experiment = experiment_of(campaign.config, stored_packing(campaign.packing()))
+    with open_stored_campaign(database, campaign_name) as campaign:
+        experiment = Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
     chosen = {} if contents is None else {"contents": tuple(contents)}
     return {name: STUDIES[name](experiment, check=check, **chosen) for name in names}

@@ -12,7 +12,7 @@ from calcidem.app.campaign.provenance import cpu_model
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.storage.campaign import Campaign
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 
@@ -74,7 +74,7 @@ class Verification:
         return self.computed.vs / self.stored.vs - 1.0
 
 
-def random_cells(campaign: Campaign, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
+def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
     """Choose stored cells at random, by seed, then content.
 
     Parameters
@@ -101,7 +101,7 @@ def random_cells(campaign: Campaign, count: int, choice: int | None = None) -> t
 
 
 def verify(
-    campaign: Campaign, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
+    campaign: StoredCampaign, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
 ) -> Iterator[Verification]:
     """Compute stored cells again and compare them, as many side by side as there are lanes.
 
@@ -132,7 +132,7 @@ def verify(
 
 
 def verify_batch(
-    campaign: Campaign, experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
+    campaign: StoredCampaign, experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
 ) -> Iterator[Verification]:
     """Compute cells of one content and one packing."""
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
@@ -141,7 +141,7 @@ def verify_batch(
         yield compared(stored, computed, same_cpu=cpu_of(campaign, stored) == cpu_model())
 
 
-def cpu_of(campaign: Campaign, stored: CellResult) -> str | None:
+def cpu_of(campaign: StoredCampaign, stored: CellResult) -> str | None:
     """Return the kind of CPU that a cell was computed on; None if that is not known.
 
     It is that of rank 0 of its run: clusters whose nodes differ have to be told apart by their partitions.

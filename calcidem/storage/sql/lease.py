@@ -17,7 +17,7 @@ from sqlalchemy import CursorResult, delete, update
 from sqlalchemy.orm import Session
 
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
-from calcidem.storage.sql.models import Lease
+from calcidem.storage.sql.models import LeaseRow
 from calcidem.storage.store import LeaseGrant
 
 __all__ = ["STALE_AFTER", "FileLock", "claim", "drop", "refresh"]
@@ -99,7 +99,7 @@ def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseG
     """
     now = datetime.now(UTC)
     host, taken_over_from = socket.gethostname(), None
-    former = session.get(Lease, campaign_id, with_for_update=True)
+    former = session.get(LeaseRow, campaign_id, with_for_update=True)
     if former is not None:
         dead = now - former.heartbeat > STALE_AFTER
         if former.host == host:
@@ -112,11 +112,11 @@ def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseG
         session.delete(former)
         session.flush()
     token = uuid.uuid4().hex
-    session.add(Lease(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
+    session.add(LeaseRow(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
     return LeaseGrant(token, taken_over_from)
 
 
-def held_error(holder: Lease | None) -> LeaseHeldError:
+def held_error(holder: LeaseRow | None) -> LeaseHeldError:
     """Return the error that names the present master."""
     if holder is None:
         who, cure = "another process on this machine", "Wait until it has ended."
@@ -135,7 +135,7 @@ def refresh(session: Session, token: str) -> None:
     LeaseLostError
         If the row is another process's by now.
     """
-    statement = update(Lease).where(Lease.token == token)
+    statement = update(LeaseRow).where(LeaseRow.token == token)
     result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=datetime.now(UTC))))
     if result.rowcount == 0:
         raise LeaseLostError(
@@ -146,7 +146,7 @@ def refresh(session: Session, token: str) -> None:
 
 def drop(session: Session, token: str) -> None:
     """Remove the row if it is still this master's."""
-    session.execute(delete(Lease).where(Lease.token == token))
+    session.execute(delete(LeaseRow).where(LeaseRow.token == token))
 
 
 def _is_alive(pid: int) -> bool:

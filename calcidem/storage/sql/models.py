@@ -1,8 +1,8 @@
 """Database schema as SQLAlchemy 2 typed models; rules that can be stated as constraints are.
 
-One row of `Cell` for each planned (campaign, seed, content); its outcome, if it has one, is the `Result` of
-the same id, with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `Attempt` keeps the history. The absence
-of a `Result` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes
+One row of `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the `ResultRow` of
+the same id, with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `AttemptRow` keeps the history. The absence
+of a `ResultRow` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes
 (`calcidem.storage.records.arrays`).
 """
 
@@ -30,17 +30,17 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
 
 __all__ = [
-    "Attempt",
+    "AttemptRow",
     "Base",
-    "Campaign",
-    "Cell",
+    "CampaignRow",
+    "CellRow",
     "CementRow",
     "GraphRow",
-    "Lease",
-    "Packing",
+    "LeaseRow",
+    "PackingRow",
     "PathRow",
-    "Result",
-    "Run",
+    "ResultRow",
+    "RunRow",
     "SignalRow",
 ]
 
@@ -109,7 +109,7 @@ def one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
     return CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
 
 
-class Campaign(Base):
+class CampaignRow(Base):
     """A physical configuration and its name (`CampaignRecord`; seeds and contents are those of its cells)."""
 
     __tablename__ = "campaign"
@@ -121,7 +121,7 @@ class Campaign(Base):
     created: Mapped[datetime]
 
 
-class Lease(Base):
+class LeaseRow(Base):
     """The one process that may write a campaign."""
 
     __tablename__ = "lease"
@@ -134,7 +134,7 @@ class Lease(Base):
     heartbeat: Mapped[datetime]
 
 
-class Run(Base):
+class RunRow(Base):
     """Provenance of one run (`RunRecord`)."""
 
     __tablename__ = "run"
@@ -156,7 +156,7 @@ class Run(Base):
     exit_state: Mapped[str | None]
 
 
-class Packing(Base):
+class PackingRow(Base):
     """A packing with its report (`PackingRecord`); `grains` holds the arrays x, y and radius."""
 
     __tablename__ = "packing"
@@ -187,7 +187,7 @@ class Packing(Base):
     state: Mapped[bytes] = mapped_column(LargeBinary)
 
 
-class Cell(Base):
+class CellRow(Base):
     """A planned cell."""
 
     __tablename__ = "cell"
@@ -204,7 +204,7 @@ class Cell(Base):
     content: Mapped[float]
 
 
-class Attempt(Base):
+class AttemptRow(Base):
     """One attempt at a cell (`AttemptRecord`)."""
 
     __tablename__ = "attempt"
@@ -226,7 +226,7 @@ class Attempt(Base):
     forgiven: Mapped[bool]
 
 
-class Result(Base):
+class ResultRow(Base):
     """The outcome of a cell (`CellResult`); the attempt it came from has reason, rank, host and seconds."""
 
     __tablename__ = "result"

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from sqlalchemy import SQLColumnExpression, func, literal_column
 
 from calcidem.storage.records import CellStatus
-from calcidem.storage.sql.models import Attempt, Cell, GraphRow, PathRow, Result
+from calcidem.storage.sql.models import AttemptRow, CellRow, GraphRow, PathRow, ResultRow
 
 __all__ = ["GRAPH_PREFIX", "PATH_PREFIX", "QUANTITIES", "QUANTITY_BY_NAME", "Quantity"]
 
@@ -40,7 +40,7 @@ class Quantity:
     expression: SQLColumnExpression[Any]
 
 
-STATUS = func.coalesce(Result.status, literal_column(repr(CellStatus.PENDING.value)))
+STATUS = func.coalesce(ResultRow.status, literal_column(repr(CellStatus.PENDING.value)))
 """A planned cell without a result is pending.
 
 The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
@@ -48,52 +48,52 @@ and refuses to group by this.
 """
 
 QUANTITIES = (
-    Quantity("seed", "whole", "1", "seed of the random cement pattern", Cell.seed),
-    Quantity("content", "real", "percent", "calcite content by mass of sand", Cell.content),
+    Quantity("seed", "whole", "1", "seed of the random cement pattern", CellRow.seed),
+    Quantity("content", "real", "percent", "calcite content by mass of sand", CellRow.content),
     Quantity("status", "text", "", "outcome of the cell", STATUS),
-    Quantity("reason", "text", "", "why the outcome is what it is", Attempt.reason),
-    Quantity("vs", "real", "m s-1", "shear-wave velocity", Result.vs),
-    Quantity("vs_peak", "real", "m s-1", "shear-wave velocity from peak to peak", Result.vs_peak),
-    Quantity("vs_first_arrival", "real", "m s-1", "shear-wave velocity by first arrival", Result.vs_first_arrival),
+    Quantity("reason", "text", "", "why the outcome is what it is", AttemptRow.reason),
+    Quantity("vs", "real", "m s-1", "shear-wave velocity", ResultRow.vs),
+    Quantity("vs_peak", "real", "m s-1", "shear-wave velocity from peak to peak", ResultRow.vs_peak),
+    Quantity("vs_first_arrival", "real", "m s-1", "shear-wave velocity by first arrival", ResultRow.vs_first_arrival),
     Quantity(
         "vs_cross_correlation",
         "real",
         "m s-1",
         "shear-wave velocity by cross-correlation",
-        Result.vs_cross_correlation,
+        ResultRow.vs_cross_correlation,
     ),
-    Quantity("quality_peak", "real", "1", "quality of the peak-to-peak pick", Result.quality_peak),
+    Quantity("quality_peak", "real", "1", "quality of the peak-to-peak pick", ResultRow.quality_peak),
     Quantity(
         "quality_first_arrival",
         "real",
         "1",
         "quality of the first-arrival pick",
-        Result.quality_first_arrival,
+        ResultRow.quality_first_arrival,
     ),
     Quantity(
         "quality_cross_correlation",
         "real",
         "1",
         "quality of the cross-correlation pick",
-        Result.quality_cross_correlation,
+        ResultRow.quality_cross_correlation,
     ),
-    Quantity("frequency", "real", "Hz", "frequency of the sent pulse", Result.frequency),
-    Quantity("time_step", "real", "s", "time step", Result.time_step),
-    Quantity("stability_limit", "real", "s", "largest stable time step", Result.stability_limit),
-    Quantity("steps", "whole", "1", "number of time steps", Result.steps),
-    Quantity("energy_error", "real", "1", "largest relative error of the energy balance", Result.energy_error),
-    Quantity("error_estimate", "real", "1", "estimated relative numerical error of vs", Result.error_estimate),
-    Quantity("content_reached", "real", "percent", "calcite content of the cement placed", Result.content_reached),
-    Quantity("p_contacts", "whole", "1", "number of P contacts", Result.p_contacts),
-    Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", Result.c_contacts),
-    Quantity("clusters", "whole", "1", "number of C clusters", Result.clusters),
-    Quantity("bonded_contacts", "whole", "1", "number of bonded contacts", Result.bonded_contacts),
-    Quantity("retry", "text", "", "why the sample was sent again, with half the time step", Result.retry),
-    Quantity("packing_index", "whole", "1", "which of the campaign's packings", Result.packing_index),
-    Quantity("seconds", "real", "s", "computing time", Attempt.seconds),
-    Quantity("rank", "whole", "1", "MPI rank that computed it", Attempt.rank),
-    Quantity("host", "text", "", "host that computed it", Attempt.host),
-    Quantity("attempt", "whole", "1", "number of the attempt", Result.attempt),
+    Quantity("frequency", "real", "Hz", "frequency of the sent pulse", ResultRow.frequency),
+    Quantity("time_step", "real", "s", "time step", ResultRow.time_step),
+    Quantity("stability_limit", "real", "s", "largest stable time step", ResultRow.stability_limit),
+    Quantity("steps", "whole", "1", "number of time steps", ResultRow.steps),
+    Quantity("energy_error", "real", "1", "largest relative error of the energy balance", ResultRow.energy_error),
+    Quantity("error_estimate", "real", "1", "estimated relative numerical error of vs", ResultRow.error_estimate),
+    Quantity("content_reached", "real", "percent", "calcite content of the cement placed", ResultRow.content_reached),
+    Quantity("p_contacts", "whole", "1", "number of P contacts", ResultRow.p_contacts),
+    Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", ResultRow.c_contacts),
+    Quantity("clusters", "whole", "1", "number of C clusters", ResultRow.clusters),
+    Quantity("bonded_contacts", "whole", "1", "number of bonded contacts", ResultRow.bonded_contacts),
+    Quantity("retry", "text", "", "why the sample was sent again, with half the time step", ResultRow.retry),
+    Quantity("packing_index", "whole", "1", "which of the campaign's packings", ResultRow.packing_index),
+    Quantity("seconds", "real", "s", "computing time", AttemptRow.seconds),
+    Quantity("rank", "whole", "1", "MPI rank that computed it", AttemptRow.rank),
+    Quantity("host", "text", "", "host that computed it", AttemptRow.host),
+    Quantity("attempt", "whole", "1", "number of the attempt", ResultRow.attempt),
     Quantity("path_contacts", "whole", "1", "contacts on the preferential path", PathRow.contacts),
     Quantity("path_hertz_contacts", "whole", "1", "uncemented contacts on it", PathRow.hertz_contacts),
     Quantity("path_bonded_contacts", "whole", "1", "cemented contacts on it", PathRow.bonded_contacts),

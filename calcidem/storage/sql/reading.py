@@ -19,7 +19,17 @@ from calcidem.storage.records import (
     CellStatus,
 )
 from calcidem.storage.sql import rows
-from calcidem.storage.sql.models import LOST, Attempt, Campaign, Cell, CementRow, GraphRow, PathRow, Result, SignalRow
+from calcidem.storage.sql.models import (
+    LOST,
+    AttemptRow,
+    CampaignRow,
+    CellRow,
+    CementRow,
+    GraphRow,
+    PathRow,
+    ResultRow,
+    SignalRow,
+)
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, STATUS
 from calcidem.storage.sql.where import parse_where
 from calcidem.storage.store import Selection
@@ -61,24 +71,24 @@ def chunks(items: Iterable[T], size: int = CHUNK) -> Iterator[list[T]]:
 def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
     """Join a planned cell with its outcome, the attempt it came from, its path and its graph, where there are any."""
     return (
-        statement.select_from(Cell)
-        .outerjoin(Result, Result.cell_id == Cell.id)
-        .outerjoin(Attempt, and_(Attempt.cell_id == Cell.id, Attempt.number == Result.attempt))
-        .outerjoin(PathRow, PathRow.cell_id == Cell.id)
-        .outerjoin(GraphRow, GraphRow.cell_id == Cell.id)
+        statement.select_from(CellRow)
+        .outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
+        .outerjoin(AttemptRow, and_(AttemptRow.cell_id == CellRow.id, AttemptRow.number == ResultRow.attempt))
+        .outerjoin(PathRow, PathRow.cell_id == CellRow.id)
+        .outerjoin(GraphRow, GraphRow.cell_id == CellRow.id)
     )
 
 
 def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `with_results`."""
-    found = [Cell.campaign_id == campaign_id]
+    found = [CellRow.campaign_id == campaign_id]
     if selection.seeds is not None:
         found.append(_is_one_of(selection.seeds))
     if selection.contents is not None:
-        found.append(Cell.content.in_(selection.contents))
+        found.append(CellRow.content.in_(selection.contents))
     if selection.statuses is not None:
         # Without pending the plain column will do, which has an index.
-        status = STATUS if CellStatus.PENDING in selection.statuses else Result.status
+        status = STATUS if CellStatus.PENDING in selection.statuses else ResultRow.status
         found.append(status.in_([s.value for s in selection.statuses]))
     if selection.where is not None:
         found.append(parse_where(selection.where))
@@ -89,14 +99,14 @@ def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
     """Condition on the seed; a range without gaps, the usual case, needs two parameters only."""
     listed = list(seeds)
     if listed and listed[-1] - listed[0] == len(listed) - 1:
-        return Cell.seed.between(listed[0], listed[-1])
-    return Cell.seed.in_(listed)
+        return CellRow.seed.between(listed[0], listed[-1])
+    return CellRow.seed.in_(listed)
 
 
 def selected_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
     """Ids of the selected cells, by seed, then content."""
-    statement = with_results(select(Cell.id)).where(*conditions(campaign_id, selection))
-    return list(session.scalars(statement.order_by(Cell.seed, Cell.content)))
+    statement = with_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
+    return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
 
 
 def table(
@@ -115,7 +125,7 @@ def table(
         )
     statement = with_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
     statement = statement.where(*conditions(campaign_id, selection))
-    statement = statement.order_by(*map(_sorted_by, sort), Cell.seed, Cell.content).limit(limit)
+    statement = statement.order_by(*map(_sorted_by, sort), CellRow.seed, CellRow.content).limit(limit)
     types = [KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
@@ -145,9 +155,11 @@ def _sorted_by(name: str) -> UnaryExpression[Any]:
 
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
-    listed = Cell.id.in_(cell_ids)
-    statement = with_results(select(Cell.id, Cell.seed, Cell.content, *rows.RESULT_COLUMNS))
-    found = session.execute(statement.where(listed, Result.status.is_not(None)).order_by(Cell.seed, Cell.content))
+    listed = CellRow.id.in_(cell_ids)
+    statement = with_results(select(CellRow.id, CellRow.seed, CellRow.content, *rows.RESULT_COLUMNS))
+    found = session.execute(
+        statement.where(listed, ResultRow.status.is_not(None)).order_by(CellRow.seed, CellRow.content)
+    )
     signals: dict[int, SignalRow] = {}
     cements: dict[int, CementRow] = {}
     if with_arrays:
@@ -168,19 +180,21 @@ def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) 
 
 def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
     """All attempts at the cells, by seed, content and number."""
-    statement = select(Cell.seed, Cell.content, *rows.ATTEMPT_COLUMNS).join(Cell, Attempt.cell_id == Cell.id)
-    statement = statement.where(Cell.id.in_(cell_ids)).order_by(Cell.seed, Cell.content, Attempt.number)
+    statement = select(CellRow.seed, CellRow.content, *rows.ATTEMPT_COLUMNS).join(
+        CellRow, AttemptRow.cell_id == CellRow.id
+    )
+    statement = statement.where(CellRow.id.in_(cell_ids)).order_by(CellRow.seed, CellRow.content, AttemptRow.number)
     yield from (rows.attempt_record(row) for row in session.execute(statement))
 
 
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
-    losses = func.sum(case((and_(Attempt.outcome == LOST, Attempt.forgiven.is_(False)), 1), else_=0))
+    losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
     statement = (
-        select(Cell.seed, Cell.content, func.max(Attempt.number), losses)
-        .join(Attempt, Attempt.cell_id == Cell.id)
-        .where(Cell.campaign_id == campaign_id)
-        .group_by(Cell.id, Cell.seed, Cell.content)
+        select(CellRow.seed, CellRow.content, func.max(AttemptRow.number), losses)
+        .join(AttemptRow, AttemptRow.cell_id == CellRow.id)
+        .where(CellRow.campaign_id == campaign_id)
+        .group_by(CellRow.id, CellRow.seed, CellRow.content)
     )
     if keys is None:
         return _counts(session, statement)
@@ -203,34 +217,34 @@ def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
     SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
     """
     seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
-    listed = tuple_(Cell.seed, Cell.content).in_([(key.seed, key.content) for key in keys])
-    return and_(Cell.seed.in_(sorted(seeds)), Cell.content.in_(sorted(contents)), listed)
+    listed = tuple_(CellRow.seed, CellRow.content).in_([(key.seed, key.content) for key in keys])
+    return and_(CellRow.seed.in_(sorted(seeds)), CellRow.content.in_(sorted(contents)), listed)
 
 
 def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:
     """See `Store.status_counts`."""
     statement = (
-        select(Cell.content, STATUS, func.count())
-        .select_from(Cell)
-        .outerjoin(Result, Result.cell_id == Cell.id)
-        .where(Cell.campaign_id == campaign_id)
-        .group_by(Cell.content, STATUS)
-        .order_by(Cell.content)
+        select(CellRow.content, STATUS, func.count())
+        .select_from(CellRow)
+        .outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
+        .where(CellRow.campaign_id == campaign_id)
+        .group_by(CellRow.content, STATUS)
+        .order_by(CellRow.content)
     )
     return {(content, CellStatus(status)): count for content, status, count in session.execute(statement)}
 
 
-def campaign_record(session: Session, row: Campaign) -> CampaignRecord:
+def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
     """Build a campaign with the seeds and contents of its planned cells."""
 
     def planned(column: InstrumentedAttribute[Any]) -> tuple[Any, ...]:
-        return tuple(session.scalars(select(column).where(Cell.campaign_id == row.id).distinct()))
+        return tuple(session.scalars(select(column).where(CellRow.campaign_id == row.id).distinct()))
 
     return CampaignRecord(
         hash=row.hash,
         name=row.name,
         config=row.config,
-        contents=planned(Cell.content),
-        seeds=planned(Cell.seed),
+        contents=planned(CellRow.content),
+        seeds=planned(CellRow.seed),
         created=row.created,
     )

@@ -18,7 +18,16 @@ from calcidem.storage.records import (
     Signal,
 )
 from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
-from calcidem.storage.sql.models import Attempt, CementRow, GraphRow, Packing, PathRow, Result, Run, SignalRow
+from calcidem.storage.sql.models import (
+    AttemptRow,
+    CementRow,
+    GraphRow,
+    PackingRow,
+    PathRow,
+    ResultRow,
+    RunRow,
+    SignalRow,
+)
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX
 
 __all__ = [
@@ -41,7 +50,7 @@ __all__ = [
     "signal_values",
 ]
 
-RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in Result.__table__.columns)
+RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in ResultRow.__table__.columns)
 ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
 PATH_FIELDS = tuple(f.name for f in fields(PathFeatures))
 GRAPH_FIELDS = tuple(f.name for f in fields(GraphSummary))
@@ -52,14 +61,14 @@ SIGNAL_ARRAYS = ("sent_velocity", "received_force", "received_velocity")
 CEMENT_ARRAYS = ("contacts", "kind", "cluster_centres")
 
 RESULT_COLUMNS = (
-    *(getattr(Result, name) for name in RESULT_FIELDS),
-    *(getattr(Attempt, name) for name in ATTEMPT_FIELDS),
+    *(getattr(ResultRow, name) for name in RESULT_FIELDS),
+    *(getattr(AttemptRow, name) for name in ATTEMPT_FIELDS),
     *(getattr(PathRow, name).label(PATH_PREFIX + name) for name in PATH_FIELDS),
     *(getattr(GraphRow, name).label(GRAPH_PREFIX + name) for name in GRAPH_FIELDS),
 )
 """Columns that `cell_result` needs besides seed and content."""
 
-ATTEMPT_COLUMNS = tuple(getattr(Attempt, f.name) for f in fields(AttemptRecord) if f.name != "key")
+ATTEMPT_COLUMNS = tuple(getattr(AttemptRow, f.name) for f in fields(AttemptRecord) if f.name != "key")
 """Columns that `attempt_record` needs behind seed and content, in the order of the record's fields."""
 
 
@@ -85,12 +94,12 @@ def cell_result(
 
 
 def result_values(cell_id: int, result: CellResult) -> dict[str, Any]:
-    """Columns of a `Result`."""
+    """Columns of a `ResultRow`."""
     return {"cell_id": cell_id} | {name: getattr(result, name) for name in RESULT_FIELDS}
 
 
 def attempt_values(cell_id: int, result: CellResult, run_id: int | None, recorded: datetime) -> dict[str, Any]:
-    """Columns of the `Attempt` that ended with a result."""
+    """Columns of the `AttemptRow` that ended with a result."""
     return {
         "cell_id": cell_id,
         "number": result.attempt,
@@ -142,26 +151,26 @@ def attempt_record(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
     return AttemptRecord(CellKey(seed, content), *values)
 
 
-def packing_row(campaign_id: int, packing: PackingRecord) -> Packing:
+def packing_row(campaign_id: int, packing: PackingRecord) -> PackingRow:
     """Row of a packing."""
     values = {name: getattr(packing, name) for name in PACKING_FIELDS}
     values["wall_stress"] = dict(packing.wall_stress)
     grains = pack_arrays({name: getattr(packing, name) for name in PACKING_ARRAYS})
-    return Packing(campaign_id=campaign_id, number=packing.index, grains=grains, **values)
+    return PackingRow(campaign_id=campaign_id, number=packing.index, grains=grains, **values)
 
 
-def packing_record(row: Packing) -> PackingRecord:
+def packing_record(row: PackingRow) -> PackingRecord:
     """Inverse of `packing_row`."""
     values: dict[str, Any] = {name: getattr(row, name) for name in PACKING_FIELDS}
     return PackingRecord(index=row.number, **(values | unpack_arrays(row.grains)))
 
 
-def run_row(campaign_id: int, run: RunRecord) -> Run:
+def run_row(campaign_id: int, run: RunRecord) -> RunRow:
     """Row of a run."""
     values = {name: getattr(run, name) for name in RUN_FIELDS}
-    return Run(campaign_id=campaign_id, **(values | {"versions": dict(run.versions)}))
+    return RunRow(campaign_id=campaign_id, **(values | {"versions": dict(run.versions)}))
 
 
-def run_record(row: Run) -> RunRecord:
+def run_record(row: RunRow) -> RunRecord:
     """Inverse of `run_row`."""
     return RunRecord(**{name: getattr(row, name) for name in RUN_FIELDS})

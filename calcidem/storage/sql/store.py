@@ -26,7 +26,7 @@ from calcidem.storage.records import (
 from calcidem.storage.records.campaign import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
 from calcidem.storage.sql.engine import Address, make_engine, parse_address
-from calcidem.storage.sql.models import Campaign, Cell, Lease, Packing, Run, SignalRow
+from calcidem.storage.sql.models import CampaignRow, CellRow, LeaseRow, PackingRow, RunRow, SignalRow
 from calcidem.storage.sql.schema import prepare_schema, require_current_schema, stored_revision
 from calcidem.storage.sql.transaction import transaction
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
@@ -107,7 +107,7 @@ class SqlStore(Store):
     @override
     def campaigns(self) -> tuple[CampaignRecord, ...]:
         with self._reading() as session:
-            found = session.scalars(select(Campaign).order_by(Campaign.id))
+            found = session.scalars(select(CampaignRow).order_by(CampaignRow.id))
             return tuple(reading.campaign_record(session, row) for row in found)
 
     @override
@@ -122,7 +122,7 @@ class SqlStore(Store):
     @override
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
         with self._reading() as session:
-            found = list(session.scalars(select(Campaign).order_by(Campaign.id)))
+            found = list(session.scalars(select(CampaignRow).order_by(CampaignRow.id)))
             chosen = [row for row in found if name is None or row.name == name]
             if len(chosen) != 1:
                 names = ", ".join(f"'{row.name}'" for row in found) or "none"
@@ -148,7 +148,7 @@ class SqlStore(Store):
     @override
     def end_run(self, exit_state: str, ended: datetime) -> None:
         with self._writing() as session:
-            row = session.get(Run, self._run_id)
+            row = session.get(RunRow, self._run_id)
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             row.exit_state, row.ended = exit_state, as_utc(ended)
@@ -157,7 +157,7 @@ class SqlStore(Store):
     @override
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         with self._reading() as session:
-            found = session.scalars(select(Run).where(Run.campaign_id == self._campaign).order_by(Run.id))
+            found = session.scalars(select(RunRow).where(RunRow.campaign_id == self._campaign).order_by(RunRow.id))
             return tuple((row.id, rows.run_record(row)) for row in found)
 
     # Lease
@@ -180,9 +180,9 @@ class SqlStore(Store):
         self._token = grant.token
         return grant
 
-    def _holder(self) -> Lease | None:
+    def _holder(self) -> LeaseRow | None:
         with self._reading() as session:
-            return session.get(Lease, self._campaign)
+            return session.get(LeaseRow, self._campaign)
 
     @override
     def heartbeat(self) -> None:
@@ -235,15 +235,15 @@ class SqlStore(Store):
     @override
     def load_packing(self, index: int = 0) -> PackingRecord | None:
         with self._reading() as session:
-            statement = select(Packing).where(Packing.campaign_id == self._campaign, Packing.number == index)
+            statement = select(PackingRow).where(PackingRow.campaign_id == self._campaign, PackingRow.number == index)
             row = session.scalar(statement)
             return None if row is None else rows.packing_record(row)
 
     @override
     def packing_indices(self) -> tuple[int, ...]:
         with self._reading() as session:
-            statement = select(Packing.number).where(Packing.campaign_id == self._campaign)
-            return tuple(session.scalars(statement.order_by(Packing.number)))
+            statement = select(PackingRow.number).where(PackingRow.campaign_id == self._campaign)
+            return tuple(session.scalars(statement.order_by(PackingRow.number)))
 
     @override
     def pending(
@@ -293,8 +293,8 @@ class SqlStore(Store):
     @override
     def signal(self, key: CellKey) -> Signal | None:
         with self._reading() as session:
-            statement = select(SignalRow).join(Cell, Cell.id == SignalRow.cell_id)
-            row = session.scalar(statement.where(Cell.campaign_id == self._campaign, reading.cell_in([key])))
+            statement = select(SignalRow).join(CellRow, CellRow.id == SignalRow.cell_id)
+            row = session.scalar(statement.where(CellRow.campaign_id == self._campaign, reading.cell_in([key])))
             return None if row is None else rows.signal(row)
 
     @override

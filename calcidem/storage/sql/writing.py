@@ -22,14 +22,14 @@ from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql import rows
 from calcidem.storage.sql.models import (
     LOST,
-    Attempt,
-    Campaign,
-    Cell,
+    AttemptRow,
+    CampaignRow,
+    CellRow,
     CementRow,
     GraphRow,
-    Packing,
+    PackingRow,
     PathRow,
-    Result,
+    ResultRow,
     SignalRow,
 )
 from calcidem.storage.sql.reading import CHUNK, attempt_counts, cell_in, chunks
@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 
-def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
+def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
     """Find the campaign by its hash, or create it; its plan is the caller's next step.
 
     Raises
@@ -53,10 +53,10 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
     CampaignMismatchError
         If the name belongs to another hash.
     """
-    row = session.scalar(select(Campaign).where(Campaign.hash == campaign.hash))
+    row = session.scalar(select(CampaignRow).where(CampaignRow.hash == campaign.hash))
     if row is not None:
         return row
-    namesake = session.scalar(select(Campaign).where(Campaign.name == campaign.name))
+    namesake = session.scalar(select(CampaignRow).where(CampaignRow.name == campaign.name))
     if namesake is not None:
         differences = config_difference(namesake.config, campaign.config) or ["(none in the configuration's text)"]
         raise CampaignMismatchError(
@@ -65,7 +65,7 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
             + "\n",
             "Give the old values to continue it, or a new database or campaign name for the new ones.",
         )
-    row = Campaign(hash=campaign.hash, name=campaign.name, config=campaign.config, created=campaign.created)
+    row = CampaignRow(hash=campaign.hash, name=campaign.name, config=campaign.config, created=campaign.created)
     session.add(row)
     session.flush()
     return row
@@ -74,7 +74,7 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> Campaign:
 def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], contents: Iterable[float]) -> int:
     """Plan the cells of seeds x contents that are not planned yet; return how many."""
     wanted = [CellKey(seed, content) for seed, content in product(sorted(set(seeds)), sorted(set(contents)))]
-    statement = select(Cell.seed, Cell.content).where(Cell.campaign_id == campaign_id)
+    statement = select(CellRow.seed, CellRow.content).where(CellRow.campaign_id == campaign_id)
     planned = {(seed, content) for seed, content in session.execute(statement)}
     new = [
         {"campaign_id": campaign_id, "seed": key.seed, "content": key.content}
@@ -82,14 +82,14 @@ def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], content
         if (key.seed, key.content) not in planned
     ]
     if new:
-        session.execute(insert(Cell), new)
+        session.execute(insert(CellRow), new)
     return len(new)
 
 
 def save_packing(session: Session, campaign_id: int, packing: PackingRecord) -> None:
     """See `Store.save_packing`."""
     stored = session.scalar(
-        select(Packing.hash).where(Packing.campaign_id == campaign_id, Packing.number == packing.index)
+        select(PackingRow.hash).where(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
     )
     if stored is None:
         session.add(rows.packing_row(campaign_id, packing))
@@ -145,9 +145,9 @@ def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult
 
 
 def _known_cells(session: Session, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-    statement = select(Cell.seed, Cell.content, Cell.id, Result.status, Result.attempt)
-    statement = statement.outerjoin(Result, Result.cell_id == Cell.id)
-    statement = statement.where(Cell.campaign_id == campaign_id, cell_in(keys))
+    statement = select(CellRow.seed, CellRow.content, CellRow.id, ResultRow.status, ResultRow.attempt)
+    statement = statement.outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
+    statement = statement.where(CellRow.campaign_id == campaign_id, cell_in(keys))
     known = {CellKey(row.seed, row.content): _Known(*row[2:]) for row in session.execute(statement)}
     for key in keys:
         if key not in known:
@@ -174,17 +174,17 @@ def _replace(
 
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
-    session.execute(delete(Result).where(Result.cell_id.in_([cell_id for cell_id, _ in accepted])))
+    session.execute(delete(ResultRow).where(ResultRow.cell_id.in_([cell_id for cell_id, _ in accepted])))
     listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
-    statement = select(Attempt.cell_id, Attempt.number, Attempt.outcome).where(listed)
+    statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
     new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
     outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
     if outdated:
-        session.execute(delete(Attempt).where(_attempt_in(outdated)))
+        session.execute(delete(AttemptRow).where(_attempt_in(outdated)))
     if new:
-        session.execute(insert(Attempt), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
-    session.execute(insert(Result), [rows.result_values(i, result) for i, result in accepted])
+        session.execute(insert(AttemptRow), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
+    session.execute(insert(ResultRow), [rows.result_values(i, result) for i, result in accepted])
     paths = [rows.path_values(i, result.features) for i, result in accepted if result.features is not None]
     graphs = [rows.graph_values(i, result.graph) for i, result in accepted if result.graph is not None]
     signals = [rows.signal_values(i, result.signal) for i, result in accepted if result.signal is not None]
@@ -197,8 +197,8 @@ def _replace(
 
 def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
     """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
-    listed = tuple_(Attempt.cell_id, Attempt.number).in_(numbered)
-    return and_(Attempt.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
+    listed = tuple_(AttemptRow.cell_id, AttemptRow.number).in_(numbered)
+    return and_(AttemptRow.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
 
 
 def record_lost(
@@ -221,7 +221,7 @@ def record_lost(
             }
             for key in chunk
         ]
-        session.execute(insert(Attempt), values)
+        session.execute(insert(AttemptRow), values)
     return {key: AttemptCount(count.attempts + 1, count.losses + 1) for key, count in counts.items()}
 
 
@@ -230,17 +230,17 @@ def make_pending(
 ) -> tuple[CellKey, ...]:
     """See `Store.retry`."""
     statement = (
-        select(Cell.id, Cell.seed, Cell.content)
-        .join(Result, Result.cell_id == Cell.id)
-        .where(Cell.campaign_id == campaign_id, Result.status.in_([status.value for status in statuses]))
-        .order_by(Cell.seed, Cell.content)
+        select(CellRow.id, CellRow.seed, CellRow.content)
+        .join(ResultRow, ResultRow.cell_id == CellRow.id)
+        .where(CellRow.campaign_id == campaign_id, ResultRow.status.in_([status.value for status in statuses]))
+        .order_by(CellRow.seed, CellRow.content)
     )
     wanted = None if keys is None else set(keys)
     found = [(row.id, CellKey(row.seed, row.content)) for row in session.execute(statement)]
     chosen = [(cell_id, key) for cell_id, key in found if wanted is None or key in wanted]
     for chunk in chunks(cell_id for cell_id, _ in chosen):
-        session.execute(delete(Result).where(Result.cell_id.in_(chunk)))
-        session.execute(update(Attempt).where(Attempt.cell_id.in_(chunk)).values(forgiven=True))
+        session.execute(delete(ResultRow).where(ResultRow.cell_id.in_(chunk)))
+        session.execute(update(AttemptRow).where(AttemptRow.cell_id.in_(chunk)).values(forgiven=True))
     return tuple(key for _, key in chosen)
 
 
@@ -249,7 +249,7 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
     for chunk in chunks(attempts):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
         listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
-        statement = select(Attempt.cell_id, Attempt.number).where(listed)
+        statement = select(AttemptRow.cell_id, AttemptRow.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
         names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")
         values = [
@@ -258,4 +258,4 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
             if (known[attempt.key].cell_id, attempt.number) not in existing
         ]
         if values:
-            session.execute(insert(Attempt), values)
+            session.execute(insert(AttemptRow), values)

@@ -13,7 +13,7 @@ from scipy import stats
 from calcidem.app.campaign.status import campaign_status, is_being_written
 from calcidem.app.cli.status import look
 from calcidem.app.cli.status_view import status_view
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
 
@@ -43,14 +43,14 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
     assert f"seed 3, 5 %: done, 1 attempt, sent again with half the step ({why})" in invoke("status", complete)
     (trouble,) = json.loads(invoke("status", complete, "--json"))["troubles"]
     assert trouble["retry"] == why
-    with open_campaign(complete) as campaign:
+    with open_stored_campaign(complete) as campaign:
         assert [(found.key, found.retry) for found in campaign.select(where="retry is not None")] == [(cell.key, why)]
 
 
 def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:
     """Mean, scatter, 95 % interval and time left in JSON are those computed from the cells by hand."""
     told = json.loads(invoke("status", troubled, "--json"))
-    with open_campaign(troubled) as campaign:
+    with open_stored_campaign(troubled) as campaign:
         cells = list(campaign.select(content=5.0, status="done"))
     vs = np.array([cell.vs for cell in cells], dtype=float)
     (of_content,) = (row for row in told["contents"] if row["content"] == 5.0)
@@ -70,7 +70,7 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
     with open_store(complete) as store:
         store.use_campaign()
         store.extend((1,), (7.0,))
-    with open_campaign(complete) as campaign:
+    with open_stored_campaign(complete) as campaign:
         found = campaign_status(campaign, running=False)
     costs = {content.content: content.seconds_per_cell for content in found.contents}
     assert np.isnan(costs[7.0])

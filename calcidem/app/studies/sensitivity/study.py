@@ -7,7 +7,7 @@ import xarray as xr
 from calcidem.analysis.sensitivity import Change, compare
 from calcidem.app.campaign.run import run
 from calcidem.app.studies.sensitivity.plan import Variant
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCampaignError
 
 
@@ -35,7 +35,7 @@ def velocities(variant: Variant) -> xr.DataArray | None:
     """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
     plan = variant.configuration.campaign
     try:
-        with open_campaign(variant.configuration.database, variant.name) as campaign:
+        with open_stored_campaign(variant.configuration.database, variant.name) as campaign:
             # A database may hold more, from an earlier plan.
             return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     except UnknownCampaignError:

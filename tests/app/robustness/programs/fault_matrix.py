@@ -12,7 +12,7 @@ from pathlib import Path
 
 from calcidem.app.campaign.launch import find_mpirun
 from calcidem.app.cli.retry import retry_cells
-from calcidem.storage.campaign import open_campaign
+from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[4]
 PROGRAM = Path(__file__).with_name("faulty_run.py")
@@ -200,7 +200,7 @@ class Trial:
         """Everything about each cell that physics decides, signals and cement included."""
         if not self.database.exists():
             return {}
-        with open_campaign(self.database) as campaign:
+        with open_stored_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.vs_cross_correlation, cell.steps),
@@ -217,12 +217,12 @@ class Trial:
 
     def settled(self) -> set[tuple[int, float]]:
         """Cells with any outcome."""
-        with open_campaign(self.database) as campaign:
+        with open_stored_campaign(self.database) as campaign:
             return {(cell.key.seed, cell.key.content) for cell in campaign.select()}
 
     def attempts(self) -> Counter[str]:
         """Attempts at all cells by their outcome."""
-        with open_campaign(self.database) as campaign:
+        with open_stored_campaign(self.database) as campaign:
             return Counter(attempt.outcome for attempt in campaign.store.history())
 
     def integrity(self) -> str:
