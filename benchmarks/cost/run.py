@@ -34,7 +34,7 @@ from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_p
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import Precision, choose_features, no_recording, run_sweep, start
+from calcidem.dem.engine.state import Precision, choose_features, no_recording, run_kernel, start
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 
@@ -73,11 +73,11 @@ def seconds_of_a_step(count: int, regime: Regime, lanes: int, precision: Precisi
         skin_fraction=problem.skin,
     )
     steps = max(20, 400_000 // count)
-    run_sweep(state, 4, no_recording(state))
+    run_kernel(state, 4, no_recording(state))
     spent = []
     for _ in range(ROUNDS):
         before = time.process_time()
-        done = run_sweep(state, steps, no_recording(state))
+        done = run_kernel(state, steps, no_recording(state))
         spent.append((time.process_time() - before) / done)
     return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": median(spent)}
 

@@ -5,7 +5,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from calcidem.dem.engine.state import State, no_recording, run_sweep
+from calcidem.dem.engine.state import State, no_recording, run_kernel
 from calcidem.dem.kernels.compiling import compiled
 from calcidem.dem.kernels.steps import sweep
 
@@ -61,7 +61,7 @@ def assembly_of(state: State) -> str:
 
 
 def captured_arguments(state: State) -> tuple[Any, ...]:
-    """Return the arguments `run_sweep` gives to the kernel for no steps at all."""
+    """Return the arguments `run_kernel` gives to the kernel for no steps at all."""
     import calcidem.dem.engine.state as module  # noqa: PLC0415 - its global name is replaced for one call
 
     caught: list[tuple[Any, ...]] = []
@@ -73,7 +73,7 @@ def captured_arguments(state: State) -> tuple[Any, ...]:
     original = module.sweep
     module.sweep = catch
     try:
-        run_sweep(state, 0, no_recording(state))
+        run_kernel(state, 0, no_recording(state))
     finally:
         module.sweep = original
     return caught[0]

@@ -26,7 +26,7 @@ from ceilings import Ceilings, measure_ceilings
 from scenes import Problem, as_scene, packing_problem, touching_pairs
 
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import State, choose_features, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
 
 LANES = 8
 ROUNDS = 7
@@ -85,11 +85,11 @@ def bandwidth(ceilings: Ceilings, size: int) -> float:
 
 def seconds_of_a_step(state: State) -> float:
     """Median CPU seconds of a step."""
-    run_sweep(state, 20, no_recording(state))
+    run_kernel(state, 20, no_recording(state))
     spent = []
     for _ in range(ROUNDS):
         before = process_time()
-        done = run_sweep(state, STEPS, no_recording(state))
+        done = run_kernel(state, STEPS, no_recording(state))
         spent.append((process_time() - before) / done)
     return median(spent)
 

@@ -7,7 +7,7 @@ import numpy as np
 from scenes import as_scene, load_problem
 from worker import Engine, serve
 
-from calcidem.dem.engine.state import State, choose_features, launched, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start, start_leapfrog
 
 
 class Calcidem(Engine):
@@ -41,15 +41,15 @@ class Calcidem(Engine):
 
     def warm_up(self) -> None:
         """Compile."""
-        run_sweep(self.current, 2, no_recording(self.current))
+        run_kernel(self.current, 2, no_recording(self.current))
         self.reset()
 
     def run(self, steps: int) -> None:
         """Advance in place; a scene whose neighbours change is not one for this comparison."""
         if self.first:
-            self.current = launched(self.current)
+            self.current = start_leapfrog(self.current)
             self.first, steps = False, steps - 1
-        done = run_sweep(self.current, steps, no_recording(self.current))
+        done = run_kernel(self.current, steps, no_recording(self.current))
         if done < steps:
             raise RuntimeError(f"the pair list ran out after {done} of {steps} steps: lower the speed of the scene")
         self.current = replace(self.current, steps=self.current.steps + done)

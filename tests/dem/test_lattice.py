@@ -5,7 +5,7 @@ import pytest
 from scenes import LINEAR, RADIUS, SOFT, hexagonal
 
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
 from calcidem.dem.kernels.layout import Floats
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
@@ -59,7 +59,7 @@ def signals(state: State, disk: int, duration: float) -> Floats:
     state = advance(state, 1)
     for _ in range(int(duration / state.time_step[0])):
         history.append(state.motion.displacement[disk, motions, lanes])
-        run_sweep(state, 1, no_recording(state))
+        run_kernel(state, 1, no_recording(state))
     return np.array(history)
 
 
@@ -101,7 +101,7 @@ def test_a_chain_has_the_dispersion_of_the_leapfrog_grid(mode: int) -> None:
     place = np.empty((steps, bays + 1))
     for step in range(steps):
         place[step] = state.motion.displacement[:, 0, 0]
-        run_sweep(state, 1, no_recording(state))
+        run_kernel(state, 1, no_recording(state))
     frequency = np.sqrt(stiffness()[0] / scene.mass[0])
     angle = 2.0 * np.arcsin(dt * frequency * np.sin(0.5 * q * SPACING))
     expected = dt / np.sin(angle) * np.sin(angle * np.arange(1, steps + 1))[:, None] * shape

@@ -5,7 +5,7 @@ import pytest
 from scenes import LINEAR, RADIUS, SOFT_CEMENT, pair_scene
 
 from calcidem.dem.engine.scene import Bonds
-from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
 from calcidem.dem.kernels.layout import Floats
 
 PAIR = Bonds(np.array([[0, 1]]), SOFT_CEMENT)
@@ -31,7 +31,7 @@ def track(state: State, steps: int) -> tuple[Floats, Floats]:
     for _ in range(steps):
         place.append(state.motion.displacement[1, 0, 0])
         speed.append(state.motion.velocity[1, 0, 0])
-        run_sweep(state, 1, no_recording(state))
+        run_kernel(state, 1, no_recording(state))
     return np.array(place), np.array(speed)
 
 

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
-from calcidem.dem.engine.state import State, advance, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 
@@ -114,7 +114,7 @@ def test_a_packing_swings_in_the_modes_of_an_independent_eigen_solve(modes: tupl
     angle = 2.0 * np.arcsin(0.5 * omega * dt)
     done = 1
     for step in (1, 40, 160, 400):
-        run_sweep(state, step - done, no_recording(state))
+        run_kernel(state, step - done, no_recording(state))
         done = step
         expected = dt * np.sin(step * angle) / np.sin(angle) * shapes
         found = state.motion.displacement

@@ -6,7 +6,7 @@ from scenes import HERTZ, LINEAR, RADIUS, SOFT, jumble
 
 from calcidem.dem.engine.readout import net_forces, wall_reactions
 from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import State, advance, carried_on, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, advance, no_recording, run_in_place, run_kernel, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Recording
 
@@ -80,7 +80,7 @@ def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> 
         recording = Recording(
             drive=drive, driven=0, offset=done, stride=stride, receiver=1, listeners=np.array([0]), samples=samples
         )
-        state = carried_on(state, steps, recording)
+        state = run_in_place(state, steps, recording)
         done += steps
     return state, samples
 
@@ -109,4 +109,4 @@ def test_a_run_without_a_recording_writes_none() -> None:
     state = start(disk_between(0.5), features=RECORDING)
     plain = advance(start(disk_between(0.5), features=HERTZ), 100)
     np.testing.assert_array_equal(advance(state, 100).position(), plain.position())
-    assert run_sweep(state, 5, no_recording(state)) == 5
+    assert run_kernel(state, 5, no_recording(state)) == 5

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.neighbours import listed_pairs
-from calcidem.dem.engine.state import State, duplicate, no_recording, run_sweep
+from calcidem.dem.engine.state import State, duplicate, no_recording, run_kernel
 from calcidem.dem.kernels.layout import Floats, Integers
 
 
@@ -72,7 +72,7 @@ def looked_ahead(state: State) -> State:
     if state.steps == 0:
         ahead.motion.velocity[...] = 0.0
         ahead.assembly.walls.motion[:, 2:] = 0.0
-    run_sweep(ahead, 1, no_recording(state))
+    run_kernel(ahead, 1, no_recording(state))
     return ahead
 
 

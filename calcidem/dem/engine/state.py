@@ -299,15 +299,15 @@ def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floa
 
 def advance(state: State, steps: int) -> State:
     """State after ``steps`` more steps; the given one is left as it is."""
-    first = launched(state) if state.steps == 0 and steps > 0 else duplicate(state)
-    return carried_on(first, state.steps + steps - first.steps, no_recording(state))
+    first = start_leapfrog(state) if state.steps == 0 and steps > 0 else duplicate(state)
+    return run_in_place(first, state.steps + steps - first.steps, no_recording(state))
 
 
-def carried_on(state: State, steps: int, recording: Recording) -> State:
+def run_in_place(state: State, steps: int, recording: Recording) -> State:
     """Let the kernel change a state in place for ``steps`` steps, with new lists of pairs where they are needed."""
     done = 0
     while done < steps:
-        count = run_sweep(state, steps - done, recording._replace(offset=recording.offset + done))
+        count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
         done += count
         state = replace(state, steps=state.steps + count)
         if done < steps:
@@ -315,7 +315,7 @@ def carried_on(state: State, steps: int, recording: Recording) -> State:
     return state
 
 
-def run_sweep(state: State, steps: int, recording: Recording) -> int:
+def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
     dtype = state.motion.velocity.dtype
     front = front_of(state)
@@ -376,7 +376,7 @@ def duplicate(state: State) -> State:
     return replace(state, assembly=assembly, motion=motion, account=aligned_copy(state.account))
 
 
-def launched(state: State) -> State:
+def start_leapfrog(state: State) -> State:
     """First step from a state whose velocities are those of time zero: half a kick, then a drift.
 
     The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
@@ -387,7 +387,7 @@ def launched(state: State) -> State:
     probe = duplicate(state)
     probe.motion.velocity[...] = 0.0
     probe.assembly.walls.motion[:, 2:] = 0.0
-    run_sweep(probe, 1, no_recording(state))
+    run_kernel(probe, 1, no_recording(state))
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
         alpha = state.assembly.grains.damping[:, None, None]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from calcidem.dem.engine.readout import unbalanced_ratio
-from calcidem.dem.engine.state import State, carried_on, duplicate, no_recording
+from calcidem.dem.engine.state import State, duplicate, no_recording, run_in_place
 
 CHUNK = 500  # steps between two looks
 DAMPING = 0.7  # local damping factor while settling
@@ -58,7 +58,7 @@ def settled(
                 "raise wave.most_settling_steps or wave.unbalanced_force_ratio"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
-        current = carried_on(current, CHUNK, no_recording(current))
+        current = run_in_place(current, CHUNK, no_recording(current))
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio

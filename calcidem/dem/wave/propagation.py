@@ -16,7 +16,7 @@ from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.scene import Bonds, Installation, Scene, Wall
-from calcidem.dem.engine.state import SKIN, State, carried_on, choose_features, start
+from calcidem.dem.engine.state import SKIN, State, choose_features, run_in_place, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers, Recording
 from calcidem.dem.sample.packing import Packing
@@ -320,7 +320,7 @@ class Recorder:
             listeners=self.listeners,
             samples=np.zeros((SAMPLES_PER_CHUNK, 2, lanes), dtype),
         )
-        self.state = carried_on(self.state, steps, recording)
+        self.state = run_in_place(self.state, steps, recording)
         return recording.samples
 
     def look_at(self, lane: int, problem: str, longest: float) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.studies.stability.scenes import Extreme, content_of, experiment_of
-from calcidem.dem.engine.state import State, choose_features, no_recording, run_sweep, start
+from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.propagation import lane_bonds, wave_scene
 
@@ -64,6 +64,6 @@ def acceleration_matrix(state: State) -> Floats:
     for column in range(3 * count):
         displacement[...], velocity[...] = 0.0, 0.0
         displacement[column // 3, column % 3, 0] = 1.0
-        run_sweep(state, 1, no_recording(state))
+        run_kernel(state, 1, no_recording(state))
         matrix[:, column] = -velocity[:, :, 0].ravel() / step
     return matrix
