@@ -3,16 +3,20 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from calcidem.storage.campaign import StoredCampaign
-from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
+from calcidem.storage.errors import CampaignMismatchError, StoreError
+from calcidem.storage.netcdf.export import replaced_atomically
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql.reading import chunks
+from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Store
 
 COMPARED = (
@@ -23,11 +27,18 @@ COMPARED = (
 )
 """Quantities that the physics of a done cell decides: equal to the last bit on the same kind of CPU."""
 
-BLOCK = 200
+OUTCOMES_AT_ONCE = 200
 """Outcomes written in one transaction; with signals they take a few megabytes of memory."""
+
+MOST_CONFLICTS = 10
+"""Conflicts that are named one by one; more are only counted."""
 
 Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and the number that it had there."""
+
+
+class MergeConflictError(StoreError):
+    """Databases have different values for the same cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +87,68 @@ class Merged:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """Outcome of a cell in one source, as far as the choice between sources needs it."""
+class StoredOutcome:
+    """StoredOutcome of a cell in one source, as far as the choice between sources needs it."""
 
     status: CellStatus
     values: tuple[float, ...]
+
+
+def merge_databases(
+    sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
+) -> Merged:
+    """Join the campaign of some databases in a new file, which appears only once it is complete.
+
+    Parameters
+    ----------
+    sources
+        SQLite files or database URLs; they are only read.
+    out
+        File to make.
+    prefer
+        The source whose value is taken where sources disagree on a done cell.
+    campaign_name
+        Which one, if the databases have several.
+
+    Raises
+    ------
+    FileExistsError
+        If the file is there already.
+    MergeConflictError
+        If sources disagree on a done cell and none is preferred.
+    StoreError
+        `CampaignMismatchError` if configurations or packings differ, and others if a database can't be read.
+    """
+    if out.exists():
+        raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
+    with ExitStack() as stack:
+        campaigns = [stack.enter_context(open_stored_campaign(source, campaign_name)) for source in sources]
+        temporary = stack.enter_context(replaced_atomically(out.absolute()))
+        with open_store(temporary) as store:
+            merged = merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
+        if merged.conflicts and prefer is None:
+            raise conflict_error(merged.conflicts, sources)
+    return merged
+
+
+def conflict_error(conflicts: tuple[Conflict, ...], sources: list[str]) -> MergeConflictError:
+    """Error that lists the conflicts."""
+    return MergeConflictError(
+        f"{len(conflicts)} done cells have different values:\n" + "\n".join(conflict_lines(conflicts, sources)) + "\n",
+        "Nothing was written. Such values come from another kind of CPU or another version of calcidem; "
+        "give --prefer with the database to take.",
+    )
+
+
+def conflict_lines(conflicts: tuple[Conflict, ...], sources: list[str]) -> list[str]:
+    """One line for each conflict, up to a number."""
+    lines = [
+        f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
+        + ", ".join(f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items())
+        + f" (different: {', '.join(conflict.quantities)})"
+        for conflict in conflicts[:MOST_CONFLICTS]
+    ]
+    return lines if len(conflicts) <= MOST_CONFLICTS else [*lines, f"  and {len(conflicts) - MOST_CONFLICTS} more"]
 
 
 def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None = None) -> Merged:
@@ -108,7 +176,7 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
     refuse_other_packings(sources)
     outcomes = [outcomes_of(source) for source in sources]
     cells = sorted(set().union(*(source.store.statuses() for source in sources)))
-    choice = {key: best for key in cells if (best := chosen_source(key, outcomes, prefer)) is not None}
+    choice = {key: best for key in cells if (best := choose_source(key, outcomes, prefer)) is not None}
     conflicts = tuple(conflict for key in choice if (conflict := conflict_about(key, outcomes)) is not None)
     merged = Merged(
         planned=len(cells),
@@ -161,16 +229,16 @@ def refuse_other_packings(sources: Sequence[StoredCampaign]) -> None:
                 )
 
 
-def outcomes_of(source: StoredCampaign) -> dict[CellKey, Outcome]:
+def outcomes_of(source: StoredCampaign) -> dict[CellKey, StoredOutcome]:
     """Outcomes of all settled cells."""
     columns = source.store.table(("seed", "content", "status", *COMPARED))
     keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
     values = zip(*(columns[name].astype(float).tolist() for name in COMPARED), strict=True)
     found = zip(keys, map(CellStatus, columns["status"]), values, strict=True)
-    return {key: Outcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
+    return {key: StoredOutcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
 
 
-def chosen_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]], prefer: int | None) -> int | None:
+def choose_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]], prefer: int | None) -> int | None:
     """Position of the source whose outcome of a cell is taken, None if no source has one."""
     settled = [position for position, found in enumerate(outcomes) if key in found]
     done = [position for position in settled if outcomes[position][key].status is CellStatus.DONE]
@@ -178,17 +246,17 @@ def chosen_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]], p
     return prefer if prefer in candidates else next(iter(candidates), None)
 
 
-def done_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> int:
+def done_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
     """Number of sources in which a cell is done."""
     return sum(key in found and found[key].status is CellStatus.DONE for found in outcomes)
 
 
-def settled_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> int:
+def settled_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
     """Number of sources in which a cell has an outcome."""
     return sum(key in found for found in outcomes)
 
 
-def conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, Outcome]]) -> Conflict | None:
+def conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> Conflict | None:
     """How the sources disagree on a done cell, None if they don't."""
     done = {
         position: found[key].values
@@ -261,5 +329,5 @@ def copy_outcomes(
         for result in source.select(with_arrays=True)
         if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
-    for block in chunks(chosen, BLOCK):
+    for block in chunks(chosen, OUTCOMES_AT_ONCE):
         target.record_results(block)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.cli.merge import MergeConflictError, merge_databases
+from calcidem.app.campaign.merge import MergeConflictError, merge_databases
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus

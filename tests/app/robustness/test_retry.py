@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.cli.retry import retry_cells
+from calcidem.app.campaign.retry import retry_cells
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError, UnknownCellError
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import open_store

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calcidem.app.campaign.launch import find_mpirun
-from calcidem.app.cli.retry import retry_cells
+from calcidem.app.campaign.retry import retry_cells
 from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[4]

@@ -1,0 +1,73 @@
+"""Giving cells that went wrong another chance."""
+
+from collections import Counter
+from collections.abc import Collection
+
+from calcidem.storage.errors import StoreUnavailableError, UnknownCellError
+from calcidem.storage.records import STORED_STATUSES, CellKey, CellStatus
+from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection, Store
+
+RETRIABLE = tuple(status for status in STORED_STATUSES if status is not CellStatus.DONE)
+"""Outcomes that can be given up for another attempt."""
+
+
+def retry_cells(
+    database: str,
+    statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT,
+    selection: Selection | None = None,
+    campaign_name: str | None = None,
+) -> tuple[tuple[CellKey, ...], Counter[CellStatus]]:
+    """Make the selected cells of these outcomes pending again.
+
+    Parameters
+    ----------
+    database
+        SQLite file or database URL.
+    statuses
+        Of `RETRIABLE`.
+    selection
+        Seeds and contents; all by default.
+    campaign_name
+        Which one, if there are several.
+
+    Returns
+    -------
+    tuple of CellKey
+        The cells that are pending again.
+    Counter of CellStatus
+        What the other selected cells are.
+
+    Raises
+    ------
+    StoreError
+        `LeaseHeldError` while a run writes the campaign, since it would not notice; `StoreUnavailableError` if there
+        is no such file; `UnknownCellError` if no planned cell has the seed and content.
+    """
+    path = parse_address(database).path
+    if path is not None and not path.exists():
+        raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
+    with open_store(database) as store:
+        store.use_campaign(campaign_name)
+        found = selected_statuses(store, selection or Selection())
+        store.acquire_lease()
+        pending = store.retry(statuses, list(found))
+    others = Counter(status for key, status in found.items() if key not in set(pending))
+    return pending, others
+
+
+def selected_statuses(store: Store, selection: Selection) -> dict[CellKey, CellStatus]:
+    """Status of each planned cell that is selected.
+
+    Raises
+    ------
+    UnknownCellError
+        If there is none.
+    """
+    found = store.statuses(selection)
+    if not found:
+        raise UnknownCellError(
+            "No planned cell has such a seed and content.", "'calcidem status DB' shows which there are."
+        )
+    return found
