@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.connectivity import ContactWeights, normalised_connectivity
+from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.correlation import Correlations, correlate
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.features import FEATURES, PathFeatures
@@ -32,7 +32,7 @@ class UnavailableError(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class MeasuredSample:
     """A computed cell with its cement and its path.
 
     Parameters
@@ -138,11 +138,11 @@ class CampaignAnalysis:
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
         packings = self._packings()
-        with available():
+        with translate_refusals():
             return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
 
     @cached_property
-    def samples(self) -> tuple[Sample, ...]:
+    def samples(self) -> tuple[MeasuredSample, ...]:
         """All computed cells whose cement pattern is stored, by seed, then content."""
         samples = tuple(self._read_samples())
         if not samples:
@@ -166,13 +166,13 @@ class CampaignAnalysis:
     @cached_property
     def correlations(self) -> Correlations:
         """Correlation of the eight features and Vs."""
-        with available():
+        with translate_refusals():
             return correlate(self.table)
 
     @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
         """Length of the shortest path for all weight ratios, for each of the samples."""
-        with available():
+        with translate_refusals():
             return tuple(
                 path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0) for sample in self.samples
             )
@@ -180,13 +180,13 @@ class CampaignAnalysis:
     @cached_property
     def ratio_scan(self) -> RatioScan:
         """Correlation of C_d,n with Vs over the weight ratio, and the best ratio."""
-        with available():
+        with translate_refusals():
             return scan_ratio(self.envelopes, self.sample_vs, self.sample_seeds)
 
     @cached_property
     def physical_law(self) -> LawFit:
         """The law with weights by their physical meaning (Eq. 8)."""
-        connectivity = np.array([sample.features.normalised_connectivity for sample in self.samples])
+        connectivity = np.array([sample.features.normalized_connectivity for sample in self.samples])
         return self._law("physical meaning", self.graphs[0].weights, connectivity)
 
     @cached_property
@@ -195,7 +195,7 @@ class CampaignAnalysis:
         weights = ContactWeights.from_ratio(self.ratio_scan.best_ratio)
         connectivity = np.array(
             [
-                normalised_connectivity(
+                normalized_connectivity(
                     float(envelope.connectivity(weights.bond)), weights, self.graphs[sample.packing_index].scale
                 )
                 for sample, envelope in zip(self.samples, self.envelopes, strict=True)
@@ -213,7 +213,7 @@ class CampaignAnalysis:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
 
-    def sample(self, seed: int, content: float) -> Sample:
+    def sample(self, seed: int, content: float) -> MeasuredSample:
         """Give one sample without reading the others.
 
         Raises
@@ -226,16 +226,16 @@ class CampaignAnalysis:
         cell = self.campaign.cell(seed=seed, content=content)
         if cell.cement is None:
             raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
-        with available():
+        with translate_refusals():
             return self._sample(cell, cell.cement)
 
-    def measured_samples(self, content: float) -> list[Sample]:
+    def measured_samples(self, content: float) -> list[MeasuredSample]:
         """Give the samples of one content that have a velocity, from the slowest to the fastest."""
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
         return sorted(found, key=lambda sample: sample.vs)
 
     def _law(self, name: str, weights: ContactWeights, connectivity: NDArray[np.float64]) -> LawFit:
-        with available():
+        with translate_refusals():
             return LawFit(
                 name=name,
                 weights=weights,
@@ -250,16 +250,16 @@ class CampaignAnalysis:
             raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
         return [self.campaign.packing(index) for index in indices]
 
-    def _read_samples(self) -> Iterator[Sample]:
-        with available():
+    def _read_samples(self) -> Iterator[MeasuredSample]:
+        with translate_refusals():
             for cell in self.campaign.select(with_arrays=True):
                 if cell.cement is not None:
                     yield self._sample(cell, cell.cement)
 
-    def _sample(self, cell: CellResult, cement: CementPattern) -> Sample:
+    def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]
         kinds = graph.kinds(cement)
-        return Sample(
+        return MeasuredSample(
             seed=cell.key.seed,
             content=cell.key.content,
             vs=math.nan if cell.vs is None else cell.vs,
@@ -270,7 +270,7 @@ class CampaignAnalysis:
 
 
 @contextmanager
-def available() -> Iterator[None]:
+def translate_refusals() -> Iterator[None]:
     """Turn the refusal of data by a function of the analysis into an `UnavailableError` with its words."""
     try:
         yield

@@ -86,20 +86,20 @@ class PathScale:
         return self.distance / self.median_diameter - 1
 
 
-def connectivity(hertz_contacts: int, bond_contacts: int, weights: ContactWeights) -> float:
+def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeights) -> float:
     """Give C_d, the weighted length of a path, Eq. 9, dimensionless.
 
     Parameters
     ----------
-    hertz_contacts, bond_contacts
+    hertz_contacts, bonded_contacts
         Numbers of sand contacts N_h and cemented contacts N_LPB on the path.
     weights
         Weight of each kind.
     """
-    return weights.hertz * hertz_contacts + weights.bond * bond_contacts
+    return weights.hertz * hertz_contacts + weights.bond * bonded_contacts
 
 
-def normalised_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
+def normalized_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
     """Give C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
 
     Parameters

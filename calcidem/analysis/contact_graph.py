@@ -149,14 +149,14 @@ class PreferentialPath:
     bonded: tuple[bool, ...]
 
     @property
-    def bond_contacts(self) -> int:
+    def bonded_contacts(self) -> int:
         """Number of cemented contacts, N_LPB."""
         return sum(self.bonded)
 
     @property
     def hertz_contacts(self) -> int:
         """Number of sand contacts, N_h."""
-        return len(self.bonded) - self.bond_contacts
+        return len(self.bonded) - self.bonded_contacts
 
 
 def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> PreferentialPath:

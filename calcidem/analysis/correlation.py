@@ -77,10 +77,10 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     means_subtracted = sum(len(group) > 0 for group in groups)
     contents = table["content"].to_numpy()
     return Correlations(
-        overall=_matrix(pooled, names, level),
-        within=_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
+        overall=_correlation_matrix(pooled, names, level),
+        within=_correlation_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
         by_content=xr.concat(
-            [_matrix(group, names, level) for group in groups],
+            [_correlation_matrix(group, names, level) for group in groups],
             dim=xr.Variable("content", contents),
             join="exact",
         ),
@@ -113,11 +113,13 @@ def fisher_interval(
     return np.tanh(z - half), np.tanh(z + half)
 
 
-def _matrix(samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0) -> xr.Dataset:
+def _correlation_matrix(
+    samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0
+) -> xr.Dataset:
     """Correlation matrix of samples, shape (n, variables)."""
-    pearson = _pearson(samples)
+    pearson = _pearson_matrix(samples)
     low, high = fisher_interval(pearson, len(samples), level, lost_freedom)
-    spearman = _pearson(stats.rankdata(samples, axis=0)) if len(samples) else pearson
+    spearman = _pearson_matrix(stats.rankdata(samples, axis=0)) if len(samples) else pearson
     square = ("variable", "other")
     return xr.Dataset(
         {
@@ -132,7 +134,7 @@ def _matrix(samples: NDArray[np.float64], names: list[str], level: float, lost_f
     )
 
 
-def _pearson(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pearson's matrix, NaN for columns that do not vary beyond round-off."""
     count, size = samples.shape
     if count <= 1:

@@ -19,7 +19,7 @@ from calcidem.analysis.intervals import (
     standard_deviation_interval,
 )
 from calcidem.analysis.normality import NormalityTest, jarque_bera, kurtosis, skewness
-from calcidem.analysis.outcomes import count_outcomes, matrix
+from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ def describe_contents(
         If `vs` or `status` is malformed or they contradict one another.
     """
     counts = count_outcomes(vs, status)
-    columns = matrix(vs).to_numpy().T
+    columns = arrange_matrix(vs).to_numpy().T
     return tuple(
         ContentDistribution(
             content=float(content),

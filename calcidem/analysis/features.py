@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalised_connectivity
+from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
 
 
@@ -54,12 +54,12 @@ class PathFeatures:
     path: PreferentialPath
     contacts: int
     hertz_contacts: int
-    bond_contacts: int
-    bond_proportion: float
-    longest_bond_run: int
-    longest_bond_run_proportion: float
+    bonded_contacts: int
+    bonded_fraction: float
+    longest_bonded_run: int
+    longest_bonded_run_fraction: float
     connectivity: float
-    normalised_connectivity: float
+    normalized_connectivity: float
 
 
 def _contacts(measure: PathMeasure) -> int:
@@ -71,27 +71,27 @@ def _longest_bond_run(measure: PathMeasure) -> int:
 
 
 def _connectivity(measure: PathMeasure) -> float:
-    return connectivity(measure.path.hertz_contacts, measure.path.bond_contacts, measure.weights)
+    return connectivity(measure.path.hertz_contacts, measure.path.bonded_contacts, measure.weights)
 
 
 FEATURES = (
     Feature("contacts", "N", "number of contacts on the path", _contacts),
     Feature("hertz_contacts", "N_h", "number of sand contacts on the path", lambda m: m.path.hertz_contacts),
-    Feature("bond_contacts", "N_LPB", "number of cemented contacts on the path", lambda m: m.path.bond_contacts),
+    Feature("bonded_contacts", "N_LPB", "number of cemented contacts on the path", lambda m: m.path.bonded_contacts),
     Feature(
-        "bond_proportion",
+        "bonded_fraction",
         "LP",
         "share of the path's contacts that are cemented, N_LPB / N",
-        lambda m: m.path.bond_contacts / _contacts(m),
+        lambda m: m.path.bonded_contacts / _contacts(m),
     ),
     Feature(
-        "longest_bond_run",
+        "longest_bonded_run",
         "QLLC",
         "largest number of cemented contacts that follow one another on the path",
         _longest_bond_run,
     ),
     Feature(
-        "longest_bond_run_proportion",
+        "longest_bonded_run_fraction",
         "PLLC",
         "share of the path's contacts in its longest run of cemented ones, QLLC / N",
         lambda m: _longest_bond_run(m) / _contacts(m),
@@ -103,11 +103,11 @@ FEATURES = (
         _connectivity,
     ),
     Feature(
-        "normalised_connectivity",
+        "normalized_connectivity",
         "C_d,n",
         "weighted length of the path on a scale where a straight row of median grains has 0 if all its "
         "contacts are cemented and 1 if none is",
-        lambda m: normalised_connectivity(_connectivity(m), m.weights, m.scale),
+        lambda m: normalized_connectivity(_connectivity(m), m.weights, m.scale),
     ),
 )
 

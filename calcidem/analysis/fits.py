@@ -8,7 +8,7 @@ from scipy import optimize, stats
 
 from calcidem.analysis.intervals import Interval
 
-PARAMETERS = 3
+PARAMETER_COUNT = 3
 """The law has the three parameters a, b and c."""
 
 START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
@@ -82,7 +82,7 @@ class PowerLawFit:
         x = np.asarray(connectivity, dtype=np.float64)
         gradient = _gradient(x, self.a, self.b, self.c)
         curve = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
-        quantile = float(stats.t.ppf((1 + level) / 2, self.n - PARAMETERS))
+        quantile = float(stats.t.ppf((1 + level) / 2, self.n - PARAMETER_COUNT))
         half = quantile * np.sqrt(self.residual_standard_deviation**2 + curve)
         centre = self.predict(x)
         return centre - half, centre + half
@@ -128,15 +128,15 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         If shapes disagree, a connectivity is not positive, there are fewer than four samples or three
         different connectivities, or the fit does not converge.
     """
-    x, y, left_out = _known(connectivity, vs)
-    if x.size <= PARAMETERS or np.unique(x).size < PARAMETERS:
+    x, y, left_out = _known_samples(connectivity, vs)
+    if x.size <= PARAMETER_COUNT or np.unique(x).size < PARAMETER_COUNT:
         raise ValueError(
             f"{x.size} samples with {np.unique(x).size} different connectivities: the law has three "
             "parameters and needs at least four samples with three different ones"
         )
-    parameters, covariance = _least_squares(x, y, _start(x, y))
+    parameters, covariance = _least_squares(x, y, _starting_point(x, y))
     residuals = y - power_law(x, *parameters)
-    quantile = float(stats.t.ppf((1 + level) / 2, x.size - PARAMETERS))
+    quantile = float(stats.t.ppf((1 + level) / 2, x.size - PARAMETER_COUNT))
     intervals = [
         Interval(float(value - quantile * error), float(value + quantile * error))
         for value, error in zip(parameters, np.sqrt(np.diag(covariance)), strict=True)
@@ -151,7 +151,7 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         c_interval=intervals[2],
         covariance=covariance,
         residuals=residuals,
-        residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - PARAMETERS))),
+        residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - PARAMETER_COUNT))),
         n=x.size,
         left_out=left_out,
     )
@@ -211,7 +211,7 @@ def _gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[n
     return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
 
 
-def _known(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+def _known_samples(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample")
@@ -224,7 +224,7 @@ def _known(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64],
     return x[known], y[known], int((~known).sum())
 
 
-def _start(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+def _starting_point(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Start from the best of some exponents, each with its best a and c, which are linear."""
     best, smallest = np.zeros(3), np.inf
     for exponent in START_EXPONENTS:

@@ -33,9 +33,9 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     ValueError
         If `vs` has other dimensions, an infinite value, or disagrees with `status`.
     """
-    vs = matrix(vs)
+    vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, DONE, NOT_COMPUTED) if status is None else _checked_status(vs, status, measured)
+    text = np.where(measured, DONE, NOT_COMPUTED) if status is None else _check_status(vs, status, measured)
     names = sorted(set(text.ravel().tolist()) - {DONE, NOT_COMPUTED})
     failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
     failures = failures.reshape(len(names), vs.sizes["content"])
@@ -50,7 +50,7 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     )
 
 
-def matrix(vs: xr.DataArray) -> xr.DataArray:
+def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:
     """Return `vs` with its dimensions in the order (seed, content).
 
     Raises
@@ -65,7 +65,7 @@ def matrix(vs: xr.DataArray) -> xr.DataArray:
     return vs.transpose("seed", "content")
 
 
-def _checked_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
+def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
     if dict(status.sizes) != dict(vs.sizes):
         raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
     text = status.transpose("seed", "content").to_numpy().astype(object)

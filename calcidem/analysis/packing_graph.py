@@ -77,8 +77,8 @@ class PackingGraph:
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair among the contacts, whose pairs are sorted."""
         count = self.graph.grain_count
-        keys = _keys(self.graph.pairs, count)
-        wanted = _keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), count)
+        keys = _contact_keys(self.graph.pairs, count)
+        wanted = _contact_keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), count)
         rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         strange = keys[rows] != wanted
         if strange.any():
@@ -136,16 +136,16 @@ def features_record(features: PathFeatures) -> StoredPathFeatures:
     return StoredPathFeatures(
         contacts=features.contacts,
         hertz_contacts=features.hertz_contacts,
-        bonded_contacts=features.bond_contacts,
-        bonded_fraction=features.bond_proportion,
-        longest_bonded_run_fraction=features.longest_bond_run_proportion,
-        longest_bonded_run=features.longest_bond_run,
+        bonded_contacts=features.bonded_contacts,
+        bonded_fraction=features.bonded_fraction,
+        longest_bonded_run_fraction=features.longest_bonded_run_fraction,
+        longest_bonded_run=features.longest_bonded_run,
         connectivity=features.connectivity,
-        normalized_connectivity=features.normalised_connectivity,
+        normalized_connectivity=features.normalized_connectivity,
         path=features.path.grains,
     )
 
 
-def _keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:
+def _contact_keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:
     keys: NDArray[np.int64] = pairs.min(axis=1) * grain_count + pairs.max(axis=1)
     return keys

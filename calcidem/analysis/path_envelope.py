@@ -21,7 +21,7 @@ class PathLine(NamedTuple):
     """Numbers of contacts on a path, which make the line N_h + r N_LPB over the ratio r."""
 
     hertz_contacts: int
-    bond_contacts: int
+    bonded_contacts: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
 
     def shortest(ratio: float) -> PathLine:
         path = preferential_path(graph, mask, ContactWeights.from_ratio(ratio))
-        return PathLine(path.hertz_contacts, path.bond_contacts)
+        return PathLine(path.hertz_contacts, path.bonded_contacts)
 
     def between(left: PathLine, right: PathLine) -> list[PathLine]:
         if left == right or not low < _corner(left, right) < high:
@@ -137,13 +137,13 @@ def _strictly_shortest(found: list[PathLine], low: float, high: float) -> tuple[
 
 def _corner(before: PathLine, after: PathLine) -> float:
     """Give the ratio at which two different lines cut."""
-    return (after.hertz_contacts - before.hertz_contacts) / (before.bond_contacts - after.bond_contacts)
+    return (after.hertz_contacts - before.hertz_contacts) / (before.bonded_contacts - after.bonded_contacts)
 
 
 def _shorter_at_corner(middle: PathLine, left: PathLine, right: PathLine) -> bool:
     """Say whether `middle` is strictly shorter where the other two cut; in integers, so without round-off."""
     rise = right.hertz_contacts - left.hertz_contacts
-    run = left.bond_contacts - right.bond_contacts
+    run = left.bonded_contacts - right.bonded_contacts
     hertz_gain = left.hertz_contacts - middle.hertz_contacts
-    bond_gain = left.bond_contacts - middle.bond_contacts
+    bond_gain = left.bonded_contacts - middle.bonded_contacts
     return run * hertz_gain + rise * bond_gain > 0

@@ -90,7 +90,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> See
     ValueError
         If there are fewer than two values, or the half-width is not positive.
     """
-    sample = _finite(values)
+    sample = _finite_values(values)
     deviation = float(standard_deviation(sample))
     spread = standard_deviation_interval(sample, level)
     return SeedPlan(
@@ -135,7 +135,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     taken. That is a forecast from the values so far; from few of them it understates skewness, which rare
     values make.
     """
-    sample = _finite(values)
+    sample = _finite_values(values)
     if min(counts, default=SMALLEST_COUNT) < SMALLEST_COUNT:
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
@@ -163,7 +163,7 @@ def _half_of_central(replicates: NDArray[np.float64], level: float) -> float:
     return float(high - low) / 2
 
 
-def _finite(values: ArrayLike) -> NDArray[np.float64]:
+def _finite_values(values: ArrayLike) -> NDArray[np.float64]:
     sample = np.asarray(values, dtype=np.float64)
     sample = sample[np.isfinite(sample)]
     if sample.size <= 1:

@@ -134,12 +134,12 @@ def published_study() -> PublishedStudy:
             PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
             for row in data["contents"]
         ),
-        stages=tuple(_stage(row) for row in data["stages"]),
-        laws=tuple(_law(row) for row in data["laws"]),
+        stages=tuple(_read_stage(row) for row in data["stages"]),
+        laws=tuple(_read_law(row) for row in data["laws"]),
     )
 
 
-def _stage(row: dict[str, Any]) -> PublishedStage:
+def _read_stage(row: dict[str, Any]) -> PublishedStage:
     return PublishedStage(
         name=row["name"],
         text_range=Interval(*row["text_range"]),
@@ -148,7 +148,7 @@ def _stage(row: dict[str, Any]) -> PublishedStage:
     )
 
 
-def _law(row: dict[str, Any]) -> PublishedLaw:
+def _read_law(row: dict[str, Any]) -> PublishedLaw:
     return PublishedLaw(
         name=row["name"],
         weights=ContactWeights(row["hertz"], row["bond"]),

@@ -60,7 +60,7 @@ class VerdictCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class StatementCheck:
     """One comparison of what is printed with what follows from other printed numbers.
 
     Parameters
@@ -94,7 +94,7 @@ def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, .
     )
 
 
-def check_study(study: PublishedStudy | None = None) -> tuple[Finding, ...]:
+def check_study(study: PublishedStudy | None = None) -> tuple[StatementCheck, ...]:
     """Make every comparison, those that agree included.
 
     Parameters
@@ -104,19 +104,19 @@ def check_study(study: PublishedStudy | None = None) -> tuple[Finding, ...]:
     """
     study = study or published_study()
     return (
-        *_verdicts(study),
-        *_rates(study),
-        *_variances(study),
-        *_claims(study),
-        *(finding for law in study.laws for finding in _law(law, study)),
-        _coordination_number(study),
+        *_compare_verdicts(study),
+        *_compare_rates(study),
+        *_compare_variances(study),
+        *_compare_claims(study),
+        *(finding for law in study.laws for finding in _compare_law(law, study)),
+        _compare_coordination_number(study),
     )
 
 
-def _verdicts(study: PublishedStudy) -> list[Finding]:
+def _compare_verdicts(study: PublishedStudy) -> list[StatementCheck]:
     words = {True: "normal", False: "not normal"}
     return [
-        Finding(
+        StatementCheck(
             place=f"Table 3, {check.content:g} %",
             printed=f"marked {words[check.printed_normal]}",
             computed=f"{words[check.computed_normal]}: Jarque-Bera {check.test.statistic:.2f} from "
@@ -133,14 +133,14 @@ def _growth(study: PublishedStudy, stages: tuple[Stage, ...]) -> tuple[StageGrow
     return growth_by_stage(contents, means, stages)
 
 
-def _rates(study: PublishedStudy) -> list[Finding]:
+def _compare_rates(study: PublishedStudy) -> list[StatementCheck]:
     text = tuple(Stage(stage.name, stage.text_range.low, stage.text_range.high) for stage in study.stages)
     findings = []
     for basis, stages in {"": STAGES, ", its own borders": text}.items():
         for printed, growth in zip(study.stages, _growth(study, stages), strict=True):
             rate = growth.end_point_slope
             findings.append(
-                Finding(
+                StatementCheck(
                     place=f"Section 3.2.1, stage {printed.name}{basis}",
                     printed=f"rate {printed.rate:.2f} m/s per percent",
                     computed=f"{rate:.2f} from the means at {growth.contents[0]:g} and {growth.contents[-1]:g} %",
@@ -150,14 +150,14 @@ def _rates(study: PublishedStudy) -> list[Finding]:
     return findings
 
 
-def _variances(study: PublishedStudy) -> list[Finding]:
+def _compare_variances(study: PublishedStudy) -> list[StatementCheck]:
     rows = dict(study.velocities)
     findings = []
     for stage, growth in zip(study.stages, _growth(study, STAGES), strict=True):
         deviations = [rows[content].standard_deviation for content in growth.contents]
         low, high = min(deviations), max(deviations)
         findings.append(
-            Finding(
+            StatementCheck(
                 place=f"Section 3.2.1, stage {stage.name}",
                 printed=f"variance {stage.variance_range.low:g} to {stage.variance_range.high:g}",
                 computed=f"Table 3 has standard deviations of {low:g} to {high:g} m/s, so variances of "
@@ -168,7 +168,7 @@ def _variances(study: PublishedStudy) -> list[Finding]:
     return findings
 
 
-def _claims(study: PublishedStudy) -> list[Finding]:
+def _compare_claims(study: PublishedStudy) -> list[StatementCheck]:
     rates = {stage.name: stage.rate for stage in study.stages}
     fastest = max(rates, key=rates.__getitem__)
     in_stage = {
@@ -180,20 +180,20 @@ def _claims(study: PublishedStudy) -> list[Finding]:
     ]
     positive = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["IV"] if row.skewness >= 0]
     return [
-        Finding(
+        StatementCheck(
             place="Section 3.2.1, stage III",
             printed="its rate is the highest of the four stages",
             computed=f"the highest printed rate is {rates[fastest]:.2f}, of stage {fastest}",
             agrees=fastest == "III",
         ),
-        _claim("stage I", "positive skewness", negative),
-        _claim("stage II", "kurtosis more than twice that of a normal distribution, 6", flat),
-        _claim("stage IV", "negative skewness", positive),
+        _compare_claim("stage I", "positive skewness", negative),
+        _compare_claim("stage II", "kurtosis more than twice that of a normal distribution, 6", flat),
+        _compare_claim("stage IV", "negative skewness", positive),
     ]
 
 
-def _claim(stage: str, printed: str, exceptions: list[str]) -> Finding:
-    return Finding(
+def _compare_claim(stage: str, printed: str, exceptions: list[str]) -> StatementCheck:
+    return StatementCheck(
         place=f"Section 3.2.1, {stage}",
         printed=printed,
         computed=f"Table 3 has {', '.join(exceptions)}" if exceptions else "so it is in every row of Table 3",
@@ -201,7 +201,7 @@ def _claim(stage: str, printed: str, exceptions: list[str]) -> Finding:
     )
 
 
-def _law(law: PublishedLaw, study: PublishedStudy) -> list[Finding]:
+def _compare_law(law: PublishedLaw, study: PublishedStudy) -> list[StatementCheck]:
     low, high = law.connectivity_range.low, law.connectivity_range.high
     span = f"C_d,n from {low:g} to {high:g}"
     fastest = float(power_law(np.array(low), law.a, law.conclusions_b, law.c))
@@ -209,19 +209,19 @@ def _law(law: PublishedLaw, study: PublishedStudy) -> list[Finding]:
     plausible = max(row.mean + 3 * row.standard_deviation for _, row in study.velocities)
     smallest = _smallest_connectivity(high, law.weights)
     return [
-        Finding(
+        StatementCheck(
             place=f"Table 4, {law.name}, exponent",
             printed=f"{law.table_b:g} in the table, {law.conclusions_b:g} in the conclusions",
             computed="Vs falls as C_d,n grows, so the exponent is negative",
             agrees=law.table_b == law.conclusions_b,
         ),
-        Finding(
+        StatementCheck(
             place=f"Table 4, {law.name}, law",
             printed=span,
             computed=f"the law gives {fastest:.0f} m/s at {low:g}; Table 3 hardly allows more than {plausible:.0f} m/s",
             agrees=fastest <= plausible,
         ),
-        Finding(
+        StatementCheck(
             place=f"Table 4, {law.name}, range",
             printed=span,
             computed=f"in one packing whose uncemented path has C_d,n = {high:g}, cement on every contact "
@@ -243,11 +243,11 @@ def _smallest_connectivity(uncemented: float, weights: ContactWeights) -> float:
     return weights.bond * (n - 1) / difference
 
 
-def _coordination_number(study: PublishedStudy) -> Finding:
+def _compare_coordination_number(study: PublishedStudy) -> StatementCheck:
     weights = next(law.weights for law in study.laws if law.name == "physical meaning")
     number = 1 / weights.bond
     hertz = ContactWeights.from_coordination_number(number).hertz
-    return Finding(
+    return StatementCheck(
         place="Table 4 and Eq. 8",
         printed=f"weights {weights.hertz:g} and {weights.bond:g}",
         computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives {hertz:.3f} and {weights.bond:g}",

@@ -12,7 +12,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from calcidem import load_paper_campaign
-from calcidem.analysis.figures.style import BLACK, BLUE, CONTENT_LABEL, GREEN, SKY, VERMILION, WIDTH, render, styled
+from calcidem.analysis.figures.style import (
+    BLACK,
+    BLUE,
+    CONTENT_LABEL,
+    FIGURE_WIDTH,
+    GREEN,
+    SKY,
+    VERMILION,
+    apply_style,
+    render,
+)
 from calcidem.analysis.normality import skewness
 from calcidem.analysis.published import published_study
 from calcidem.storage.campaign import open_stored_campaign
@@ -26,10 +36,10 @@ CURVES = {
 }
 
 
-@styled
+@apply_style
 def draw(database: str) -> Figure:
     """Draw both panels."""
-    figure = Figure(figsize=(WIDTH * 1.25, 3.2), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH * 1.25, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     rows = published_study().velocities
     contents = [content for content, _ in rows]

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalised_connectivity
+from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
 
 
 def test_weights_of_the_paper_follow_from_its_coordination_number() -> None:
@@ -37,13 +37,13 @@ def test_normalised_connectivity_measures_the_sand_share_of_a_straight_row(
     contacts = scale.straight_contacts
     c_d = weights.hertz * share * contacts + weights.bond * (1 - share) * contacts
     # Subtracting nearly equal weights loses up to four digits here.
-    assert normalised_connectivity(c_d, weights, scale) == pytest.approx(share, abs=1e-9)
+    assert normalized_connectivity(c_d, weights, scale) == pytest.approx(share, abs=1e-9)
 
 
 def test_equal_weights_have_no_normalised_connectivity() -> None:
     """Where both kinds of contact weigh the same, Eq. 9 divides by zero, which is refused."""
     with pytest.raises(ValueError, match="bond < hertz"):
-        normalised_connectivity(40.0, ContactWeights(1.0, 1.0), PathScale(0.1, 2.5e-3))
+        normalized_connectivity(40.0, ContactWeights(1.0, 1.0), PathScale(0.1, 2.5e-3))
 
 
 @pytest.mark.parametrize(("hertz", "bond"), [(1.0, 0.0), (1.0, 1.1), (1.0, -0.5), (float("nan"), 0.5)])

@@ -16,7 +16,7 @@ PHYSICAL = ContactWeights(0.475, 0.328)
 def length_of(path_weights: ContactWeights, sample: Sample) -> float:
     """Give the length of the preferential path of a sample."""
     path = preferential_path(*sample, path_weights)
-    return connectivity(path.hertz_contacts, path.bond_contacts, path_weights)
+    return connectivity(path.hertz_contacts, path.bonded_contacts, path_weights)
 
 
 def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
@@ -24,7 +24,7 @@ def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
     path = preferential_path(*drawn_sample, ContactWeights.from_ratio(0.5))
     assert path.grains == (5, 6, 7, 8, 9)
     assert path.bonded == (True, True, False, True)
-    assert (path.hertz_contacts, path.bond_contacts) == (1, 3)
+    assert (path.hertz_contacts, path.bonded_contacts) == (1, 3)
 
 
 def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, published_velocities, read_arrival
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, load_arrival, published_velocities
 from calcidem.analysis.figures.relations import law_text, symbol
 from calcidem.analysis.figures.samples import draw_preferential_paths
 from calcidem.analysis.figures.signals import received_peak_index
@@ -86,7 +86,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
 
 def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None:
     """The arrival from peak to peak lies on a maximum of the received signal, within the picking's smoothing."""
-    arrival = read_arrival(analysis, 1, 0.34)
+    arrival = load_arrival(analysis, 1, 0.34)
     index = received_peak_index(arrival)
     period = 1.0 / float(analysis.cells["frequency"].sel(seed=1, content=0.34))
     reach = round(0.1 * period / (arrival.time[1] - arrival.time[0]))
@@ -97,7 +97,7 @@ def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None
 def test_sample_without_signal_is_unavailable(analysis: CampaignAnalysis) -> None:
     """A cell whose signal was not kept says so."""
     with pytest.raises(UnavailableError, match="No signal is stored"):
-        read_arrival(analysis, 6, 9.0)
+        load_arrival(analysis, 6, 9.0)
 
 
 def test_published_means_are_shown_where_contents_match(analysis: CampaignAnalysis) -> None:
@@ -107,8 +107,8 @@ def test_published_means_are_shown_where_contents_match(analysis: CampaignAnalys
 
 def test_symbols_are_upright_where_they_are_names() -> None:
     """Names of several letters are upright, single letters are not, indices are kept together."""
-    assert symbol("normalised_connectivity") == "$C_{d,n}$"
-    assert symbol("longest_bond_run") == r"$\mathrm{QLLC}$"
+    assert symbol("normalized_connectivity") == "$C_{d,n}$"
+    assert symbol("longest_bonded_run") == r"$\mathrm{QLLC}$"
     assert "\N{MINUS SIGN} 338" in law_text(623.0, -1.01, -338.0)
 
 

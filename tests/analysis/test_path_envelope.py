@@ -40,7 +40,7 @@ def test_envelope_is_the_plain_scan(seed: int, random_sample: Callable[..., Samp
     for ratio in ratios:
         weights = ContactWeights.from_ratio(ratio)
         path = preferential_path(graph, bonded, weights)
-        plain.append(connectivity(path.hertz_contacts, path.bond_contacts, weights))
+        plain.append(connectivity(path.hertz_contacts, path.bonded_contacts, weights))
     np.testing.assert_allclose(envelope.connectivity(ratios), plain, rtol=1e-12)
 
 

@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, normalised_connectivity
+from calcidem.analysis.connectivity import ContactWeights, PathScale, normalized_connectivity
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine
 from calcidem.analysis.weights import _correlation, _first_best, _sums_by_seed, scan_ratio
 
@@ -54,7 +54,7 @@ def test_correlation_is_that_of_normalised_connectivity() -> None:
     for ratio, found in zip(scan.ratios, scan.correlation, strict=True):
         weights = ContactWeights.from_ratio(ratio)
         lengths = [float(envelope.connectivity(ratio)) for envelope in envelopes]
-        c_dn = [normalised_connectivity(length, weights, scale) for length in lengths]
+        c_dn = [normalized_connectivity(length, weights, scale) for length in lengths]
         assert found == pytest.approx(stats.pearsonr(c_dn, velocity).statistic)
 
 

@@ -16,7 +16,7 @@ from calcidem.analysis.figures.style import (
     PURPLE,
     SAND_GRAIN,
     VERMILION,
-    bare,
+    strip_axes,
 )
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.storage.records import PackingRecord
@@ -72,7 +72,7 @@ def draw_grains(
         inside = chosen[pairs].all(axis=1)
         for kind, colour in ((P_CONTACT, P_CEMENT), (C_CONTACT, C_CEMENT)):
             _draw_contacts(axes, packing, pairs[inside & (kinds == kind)], colour, cement_width)
-    bare(axes)
+    strip_axes(axes)
     axes.set_aspect("equal")
     bottom, top = max(low, 0.0) * MM, min(high, packing.height) * MM
     axes.set_xlim(-1.5, packing.width * MM + 1.5)

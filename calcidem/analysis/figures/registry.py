@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, Sample, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import METHODS, Arrival, draw_signals
@@ -58,7 +58,7 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
     return rows if len(rows) > 1 else []
 
 
-def read_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
+def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
     """Give the signals of a sample and what was read from them.
 
     Raises
@@ -86,7 +86,7 @@ def read_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
     )
 
 
-def _spread(contents: list[float], count: int) -> list[float]:
+def _pick_evenly(contents: list[float], count: int) -> list[float]:
     """Give `count` contents from the least to the most, evenly over their order."""
     places = np.unique(np.linspace(0, len(contents) - 1, count).round().astype(int))
     return [contents[place] for place in places]
@@ -96,7 +96,7 @@ def _measured_contents(analysis: CampaignAnalysis, at_least: int = 1) -> list[fl
     return [row.content for row in analysis.distributions if row.vs.n >= at_least]
 
 
-def _cemented_samples(analysis: CampaignAnalysis) -> Figure:
+def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
     cemented = [sample for sample in analysis.samples if sample.packing_index == 0 and sample.kinds.any()]
     if not cemented:
         raise UnavailableError("no cemented sample is stored")
@@ -104,18 +104,18 @@ def _cemented_samples(analysis: CampaignAnalysis) -> Figure:
     # One sample with P alone and two with clusters show most.
     single = [sample for sample in of_seed if sample.kinds.max() == 1]
     clustered = [sample for sample in of_seed if sample.kinds.max() > 1]
-    chosen: list[Sample] = single[-1:]
+    chosen: list[MeasuredSample] = single[-1:]
     if clustered:
         middle = min(clustered, key=lambda sample: abs(sample.content - PATHS_CONTENT / 2))
         chosen += [sample for sample in clustered if sample in (middle, clustered[-1])]
     return draw_cemented_samples(analysis.graphs[0], chosen)
 
 
-def _measurement(analysis: CampaignAnalysis) -> Figure:
+def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     wave = analysis.campaign.config.get("wave", {})
     shown = _typical_sample(analysis)
     try:
-        arrival = None if shown is None else read_arrival(analysis, *shown)
+        arrival = None if shown is None else load_arrival(analysis, *shown)
     except UnavailableError:
         arrival = None
     return draw_measurement(
@@ -137,35 +137,35 @@ def _typical_sample(analysis: CampaignAnalysis) -> tuple[int, float] | None:
     return int(column["seed"][0]), content
 
 
-def _signals(analysis: CampaignAnalysis) -> Figure:
+def _plot_signals(analysis: CampaignAnalysis) -> Figure:
     arrivals = []
-    for content in _spread(_measured_contents(analysis) or [math.nan], SHOWN_SIGNALS):
+    for content in _pick_evenly(_measured_contents(analysis) or [math.nan], SHOWN_SIGNALS):
         if math.isnan(content):
             raise UnavailableError("no sample has a velocity")
         seed = int(analysis.vs.sel(content=content).dropna("seed")["seed"][0])
-        arrivals.append(read_arrival(analysis, seed, content))
+        arrivals.append(load_arrival(analysis, seed, content))
     return draw_signals(arrivals)
 
 
-def _range(analysis: CampaignAnalysis) -> Figure:
+def _plot_range(analysis: CampaignAnalysis) -> Figure:
     if not _measured_contents(analysis):
         raise UnavailableError("no sample has a velocity")
     return draw_range(analysis.vs, analysis.distributions, published_velocities(analysis))
 
 
-def _histograms(analysis: CampaignAnalysis) -> Figure:
+def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
     if not _measured_contents(analysis):
         raise UnavailableError("no sample has a velocity")
     return draw_histograms(analysis.vs, analysis.distributions)
 
 
-def _methods(analysis: CampaignAnalysis) -> Figure:
+def _plot_methods(analysis: CampaignAnalysis) -> Figure:
     if not bool(np.isfinite(analysis.cells["vs_peak"]).any()):
         raise UnavailableError("no sample has a velocity from peak to peak")
     return draw_methods(analysis.cells)
 
 
-def _paths(analysis: CampaignAnalysis) -> Figure:
+def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     contents = _measured_contents(analysis, SAMPLES_OF_A_CONTENT)
     spread = [
         row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0
@@ -180,20 +180,20 @@ def _paths(analysis: CampaignAnalysis) -> Figure:
     return draw_preferential_paths(analysis.graphs[0], chosen)
 
 
-def _ratio_scan(analysis: CampaignAnalysis) -> Figure:
+def _plot_ratio_scan(analysis: CampaignAnalysis) -> Figure:
     published = next(law for law in published_study().laws if law.name == "Monte-Carlo")
     shown = published.weights.ratio if published_velocities(analysis) else None
     return draw_ratio_scan(analysis.ratio_scan, shown)
 
 
-def _laws(analysis: CampaignAnalysis) -> Figure:
+def _plot_laws(analysis: CampaignAnalysis) -> Figure:
     contents = np.array([sample.content for sample in analysis.samples])
     published = published_study().laws if published_velocities(analysis) else ()
     laws = (analysis.physical_law, analysis.scanned_law)
     return draw_laws(laws, analysis.sample_vs, contents, published)
 
 
-def _narrowing(analysis: CampaignAnalysis) -> Figure:
+def _plot_narrowing(analysis: CampaignAnalysis) -> Figure:
     varied = [
         row.content
         for row in analysis.distributions
@@ -201,7 +201,7 @@ def _narrowing(analysis: CampaignAnalysis) -> Figure:
     ]
     if not varied:
         raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
-    contents = _spread(varied, SHOWN_NARROWINGS)
+    contents = _pick_evenly(varied, SHOWN_NARROWINGS)
     return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), SEED_COUNTS) for c in contents})
 
 
@@ -211,7 +211,7 @@ CAMPAIGN_FIGURES = (
         "Vs against calcite content",
         "Dots are samples, the line joins their means. The dark band is the 95 % confidence interval of the mean, "
         "the pale one the interval in which 95 % of new samples fall if Vs is normal at each content.",
-        _range,
+        _plot_range,
     ),
     CampaignFigure(
         "histograms",
@@ -219,14 +219,14 @@ CAMPAIGN_FIGURES = (
         "Bars and ticks are the samples, the line is the normal distribution with their mean and standard "
         "deviation. S is skewness, K kurtosis and p the small-sample p-value of the Jarque-Bera test; numbers "
         "are coloured where it is below 0.05.",
-        _histograms,
+        _plot_histograms,
     ),
     CampaignFigure(
         "samples",
         "Cemented samples",
         "Samples of one seed from P contacts alone to clusters (C); below, the framed parts enlarged. What is "
         "cemented at a content stays so at every larger one.",
-        _cemented_samples,
+        _plot_cemented_samples,
         pictorial=True,
     ),
     CampaignFigure(
@@ -235,7 +235,7 @@ CAMPAIGN_FIGURES = (
         "The transmitter, a band of the left wall, slides up for one pulse; the shear wave crosses the sample and "
         "is read near the receiver, a band of the right wall. Grey layers are strongly damped, so that "
         "nothing comes back from floor and lid.",
-        _measurement,
+        _plot_measurement,
         pictorial=True,
     ),
     CampaignFigure(
@@ -243,20 +243,20 @@ CAMPAIGN_FIGURES = (
         "Signals and their arrivals",
         "Velocity sent (grey) and signal received (blue), each over its peak, with the arrival by each method. "
         "Peak and cross-correlation count from the sent peak, the first arrival from the sent onset.",
-        _signals,
+        _plot_signals,
     ),
     CampaignFigure(
         "methods",
         "Three ways to read the arrival",
         "Median and central 80 % of the samples for each way to read the travel time.",
-        _methods,
+        _plot_methods,
     ),
     CampaignFigure(
         "paths",
         "Slow, middle and fast sample of one content",
         "The slowest sample, the one in the middle and the fastest at one content, with the path of smallest "
         "weighted length from transmitter to receiver. Rings mark the contacts on it that are not cemented.",
-        _paths,
+        _plot_paths,
         pictorial=True,
     ),
     CampaignFigure(
@@ -273,21 +273,21 @@ CAMPAIGN_FIGURES = (
         "sample is found anew for every ratio. The band holds the best ratio of 95 % of bootstrap replicates "
         "over seeds. Where the curve ends in a plateau, shortest paths no longer change, and its smallest ratio is "
         "taken for the best.",
-        _ratio_scan,
+        _plot_ratio_scan,
     ),
     CampaignFigure(
         "laws",
         "Vs against connectivity",
         "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
         "with the interval in which 95 % of new samples fall.",
-        _laws,
+        _plot_laws,
     ),
     CampaignFigure(
         "narrowing",
         "Monte-Carlo error against number of seeds",
         "Half-width of the 95 % intervals of mean, standard deviation and skewness, forecast from the samples "
         "there are; dotted where the campaign stands.",
-        _narrowing,
+        _plot_narrowing,
     ),
 )
 """In the order in which a report shows them."""

@@ -23,14 +23,14 @@ from calcidem.analysis.figures.style import (
     SKY,
     VERMILION,
     VS_LABEL,
+    apply_style,
     new_figure,
-    styled,
 )
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan
 
-SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
+VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
 READABLE_ON_DARK = 0.6
 SAME_RATIO = 0.02
 """C_d,n of weight ratios further apart than this are different quantities."""
@@ -38,12 +38,12 @@ SAME_RATIO = 0.02
 
 def symbol(name: str) -> str:
     """Give the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
-    base, _, index = SYMBOLS[name].partition("_")
+    base, _, index = VARIABLE_SYMBOLS[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"
 
 
-@styled
+@apply_style
 def draw_correlations(correlations: Correlations) -> Figure:
     """Draw the correlation matrices over all contents and within one (Fig. 13a).
 
@@ -86,7 +86,7 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
     return image
 
 
-@styled
+@apply_style
 def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Figure:
     """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14).
 
@@ -119,7 +119,7 @@ def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Fi
     return figure
 
 
-@styled
+@apply_style
 def draw_laws(
     laws: Sequence[LawFit],
     vs: NDArray[np.float64],

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from calcidem.analysis.campaign_analysis import Sample
+from calcidem.analysis.campaign_analysis import MeasuredSample
 from calcidem.analysis.figures.grains import MM, draw_bands, draw_frame, draw_grains, draw_path
-from calcidem.analysis.figures.signals import Arrival, signal_axes
+from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
     C_CEMENT,
@@ -21,9 +21,9 @@ from calcidem.analysis.figures.style import (
     PURPLE,
     SAND_GRAIN,
     VERMILION,
+    apply_style,
+    draw_scale_bar,
     new_figure,
-    scale_bar,
-    styled,
 )
 from calcidem.analysis.packing_graph import PackingGraph
 
@@ -48,8 +48,8 @@ BARE_KEY = Line2D(
 )
 
 
-@styled
-def draw_cemented_samples(graph: PackingGraph, samples: Sequence[Sample]) -> Figure:
+@apply_style
+def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw whole samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5).
 
     Parameters
@@ -81,13 +81,13 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[Sample]) -> Fig
             spine.set_visible(True)
             spine.set_linewidth(1.1)
             spine.set_edgecolor(BLACK)
-    scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
-    scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
+    draw_scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
+    draw_scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
     figure.legend(handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY], loc="outside lower center", ncols=4)
     return figure
 
 
-@styled
+@apply_style
 def draw_measurement(
     graph: PackingGraph,
     *,
@@ -144,11 +144,11 @@ def draw_measurement(
         zorder=9,
         bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
     )
-    scale_bar(scene, 0.0, -4.0, 0.2 * width, f"{0.2 * width:g} mm")
+    draw_scale_bar(scene, 0.0, -4.0, 0.2 * width, f"{0.2 * width:g} mm")
     if arrival is None:
         signals.set_axis_off()
     else:
-        signal_axes(signals, arrival)
+        draw_signal_pair(signals, arrival)
         signals.set_title(f"sample of seed {arrival.seed} at {arrival.content:g} %")
         signals.set_xlabel("time (ms)")
         signals.set_box_aspect(1.0)
@@ -156,8 +156,8 @@ def draw_measurement(
     return figure
 
 
-@styled
-def draw_preferential_paths(graph: PackingGraph, samples: Sequence[Sample]) -> Figure:
+@apply_style
+def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw samples of one content with the path that the wave prefers (Fig. 12).
 
     Parameters
@@ -183,13 +183,13 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[Sample]) -> F
         lines = (
             f"seed {sample.seed}",
             velocity,
-            f"$C_{{d,n}}$ = {features.normalised_connectivity:.2f}",
+            f"$C_{{d,n}}$ = {features.normalized_connectivity:.2f}",
             f"path of {features.contacts} contacts:",
-            f"{features.bond_contacts} cemented, {features.hertz_contacts} not,",
-            f"longest cemented run {features.longest_bond_run}",
+            f"{features.bonded_contacts} cemented, {features.hertz_contacts} not,",
+            f"longest cemented run {features.longest_bonded_run}",
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
-    scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
+    draw_scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
     figure.legend(
         handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY, PATH_KEY, BARE_KEY], loc="outside lower center", ncols=3
     )

@@ -13,13 +13,13 @@ from calcidem.analysis.figures.signals import METHODS
 from calcidem.analysis.figures.style import (
     BLUE,
     CONTENT_MAP,
+    FIGURE_WIDTH,
     GREY,
     SEQUENCE,
     VS_LABEL,
-    WIDTH,
-    from_zero,
+    apply_style,
     new_figure,
-    styled,
+    start_at_zero,
 )
 
 KHZ = 1e-3
@@ -28,7 +28,7 @@ FREQUENCY_LABEL = "excitation frequency (kHz)"
 SHOWN_METHODS = ("peak", "first_arrival")
 
 
-@styled
+@apply_style
 def draw_reading_study(study: xr.Dataset) -> Figure:
     """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
 
@@ -63,7 +63,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
                 zorder=3,
             )
         axes.set_title(f"{content:g} %")
-        from_zero(axes)
+        start_at_zero(axes)
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
     panels[0].legend(loc="lower right")
@@ -72,7 +72,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     return figure
 
 
-@styled
+@apply_style
 def draw_frequency_study(study: xr.Dataset) -> Figure:
     """Draw frequency received and Vs against frequency sent (Fig. 9).
 
@@ -97,14 +97,14 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
         right.axvline(used, color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
     for axes in (left, right):
         axes.set_xlabel(FREQUENCY_LABEL)
-        from_zero(axes)
+        start_at_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)
     left.legend(loc="upper left")
     return figure
 
 
-@styled
+@apply_style
 def draw_damping_study(study: xr.Dataset) -> Figure:
     """Draw received signals for several damping factors (Fig. 7).
 
@@ -115,7 +115,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
     """
     contents = study["content"].to_numpy()
     factors = study["damping"].to_numpy()
-    figure = new_figure(height=0.7 + 2.9 * len(contents), width=WIDTH + 0.4)
+    figure = new_figure(height=0.7 + 2.9 * len(contents), width=FIGURE_WIDTH + 0.4)
     panels = figure.subplots(len(contents), 2, squeeze=False, width_ratios=[2.2, 1.0])
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.0, 0.9, len(factors)))
     for (signals, velocities), content in zip(panels, contents, strict=True):
@@ -142,7 +142,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
         signals.set_title(f"{content:g} %")
         velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
         velocities.set_ylabel(VS_LABEL)
-        from_zero(velocities)
+        start_at_zero(velocities)
         velocities.set_xlim(0, 1.08 * factors[-1])
     panels[-1, 0].set_xlabel("time (ms)")
     panels[-1, 1].set_xlabel("damping factor")

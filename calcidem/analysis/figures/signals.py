@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from calcidem.analysis.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure, styled
+from calcidem.analysis.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, apply_style, new_figure
 
 MS = 1e3
 POINTING = 0.14
@@ -70,7 +70,7 @@ class Arrival:
         return began + self.distance / self.velocities[method]
 
 
-def signal_axes(axes: Axes, arrival: Arrival) -> None:
+def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     """Draw both signals of a sample, each over its own peak, and mark the arrivals."""
     time = arrival.time * MS
     axes.axhline(0, color=GREY, linewidth=0.6)
@@ -108,7 +108,7 @@ def received_peak_index(arrival: Arrival) -> int:
     return int(np.searchsorted(arrival.time, arrival.arrival_time("peak")))
 
 
-@styled
+@apply_style
 def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
     """Draw the signals of several samples below one another, each with its arrivals.
 
@@ -120,7 +120,7 @@ def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
     figure = new_figure(height=0.5 + 1.45 * len(arrivals))
     panels = figure.subplots(len(arrivals), 1, squeeze=False)[:, 0]
     for axes, arrival in zip(panels, arrivals, strict=True):
-        signal_axes(axes, arrival)
+        draw_signal_pair(axes, arrival)
         axes.set_title(f"{arrival.content:g} %, seed {arrival.seed}")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     panels[-1].set_xlabel("time (ms)")

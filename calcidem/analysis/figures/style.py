@@ -33,7 +33,7 @@ SEQUENCE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 CONTENT_MAP = "viridis"
 CORRELATION_MAP = "RdBu_r"
 
-WIDTH = 6.2
+FIGURE_WIDTH = 6.2
 """Width of a figure in inches: a column of the report, and still readable on a phone."""
 
 CONTENT_LABEL = "calcite content (% of sand mass)"
@@ -75,7 +75,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def apply_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make a function draw in this style, whatever the caller's matplotlib is set to."""
 
     @wraps(draw)
@@ -86,17 +86,17 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return inner
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
+def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """Give an empty figure of a size in inches; it belongs to nobody's window."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def from_zero(axes: Axes) -> None:
+def start_at_zero(axes: Axes) -> None:
     """Let a vertical axis begin at zero, with some room above what is drawn."""
     axes.set_ylim(0, 1.06 * axes.get_ylim()[1])
 
 
-def bare(axes: Axes) -> None:
+def strip_axes(axes: Axes) -> None:
     """Take grid, ticks and frame off axes that show a picture."""
     axes.grid(visible=False)
     axes.set_xticks([])
@@ -105,7 +105,7 @@ def bare(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> None:
+def draw_scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> None:
     """Draw a scale bar; position and length in data units."""
     axes.plot([x, x + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(

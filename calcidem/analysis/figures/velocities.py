@@ -22,8 +22,8 @@ from calcidem.analysis.figures.style import (
     SKY,
     VERMILION,
     VS_LABEL,
+    apply_style,
     new_figure,
-    styled,
 )
 from calcidem.analysis.published import PublishedVelocity
 
@@ -34,7 +34,7 @@ PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
 
 
-@styled
+@apply_style
 def draw_range(
     vs: xr.DataArray,
     distributions: Sequence[ContentDistribution],
@@ -111,7 +111,7 @@ def _draw_range(
         )
 
 
-@styled
+@apply_style
 def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistribution]) -> Figure:
     """Draw the distribution of Vs at each content with its normal fit (Fig. 11).
 
@@ -171,7 +171,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.set_ylim(0, axes.get_ylim()[1] * 1.12)
 
 
-@styled
+@apply_style
 def draw_methods(cells: xr.Dataset) -> Figure:
     """Draw mean Vs by three ways of reading the arrival against content (compare Fig. 6).
 
@@ -199,7 +199,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
     return figure
 
 
-@styled
+@apply_style
 def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
     """Draw how the 95 % intervals narrow with the number of seeds.
 

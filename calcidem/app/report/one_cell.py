@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.figures.registry import read_arrival
+from calcidem.analysis.figures.registry import load_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.analysis.figures.style import save
@@ -78,7 +78,7 @@ def _draw(analysis: CampaignAnalysis, seed: int, content: float, folder: Path) -
         files += save(draw_cemented_samples(graph, [sample]), folder, f"{name}_cement")
         files += save(draw_preferential_paths(graph, [sample]), folder, f"{name}_path")
     try:
-        arrival = read_arrival(analysis, seed, content)
+        arrival = load_arrival(analysis, seed, content)
     except UnavailableError:
         return files
     return [*files, *save(draw_signals([arrival]), folder, f"{name}_signals")]

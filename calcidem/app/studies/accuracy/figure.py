@@ -3,7 +3,7 @@
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, new_figure, styled
+from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
 from calcidem.app.studies.accuracy.settings import DEFAULT
 from calcidem.app.studies.accuracy.study import Study, Summary, pareto
 
@@ -11,7 +11,7 @@ SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes noth
 STAIRS = 4  # names one below the other, before they begin again
 
 
-@styled
+@apply_style
 def error_against_run_time(study: Study) -> "Figure":
     """Draw median and largest error of Vs against the processor time of a cell."""
     figure = new_figure(3.6)

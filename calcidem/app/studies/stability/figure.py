@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, new_figure, styled
+from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, new_figure
 from calcidem.app.studies.stability.maps import WALKS
 from calcidem.app.studies.stability.scenes import REGIMES, Extreme
 from calcidem.app.studies.stability.verdict import Judgement, Verdict
@@ -13,7 +13,7 @@ COLOURS = {Verdict.STABLE: BLUE, Verdict.REFUSED: GREY, Verdict.DETECTED: ORANGE
 COLUMNS = 2
 
 
-@styled
+@apply_style
 def draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
     """Draw one row of marks for each regime along each quantity."""
     rows = -(-len(found) // COLUMNS)
