@@ -5,10 +5,11 @@ there are two, one comes from `calcidem.dem` and the other holds what a campaign
 """
 
 import itertools
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from calcidem.dem.wave.arrival import PickRule
 from calcidem.dem.wave.experiment import Experiment, Method, ReceivedSignal
 from calcidem.dem.wave.propagation import WaveRule
 from calcidem.dem.wave.pulse import EXCITATION
+from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
 from calcidem.storage.records.canonical import content_hash
 from calcidem.storage.sql.engine import parse_address
@@ -27,6 +29,7 @@ from calcidem.storage.sql.engine import parse_address
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
+Section = TypeVar("Section", bound="DataclassInstance")
 
 PHYSICS_VERSION = 1
 """To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
@@ -264,6 +267,42 @@ class Configuration:
     velocity_choice: VelocityChoice = field(default_factory=VelocityChoice)
     run: RunOptions = field(default_factory=RunOptions)
 
+    @classmethod
+    def from_physics(cls, physics: Mapping[str, Any]) -> Self:
+        """Rebuild what cells are computed with, but not what the packing is made from nor which cells are planned.
+
+        Parameters
+        ----------
+        physics
+            Of a stored campaign, see `physics`.
+
+        Raises
+        ------
+        StoreError
+            If a section is missing.
+        ValueError
+            If a section holds what this calcidem refuses.
+        """
+        sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
+        if missing := [name for name in sections if name not in physics]:
+            raise StoreError(
+                f"The stored configuration lacks {', '.join(missing)}: its cells can't be computed again.",
+                "Only campaigns that 'calcidem run' made have a complete one.",
+            )
+        root_seed, sand, cement, pattern, wave, pick = (physics[name] for name in sections)
+        return cls(
+            campaign=CampaignPlan(root_seed=root_seed),
+            sand=from_stored(Sand, sand),
+            calibration=from_stored(Calibration, sand),
+            cement=from_stored(Cement, cement),
+            bonding=from_stored(Bonding, cement),
+            pattern=from_stored(CementRule, pattern),
+            wave=from_stored(WaveRule, wave),
+            excitation=Excitation(from_stored(FrequencyTable, wave["frequency"])),
+            pick=from_stored(PickRule, pick),
+            velocity_choice=from_stored(VelocityChoice, pick),
+        )
+
     @cached_property
     def physics(self) -> dict[str, Any]:
         """Everything that changes what a cell gives, section by section, ready for JSON."""
@@ -271,17 +310,17 @@ class Configuration:
             "physics_version": PHYSICS_VERSION,
             "root_seed": self.campaign.root_seed,
             "packing": self.packing_origin,
-            "sand": plain(self.sand) | plain(self.calibration),
-            "cement": plain(self.cement) | plain(self.bonding),
-            "pattern": plain(self.pattern),
-            "wave": plain(self.wave) | {"frequency": plain(self.excitation.table)},
-            "pick": plain(self.pick) | plain(self.velocity_choice),
+            "sand": to_stored(self.sand) | to_stored(self.calibration),
+            "cement": to_stored(self.cement) | to_stored(self.bonding),
+            "pattern": to_stored(self.pattern),
+            "wave": to_stored(self.wave) | {"frequency": to_stored(self.excitation.table)},
+            "pick": to_stored(self.pick) | to_stored(self.velocity_choice),
         }
 
     @property
     def packing_origin(self) -> dict[str, Any]:
         """What the packing is made from, ready for JSON: no key that does not matter, and no file name."""
-        values = plain(self.packing) | plain(self.packing_draw)
+        values = to_stored(self.packing) | to_stored(self.packing_draw)
         left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
         return {name: value for name, value in values.items() if name not in left_out and value is not None}
 
@@ -297,7 +336,7 @@ class Configuration:
         The friction of the sand is not part of it, since the packing is made with its own.
         """
         sand = replace(self.sand, friction=self.packing.friction_preparation)
-        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": plain(sand)}
+        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": to_stored(sand)}
         if self.packing_draw.file is None:  # disks from a file have nothing random
             origin["root_seed"] = self.campaign.root_seed
         return content_hash(origin)
@@ -338,10 +377,20 @@ class Configuration:
         )
 
 
-def plain(section: "DataclassInstance") -> dict[str, Any]:
-    """Dataclass as a mapping of what JSON knows, with the keys that stored configurations have."""
-    keys = {name: key for key, name in FORMER_KEYS.items()}
+def to_stored(section: "DataclassInstance") -> dict[str, Any]:
+    """Keys and values of a section as hashes and stored configurations have them, ready for JSON."""
     return {
-        keys.get(name, name): list(value) if isinstance(value, tuple) else value
-        for name, value in asdict(section).items()
+        stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()
     }
+
+
+def from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
+    """Make a section of what `to_stored` gave; keys that are not its own are left alone."""
+    keys = {field.name: stored_key(field.name) for field in fields(kind)}
+    values = {name: stored[key] for name, key in keys.items() if key in stored}
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+
+def stored_key(name: str) -> str:
+    """Key under which a field is stored: its first name for ever, or campaigns would change their identity."""
+    return next((former for former, present in FORMER_KEYS.items() if present == name), name)

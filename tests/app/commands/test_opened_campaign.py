@@ -10,7 +10,7 @@ import calcidem.dem
 from calcidem.analysis.distribution import describe
 from calcidem.app.campaign import opened as opened_campaign
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.campaign.stored_experiment import experiment_of
+from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
@@ -90,9 +90,8 @@ def test_what_is_missing_is_said(campaign: OpenedCampaign) -> None:
     """An unknown cell and an incomplete configuration are refused with their names."""
     with pytest.raises(UnknownCellError, match="seed 99"):
         campaign.sample(seed=99, content=5.0)
-    packing = campaign.experiment().packing
     with pytest.raises(StoreError, match="lacks root_seed, sand"):
-        experiment_of({"wave": {}}, packing)
+        Configuration.from_physics({"wave": {}})
 
 
 def test_examples_of_the_documentation(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
