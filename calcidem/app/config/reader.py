@@ -4,7 +4,8 @@ import difflib
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+import warnings
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
@@ -15,6 +16,7 @@ from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
 from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
+    FORMER_KEYS,
     Bonding,
     Calibration,
     CampaignPlan,
@@ -67,30 +69,36 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
     ConfigurationError
         With everything that is wrong.
     """
-    source = os.fspath(path)
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        cure = "check the name, or write an example with 'calcidem init'"
-        raise ConfigurationError(source, [Problem(f"the file does not exist; {cure}")]) from None
-    except IsADirectoryError:
-        raise ConfigurationError(source, [Problem("this is a folder; give the name of a TOML file")]) from None
-    except OSError as error:
-        problem = f"the file cannot be read ({error.strerror}); give one that can"
-        raise ConfigurationError(source, [Problem(problem)]) from None
-    except UnicodeDecodeError as error:
-        problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
-        raise ConfigurationError(source, [Problem(problem)]) from None
-    except tomllib.TOMLDecodeError as error:
-        problem = f'not TOML: {error}; numbers are written 1.5, texts "...", lists [1, 2]'
-        raise ConfigurationError(source, [Problem(problem)]) from None
-    if not document:
-        problem = "the file is empty; write an example with 'calcidem init' and change it"
-        raise ConfigurationError(source, [Problem(problem)])
+    document = parse_file(Path(path))
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     if given and isinstance(document.setdefault("run", {}), dict):
         document["run"] |= given
-    return read_configuration(document, source, Path(path).parent)
+    return read_configuration(document, os.fspath(path), Path(path).parent)
+
+
+def parse_file(path: Path) -> dict[str, Any]:
+    """Sections of a TOML file.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are none, and why.
+    """
+    try:
+        if document := tomllib.loads(path.read_text(encoding="utf-8")):
+            return document
+        problem = "the file is empty; write an example with 'calcidem init' and change it"
+    except FileNotFoundError:
+        problem = "the file does not exist; check the name, or write an example with 'calcidem init'"
+    except IsADirectoryError:
+        problem = "this is a folder; give the name of a TOML file"
+    except OSError as error:
+        problem = f"the file cannot be read ({error.strerror}); give one that can"
+    except UnicodeDecodeError as error:
+        problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
+    except tomllib.TOMLDecodeError as error:
+        problem = f'not TOML: {error}; numbers are written 1.5, strings "...", lists [1, 2]'
+    raise ConfigurationError(str(path), [Problem(problem)])
 
 
 def read_configuration(
@@ -141,7 +149,7 @@ def read_section(
     }
     problems: list[Problem] = []
     good: dict[str, Any] = {}
-    for key, value in values.items():
+    for key, value in rename_former_keys(section, values, owner.keys(), problems).items():
         if key not in owner:
             problems.append(unknown_name(key, f"key of [{section}]", list(owner), section))
             continue
@@ -150,6 +158,26 @@ def read_section(
         own = {key: value for key, value in good.items() if owner[key] is kind}
         parts[attribute] = build(section, kind, own, problems)
     return problems
+
+
+def rename_former_keys(
+    section: str, values: Mapping[str, Any], known: Collection[str], problems: list[Problem]
+) -> dict[str, Any]:
+    """Values by their present keys: a former one is warned of, and a problem if both are given."""
+    renamed = dict(values)
+    for former, present in FORMER_KEYS.items():
+        if former not in values or present not in known:
+            continue
+        value = renamed.pop(former)
+        if present in values:
+            problem = f"is the former name of {section}.{present}, which is given too; leave {former} out"
+            places = (f"{section}.{former}", f"{section}.{present}")
+            problems.append(Problem(f"{section}.{former} = {quote(value)}: {problem}", places))
+        else:
+            renamed[present] = value
+            message = f"{section}.{former} is now called {section}.{present}; rename the key in the configuration."
+            warnings.warn(message, FutureWarning, stacklevel=2)
+    return renamed
 
 
 def read_value(
