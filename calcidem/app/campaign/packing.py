@@ -6,7 +6,6 @@ import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
-from enum import IntEnum
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.state import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
+from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.store import Store
 
@@ -30,17 +30,6 @@ Tell = Callable[[str], None]
 
 class DamagedPackingError(ValueError):
     """Bytes that are not, or no longer, what `packing_to_bytes` gave."""
-
-
-class PackingPurpose(IntEnum):
-    """Streams of random numbers of a packing; 1 and 2 of the same root belong to the cement."""
-
-    DISKS = 0
-
-    def generator(self, root_seed: int, seed: int) -> np.random.Generator:
-        """Generator of this stream, the same wherever it is asked for."""
-        sequence = np.random.SeedSequence(root_seed, spawn_key=(seed, self.value))
-        return np.random.Generator(np.random.PCG64(sequence))
 
 
 def cache_folder() -> Path:
@@ -87,7 +76,7 @@ def provide_packing(
         packing = packing_of_own_disks(configuration, check)
     else:
         tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
-        generator = PackingPurpose.DISKS.generator(configuration.campaign.root_seed, draw.seed)
+        generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
         packing = make_packing(configuration.packing, configuration.sand, generator, check)
     write_cache(path, packing, tell)
     return packing

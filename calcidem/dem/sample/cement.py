@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from calcidem.dem.sample.toroid import Floats, toroid_area
-
-Indices = npt.NDArray[np.int64]
+from calcidem.dem.kernels.layout import Flags, Floats, Integers
+from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.dem.sample.toroid import toroid_area
 
 CENTRES_AT_ONCE = 512
 MOST_CENTRES = 400 * CENTRES_AT_ONCE  # gives up on clusters so small that they hardly ever meet a contact
@@ -23,18 +23,6 @@ MOST_CENTRES = 400 * CENTRES_AT_ONCE  # gives up on clusters so small that they 
 
 class CementCapacityError(ValueError):
     """More calcite was asked for than the sample can hold."""
-
-
-class CementPurpose(IntEnum):
-    """Streams of random numbers of a seed; the numbers belong to a sample's identity and never change."""
-
-    P_CONTACTS = 1
-    CLUSTERS = 2
-
-    def generator(self, root_seed: int, seed: int) -> np.random.Generator:
-        """Return the generator of this stream, the same wherever and in whatever order it is asked for."""
-        sequence = np.random.SeedSequence(root_seed, spawn_key=(seed, self.value))
-        return np.random.Generator(np.random.PCG64(sequence))
 
 
 class CementKind(IntEnum):
@@ -121,7 +109,7 @@ class PlacedCement:
     content_reached: float
 
     @property
-    def bonded(self) -> npt.NDArray[np.bool_]:
+    def bonded(self) -> Flags:
         """(M,) True where a contact is cemented."""
         return np.not_equal(self.kind, CementKind.NONE)
 
@@ -164,9 +152,9 @@ class CementOrdering:
     """
 
     rule: CementRule
-    p_rank: Indices
+    p_rank: Integers
     p_content: Floats
-    first_cluster: Indices
+    first_cluster: Integers
     c_content: Floats
     centres: Floats
     pore_content: float
@@ -236,7 +224,7 @@ def draw_cement(
     x: Floats,
     y: Floats,
     radius: Floats,
-    pairs: npt.NDArray[np.integer],
+    pairs: Integers,
     *,
     box: tuple[float, float],
     rule: CementRule,
@@ -280,10 +268,10 @@ def draw_cement(
     first, second = 2.0 * radius[pairs[:, 0]], 2.0 * radius[pairs[:, 1]]
     p_area = rule.p_share * toroid_area(first, second, rule.p_diameter)
     c_area = toroid_area(first, second, rule.c_diameter)
-    order = CementPurpose.P_CONTACTS.generator(root_seed, seed).permutation(len(pairs))
+    order = random_generator(root_seed, seed, RandomPurpose.P_CONTACTS).permutation(len(pairs))
     p_rank = np.empty_like(order)
     p_rank[order] = np.arange(len(order))
-    generator = CementPurpose.CLUSTERS.generator(root_seed, seed)
+    generator = random_generator(root_seed, seed, RandomPurpose.CLUSTERS)
     points = contact_points(x, y, radius, pairs)
     centres, first_cluster, areas = draw_clusters(
         points, c_area, box=box, pore_area=pore_area, rule=rule, generator=generator
@@ -300,7 +288,7 @@ def draw_cement(
     )
 
 
-def contact_points(x: Floats, y: Floats, radius: Floats, pairs: npt.NDArray[np.integer]) -> Floats:
+def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Floats:
     """Return the (M, 2) middle of the overlap (or gap) of each pair, m."""
     position = np.column_stack([x, y])
     first, second = position[pairs[:, 0]], position[pairs[:, 1]]
@@ -317,7 +305,7 @@ def draw_clusters(
     pore_area: float,
     rule: CementRule,
     generator: np.random.Generator,
-) -> tuple[Floats, Indices, Floats]:
+) -> tuple[Floats, Integers, Floats]:
     """Draw clusters until every contact lies in one or their calcite fills the pores.
 
     ``points`` (M, 2) and ``contact_area`` (M,) are the contact points, m, and their calcite, m^2. Returns the
@@ -343,7 +331,7 @@ def draw_clusters(
 
 def circles(
     points: Floats, box: tuple[float, float], radius: float, generator: np.random.Generator
-) -> Iterator[tuple[Floats, Indices]]:
+) -> Iterator[tuple[Floats, Integers]]:
     """Yield random centres in the box, each with the points (their increasing indices) that its circle holds.
 
     Circles that hold none are skipped; after `MOST_CENTRES` centres there are no more.
