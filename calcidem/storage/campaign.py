@@ -219,8 +219,12 @@ class StoredCampaign:
         """
         found = self.store.load_packing(index)
         if found is None:
-            raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.store.packing_indices()}.")
+            raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
         return found
+
+    def packing_indices(self) -> tuple[int, ...]:
+        """Return the indices of the packings that are stored, ascending."""
+        return self.store.packing_indices()
 
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
         """Return how many cells of each content have each status."""

@@ -11,20 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.records import STORED_STATUSES, CampaignRecord, CellStatus, RunRecord
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, RunRecord
 from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
-__all__ = ["FORMAT_VERSION", "NOT_PLANNED", "STATUS_CODES", "campaign_dataset", "vs_array"]
-
 FORMAT_VERSION = 1
 """Version of the layout of exported files."""
-
-NOT_PLANNED = "not_planned"
-"""Flag of a (seed, content) that is in the matrix only because others of its row and column are planned."""
-
-STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED))}
-"""Values of the flag variable `status`; never renumbered, since old files hold them."""
 
 INDEX_NAMES = ("seed", "content")
 

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
 from calcidem.storage.netcdf.campaign_groups import read_attempts, read_packings
-from calcidem.storage.netcdf.dataset import FORMAT_VERSION, NOT_PLANNED, STATUS_CODES
+from calcidem.storage.netcdf.dataset import FORMAT_VERSION
 from calcidem.storage.netcdf.groups import Group
 from calcidem.storage.netcdf.sample_groups import cement_reader, path_reader, signal_reader
 from calcidem.storage.records import (
+    NOT_PLANNED,
+    STATUS_CODES,
     CampaignRecord,
     CellKey,
     CellResult,

@@ -6,6 +6,8 @@ NaN; what happened to a cell is its `CellStatus`.
 
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord
 from calcidem.storage.records.cell import (
+    NOT_PLANNED,
+    STATUS_CODES,
     STORED_STATUSES,
     AttemptCount,
     AttemptRecord,
@@ -14,9 +16,13 @@ from calcidem.storage.records.cell import (
     CellStatus,
     canonical_content,
 )
-from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
+from calcidem.storage.records.sample import C_CONTACT, P_CONTACT, CementPattern, GraphSummary, PathFeatures, Signal
 
 __all__ = [
+    "C_CONTACT",
+    "NOT_PLANNED",
+    "P_CONTACT",
+    "STATUS_CODES",
     "STORED_STATUSES",
     "AttemptCount",
     "AttemptRecord",

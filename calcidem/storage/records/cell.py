@@ -11,20 +11,6 @@ from enum import StrEnum
 from calcidem.storage.records.arrays import plain_finite_numbers
 from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
 
-__all__ = [
-    "CONTENT_DECIMALS",
-    "COUNT_COLUMNS",
-    "NUMERICS_OF_DONE",
-    "POSITIVE_COLUMNS",
-    "STORED_STATUSES",
-    "AttemptCount",
-    "AttemptRecord",
-    "CellKey",
-    "CellResult",
-    "CellStatus",
-    "canonical_content",
-]
-
 CONTENT_DECIMALS = 9
 
 
@@ -43,6 +29,12 @@ class CellStatus(StrEnum):
 
 STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING})
 """The outcomes a cell can have in the database."""
+
+NOT_PLANNED = "not_planned"
+"""Flag of a (seed, content) that is in the matrix only because others of its row and column are planned."""
+
+STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED))}
+"""Values of the flag variable `status`; never renumbered, since old files hold them."""
 
 
 def canonical_content(content: float) -> float:

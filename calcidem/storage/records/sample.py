@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from calcidem.storage.records.arrays import ComparedByValue, frozen_array, plain_finite_numbers
 
-__all__ = ["CementPattern", "GraphSummary", "PathFeatures", "Signal"]
-
 P_CONTACT = 1
 C_CONTACT = 2
+"""What a cemented contact is in `CementPattern.kind`; 0 stands for sand where all contacts are listed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
