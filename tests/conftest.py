@@ -12,7 +12,7 @@ from calcidem.app.report import write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store

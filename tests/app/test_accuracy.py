@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calcidem.app.studies.accuracy.converged import FINEST, HALVING
+from calcidem.app.studies.accuracy.convergence import convergence
+from calcidem.app.studies.accuracy.figure import error_against_run_time
 
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.command import share
-from calcidem.app.studies.accuracy.converged import FINEST, HALVING
-from calcidem.app.studies.accuracy.convergence import convergence
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
-from calcidem.app.studies.accuracy.figure import error_against_run_time
-from calcidem.app.studies.accuracy.measured import measured_errors
+from calcidem.app.studies.accuracy.findings import measured_errors
 from calcidem.app.studies.accuracy.report import Findings, as_json, tables
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
@@ -21,7 +21,7 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 
 CONTENTS = (0.34, 0.45, 0.55, 0.66)
 SEEDS = tuple(range(1, 9))

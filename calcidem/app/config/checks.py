@@ -111,7 +111,8 @@ def check_frequencies(configuration: Configuration) -> Iterator[Problem]:
 def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     """Frequency that surely no sample passes on, Hz: cut-off of a hexagonal lattice of mean disks.
 
-    Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice). All its contacts
+    Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice), those of a chain with
+    contacts of ``3/8 (k_n + k_s)``. All its contacts
     are cemented, or none, and these carry the force ``stress d`` each. Real packings have fewer contacts and are
     softer, so what is refused here does not work for certain.
     """
@@ -127,8 +128,7 @@ def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
         overlap = (configuration.packing.stress * diameter / coefficient) ** (2.0 / 3.0)
         tangent = 1.5 * coefficient * np.sqrt(overlap) * configuration.calibration.wave_stiffness_factor
         stiffness = tangent * (1.0 + configuration.sand.shear_ratio)
-    velocity = diameter * np.sqrt(3.0 / 8.0 * stiffness / mass)
-    return float(cutoff_frequency(velocity, diameter))
+    return cutoff_frequency(3.0 / 8.0 * stiffness, mass)
 
 
 def check_files(configuration: Configuration) -> Iterator[Problem]:

@@ -30,7 +30,7 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.arrival import PickRule
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only

@@ -19,8 +19,8 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.arrival import PickRule
 from calcidem.dem.wave.experiment import Experiment, Method, ReceivedSignal
-from calcidem.dem.wave.propagation import WaveRule
 from calcidem.dem.wave.pulse import EXCITATION
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
 from calcidem.storage.records.canonical import content_hash

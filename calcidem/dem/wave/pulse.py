@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from calcidem.dem.kernels.layout import Floats
 
 EXCITATION = (
     (0.0, 4.0e3),
@@ -96,21 +96,21 @@ def excitation_frequency(content: float) -> float:
     return float(np.interp(content, contents, frequencies))
 
 
-def cutoff_frequency(velocity: float, diameter: float) -> float:
-    """Estimate the frequency above which grains pass no wave on, Hz.
+def cutoff_frequency(stiffness: float, mass: float) -> float:
+    """Highest frequency that a chain of grains passes on, Hz.
 
     Parameters
     ----------
-    velocity
-        Of long waves, m/s.
-    diameter
-        Of the grains, m.
+    stiffness
+        Of its contacts, in the direction of the motion, N/m.
+    mass
+        Of a grain, kg.
 
     Notes
     -----
-    ``f = V / (pi d)``: a chain of masses with spacing d ends at ``omega = 2 sqrt(k / m)``, and its long waves
-    have ``V = d sqrt(k / m)``.
+    A chain of masses ends at ``omega = 2 sqrt(k / m)`` (L. Brillouin, Wave Propagation in Periodic Structures, 1946), so
+    ``f = sqrt(k / m) / pi``. Its long waves run at ``V = d sqrt(k / m)`` for a spacing d, hence also ``f = V / (pi d)``.
     """
-    if not (velocity > 0.0 and diameter > 0.0):
-        raise ValueError(f"velocity = {velocity} m/s, diameter = {diameter} m: give positive numbers")
-    return velocity / (np.pi * diameter)
+    if not (stiffness > 0.0 and mass > 0.0):
+        raise ValueError(f"stiffness = {stiffness} N/m, mass = {mass} kg: give positive numbers")
+    return float(np.sqrt(stiffness / mass) / np.pi)

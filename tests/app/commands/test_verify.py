@@ -14,7 +14,7 @@ from calcidem.app.config.schema import CampaignPlan, Configuration
 from calcidem.app.studies.verify import Verdict, compared, random_cells, verify
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.records import CellKey
 
 Invoke = Callable[..., str]

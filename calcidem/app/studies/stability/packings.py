@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.studies.stability.scenes import cut_off_frequency, pressed_stiffness
+from calcidem.app.studies.stability.scenes import pressed_stiffness
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.rule import WaveRule
 
 STRESSES = (1.0e2, 5.0e3, 5.0e5)  # Pa
 FRICTIONS = (0.0, 0.2, 1.0)  # while packing
@@ -62,7 +63,7 @@ def packed_experiment(packing: Packing, scene: Packed) -> Experiment:
     """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
     sand = Sand()
     radius = float(np.mean(packing.radius))
-    cut_off = cut_off_frequency(pressed_stiffness(packing, radius, sand), radius, sand)
+    cut_off = cutoff_frequency(pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
     frequency = CEMENTED if scene.content > 0.0 else SLOW * cut_off
     wave = WaveRule(
         amplitude=STROKE * packing.report.mean_overlap * frequency,

@@ -14,7 +14,8 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingReport
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import WaveRule
+from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.rule import WaveRule
 
 RADIUS = 1.25e-3  # m, of the largest disks
 COLUMNS, ROWS = 6, 10
@@ -133,7 +134,7 @@ def experiment_of(extreme: Extreme) -> Experiment:
         cohesion=extreme.strength * stress,
     )
     width = 0.5 * float(packing.radius.min())
-    cut_off = cut_off_frequency(stiffness, RADIUS, sand)
+    cut_off = cutoff_frequency(stiffness, sand.density * np.pi * RADIUS**2)
     frequency = extreme.frequency * cut_off
     wave = WaveRule(
         amplitude=extreme.amplitude,
@@ -235,8 +236,3 @@ def pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
     """Normal stiffness, N/m, of a contact of mean overlap between disks of a radius (m), Hertz."""
     coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
     return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))
-
-
-def cut_off_frequency(stiffness: float, radius: float, sand: Sand) -> float:
-    """Highest frequency, Hz, that a chain of disks with contacts of a stiffness (N/m) passes on: sqrt(k / m) / pi."""
-    return float(np.sqrt(stiffness / (sand.density * np.pi * radius**2)) / np.pi)
