@@ -44,7 +44,7 @@ class Discard:
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
         """Keep nothing."""
 
-    def lost(self, batch: Batch[Any], reason: str, /) -> None:
+    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
         """Keep nothing."""
 
 

@@ -23,8 +23,6 @@ from calcidem.storage.records import (
     canonical_content,
 )
 
-__all__ = ["RETRIED_BY_DEFAULT", "LeaseGrant", "Selection", "Store", "VsMatrix"]
-
 RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
 
 
@@ -189,7 +187,7 @@ class Store(ABC):
         """
 
     @abstractmethod
-    def heartbeat(self) -> None:
+    def renew_lease(self) -> None:
         """Say that this master is alive; recording does it too. Call it at least every minute.
 
         Raises

@@ -49,7 +49,7 @@ class Batch(Generic[CellT]):
         if self.losses < 0:
             raise ValueError(f"losses is {self.losses}: give the number of lost workers, zero or more")
 
-    def lost_once_more(self) -> Self:
+    def with_another_loss(self) -> Self:
         """Return the same batch with one more lost worker to its name."""
         return replace(self, losses=self.losses + 1)
 

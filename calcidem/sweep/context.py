@@ -23,7 +23,7 @@ class Sink(Protocol):
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
         """Keep final outcomes, one or several that arrived together."""
 
-    def lost(self, batch: Batch[Any], reason: str, /) -> None:
+    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
         """Keep that a worker was lost over a batch; `batch.losses` counts this loss already.
 
         To be given back as `losses` when the same cells are planned again after a restart.
@@ -46,4 +46,4 @@ class SweepContext(Generic[CellT]):
             return
         self.sink.store(outcomes)
         for outcome in outcomes:
-            self.progress.settled(outcome)
+            self.progress.on_outcome(outcome)

@@ -7,19 +7,19 @@ from pathlib import Path
 
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
 
-ALIVE_SUFFIX = ".alive"
+HEARTBEAT_SUFFIX = ".alive"
 """Ends the name of the file whose time of change is the sign; the file is there only while signs are to be expected."""
 
 
-class SignOfLife:
+class Heartbeat:
     """A file beside the one of the exit code; without that there is nobody to give signs to."""
 
     def __init__(self) -> None:
         beside = os.environ.get(EXIT_CODE_FILE_VARIABLE)
-        self._path = Path(beside + ALIVE_SUFFIX) if beside else None
+        self._path = Path(beside + HEARTBEAT_SUFFIX) if beside else None
         self._begun = False
 
-    def give(self) -> None:
+    def beat(self) -> None:
         """Give a sign, the first one with host and process."""
         if self._path is None:
             return
@@ -35,7 +35,7 @@ class SignOfLife:
             self._path.unlink(missing_ok=True)
 
 
-class Listener:
+class HeartbeatMonitor:
     """Hears the signs of life.
 
     Parameters
@@ -45,7 +45,7 @@ class Listener:
     """
 
     def __init__(self, exit_code_file: Path) -> None:
-        self._path = Path(f"{exit_code_file}{ALIVE_SUFFIX}")
+        self._path = Path(f"{exit_code_file}{HEARTBEAT_SUFFIX}")
         self._last = 0
         self._heard = time.monotonic()
         self.who = ""

@@ -101,7 +101,7 @@ class ProcessWatch:
             self._descriptor_of[key] = descriptor
             self._key_of[descriptor] = key
 
-    def ended(self) -> set[int]:
+    def find_ended(self) -> set[int]:
         """Return the keys of all watched processes that are gone, however they ended."""
         return {self._key_of[descriptor] for descriptor, _ in self._poll.poll(0)}
 

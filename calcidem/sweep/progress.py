@@ -16,38 +16,38 @@ from calcidem.sweep.sweep_end import SweepEnd
 class Progress(Protocol):
     """What a sweep tells about itself, on rank 0 only."""
 
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Take note of the batches that are about to be handed out to so many workers."""
 
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Take note that an outcome is stored."""
 
-    def lost(self, place: Place, reason: str) -> None:
+    def on_loss(self, place: Place, reason: str) -> None:
         """Take note that a worker is lost."""
 
-    def tick(self, workers: int, running: int) -> None:
-        """Take note that time has passed; so many workers are left, so many of them compute."""
+    def on_heartbeat(self, workers: int, running: int) -> None:
+        """Take note, twice a second, that rank 0 is at work, with so many workers left and so many of them computing."""
 
-    def ended(self, end: SweepEnd) -> None:
+    def on_end(self, end: SweepEnd) -> None:
         """Take note that the sweep has ended."""
 
 
 class SilentProgress:
     """Tells nothing."""
 
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Tell nothing."""
 
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Tell nothing."""
 
-    def lost(self, place: Place, reason: str) -> None:
+    def on_loss(self, place: Place, reason: str) -> None:
         """Tell nothing."""
 
-    def tick(self, workers: int, running: int) -> None:
+    def on_heartbeat(self, workers: int, running: int) -> None:
         """Tell nothing."""
 
-    def ended(self, end: SweepEnd) -> None:
+    def on_end(self, end: SweepEnd) -> None:
         """Tell nothing."""
 
 
@@ -73,22 +73,22 @@ class LineProgress:
         self._next = time.monotonic() + shortest
         self._forecast = Forecast([])
 
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Write how much there is to do."""
         self._forecast = Forecast(batches)
-        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {count(workers, 'worker')}")
+        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {pluralize(workers, 'worker')}")
 
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Count, and write if the batch failed."""
         self._forecast.record(outcome)
         if outcome.failure is not None:
             self._write(failure_line(outcome))
 
-    def lost(self, place: Place, reason: str) -> None:
+    def on_loss(self, place: Place, reason: str) -> None:
         """Write which worker is lost."""
         self._write(loss_line(place, reason))
 
-    def tick(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
+    def on_heartbeat(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
         """Write how far the sweep is, if it is time to."""
         if time.monotonic() < self._next:
             return
@@ -96,9 +96,11 @@ class LineProgress:
         self._next = time.monotonic() + self._pause
         done, total = self._forecast.settled, self._forecast.total
         left = duration(self._forecast.seconds_left(workers))
-        self._write(f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {count(workers, 'worker')}")
+        self._write(
+            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {pluralize(workers, 'worker')}"
+        )
 
-    def ended(self, end: SweepEnd) -> None:
+    def on_end(self, end: SweepEnd) -> None:
         """Write how it ended."""
         self._write(end_line(end))
 
@@ -109,7 +111,7 @@ class LineProgress:
 class BarProgress:
     """Draws a bar with the time left on a terminal.
 
-    The bar is drawn by the sweep's own ticks and not by a thread, which would cost as much as the master.
+    The bar is drawn at the sweep's own heartbeats and not by a thread, which would cost as much as the master.
 
     Parameters
     ----------
@@ -127,41 +129,41 @@ class BarProgress:
             rich.progress.TextColumn("cells"),
             rich.progress.TimeElapsedColumn(),
             rich.progress.TextColumn("{task.fields[left]} left"),
-            rich.progress.TextColumn("{task.fields[crew]}"),
+            rich.progress.TextColumn("{task.fields[workers]}"),
             console=console,
             auto_refresh=False,
         )
-        self._task = self._bar.add_task("computing", total=None, left="?", crew="")
+        self._task = self._bar.add_task("computing", total=None, left="?", workers="")
 
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Draw the empty bar."""
         self._forecast = Forecast(batches)
-        self._bar.update(self._task, total=self._forecast.total, crew=count(workers, "worker"))
+        self._bar.update(self._task, total=self._forecast.total, workers=pluralize(workers, "worker"))
         self._bar.start()
 
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Count, and write a line above the bar if the batch failed."""
         self._forecast.record(outcome)
         if outcome.failure is not None:
             self._console.print(failure_line(outcome), markup=False, highlight=False)
 
-    def lost(self, place: Place, reason: str) -> None:
+    def on_loss(self, place: Place, reason: str) -> None:
         """Write a line above the bar."""
         self._console.print(loss_line(place, reason), markup=False, highlight=False)
 
-    def tick(self, workers: int, running: int) -> None:
+    def on_heartbeat(self, workers: int, running: int) -> None:
         """Draw the bar again."""
         self._bar.update(
             self._task,
             completed=self._forecast.settled,
             left=duration(self._forecast.seconds_left(workers)),
-            crew=f"{running} of {count(workers, 'worker')} busy",
+            workers=f"{running} of {pluralize(workers, 'worker')} busy",
         )
         self._bar.refresh()
 
-    def ended(self, end: SweepEnd) -> None:
+    def on_end(self, end: SweepEnd) -> None:
         """Draw the bar for the last time and write how it ended."""
-        self._bar.update(self._task, completed=self._forecast.settled, left="0 s", crew="")
+        self._bar.update(self._task, completed=self._forecast.settled, left="0 s", workers="")
         self._bar.stop()
         self._console.print(end_line(end), markup=False, highlight=False)
 
@@ -210,12 +212,12 @@ def end_line(end: SweepEnd) -> str:
         f"{tally.failed} failed" if tally.failed else "",
         f"{tally.timed_out} timed out" if tally.timed_out else "",
         f"{tally.quarantined} quarantined" if tally.quarantined else "",
-        f"{count(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
+        f"{pluralize(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
         end.detail,
     ]
     return ", ".join(part for part in parts if part)
 
 
-def count(number: int, noun: str) -> str:
+def pluralize(number: int, noun: str) -> str:
     """Return a number with its noun: `1 worker`, `2 workers`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -84,12 +84,12 @@ def run_sweep(
         if parallel and comm is not None:
             from calcidem.sweep.master import run_master  # noqa: PLC0415 - as above
 
-            progress.started(schedule.batches, workers=comm.Get_size() - 1)
+            progress.on_start(schedule.batches, workers=comm.Get_size() - 1)
             end = run_master(comm, context, fault_tolerance_enabled())
         else:
-            progress.started(schedule.batches, workers=1)
+            progress.on_start(schedule.batches, workers=1)
             end = run_serial(context, compute)
-    progress.ended(end)
+    progress.on_end(end)
     return end
 
 
@@ -114,14 +114,14 @@ def run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -
         batch = schedule.take()
         if batch is None:
             return end(SweepState.COMPLETE)
-        context.progress.tick(workers=1, running=1)
+        context.progress.on_heartbeat(workers=1, running=1)
         try:
             deadline = Deadline(context.options.time_limit, stop_request.hurry)
             outcome = attempt(batch, compute, deadline, place)
         except SweepInterrupted:
-            return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was dropped")
+            return end(SweepState.STOPPED, f"{stop_request.explanation}: the running batch was dropped")
         final = schedule.settle(outcome)
         context.store([final] if final is not None else [])
     if len(schedule) == 0:
         return end(SweepState.COMPLETE)
-    return end(SweepState.STOPPED, f"{stop_request.told}: the running batch was finished")
+    return end(SweepState.STOPPED, f"{stop_request.explanation}: the running batch was finished")

@@ -93,7 +93,7 @@ class Schedule(Generic[CellT]):
     ) -> BatchOutcome[CellT, ResultT] | None:
         """Take a batch back whose worker was lost: return a final outcome if its only cell is quarantined."""
         self.tally.lost_workers += 1
-        batch = batch.lost_once_more()
+        batch = batch.with_another_loss()
         if len(batch.cells) > 1:
             self._suspects.extend(self._split(batch) if batch.losses >= LOSSES_BEFORE_SPLIT else (batch,))
             return None

@@ -33,7 +33,7 @@ STARTED_SUFFIX = ".started"
 MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
-MEETING = 2.0
+FINAL_BARRIER_LIMIT = 2.0
 """Seconds that a rank waits for the others before it ends."""
 
 
@@ -150,7 +150,7 @@ class Session:
                     # To those that still receive a broadcast, a rank that has ended looks lost; after a sweep every
                     # worker has been told of its end. The barrier fails where a rank is lost, or has ended already.
                     with suppress(MPI.Exception):
-                        barrier(self.comm, limit=MEETING)
+                        barrier(self.comm, limit=FINAL_BARRIER_LIMIT)
                 os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
             barrier(self.comm)  # a rank that ends early makes mpirun end the others
             sys.exit(own_code)

@@ -67,7 +67,7 @@ class StopRequest:
             signal.signal(number, handler)
 
     @property
-    def told(self) -> str:
+    def explanation(self) -> str:
         """The reason for the user, who has sent another signal where SIGUSR2 arrives."""
         relayed = self.reason == signal.SIGUSR2.name
         return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason

@@ -32,7 +32,19 @@ KILL_PATIENCE = 1.0
 
 @dataclass(slots=True)
 class Worker(Generic[CellT]):
-    """What the master knows about a worker."""
+    """What the master knows about a worker.
+
+    Attributes
+    ----------
+    place
+        Its rank and host.
+    batch
+        What it computes; None while it waits.
+    since
+        Time at which the batch was handed out, s on the monotonic clock.
+    task
+        The request that sends the batch.
+    """
 
     place: Place
     batch: Batch[CellT] | None = None
@@ -42,7 +54,19 @@ class Worker(Generic[CellT]):
 
 @dataclass(frozen=True, slots=True)
 class Loss(Generic[CellT]):
-    """A worker that is gone, and the batch that was in its hands, if any."""
+    """A worker that is gone.
+
+    Attributes
+    ----------
+    place
+        Its rank and host.
+    batch
+        What it was computing, or None.
+    reason
+        How the loss was noticed.
+    seconds
+        Time that it had spent on the batch, s.
+    """
 
     place: Place
     batch: Batch[CellT] | None
@@ -50,7 +74,7 @@ class Loss(Generic[CellT]):
     seconds: float
 
 
-class Crew(Generic[CellT]):
+class WorkerPool(Generic[CellT]):
     """All workers of a communicator; rank 0 is the master.
 
     Parameters
@@ -111,7 +135,7 @@ class Crew(Generic[CellT]):
             try:
                 arrived = message.arrived()
             except MPI.Exception:
-                continue  # the sender died half-way; it is buried soon
+                continue  # the sender died half-way; it is removed soon
             if not arrived:
                 on_their_way.append(message)
             elif message.tag is Tag.HELLO:
@@ -121,9 +145,9 @@ class Crew(Generic[CellT]):
         self._incoming = on_their_way
         return outcomes
 
-    def lost(self) -> dict[int, str]:
-        """Return the ranks that are lost, each with the reason; they stay in the crew until `bury`."""
-        reasons: dict[int, str] = dict.fromkeys(self._watch.ended(), "its process ended")
+    def find_lost(self) -> dict[int, str]:
+        """Return the ranks that are lost, each with the reason; they stay in the pool until `remove`."""
+        reasons: dict[int, str] = dict.fromkeys(self._watch.find_ended(), "its process ended")
         failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed
@@ -138,10 +162,10 @@ class Crew(Generic[CellT]):
                     reasons.setdefault(rank, f"no answer within {self._watchdog_limit:g} s")
         return reasons
 
-    def bury(self, lost: dict[int, str]) -> list[Loss[CellT]]:
-        """Strike lost workers off, kill those that still run, and return what they leave behind.
+    def remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
+        """Remove lost workers, kill those that still run, and return what they leave behind.
 
-        To be called after a `receive` that followed `lost`, so that an outcome sent before the death counts.
+        To be called after a `receive` that followed `find_lost`, so that an outcome sent before the death counts.
         """
         losses: list[Loss[CellT]] = []
         for rank, reason in lost.items():
@@ -190,14 +214,14 @@ class Crew(Generic[CellT]):
         return reason
 
     def _gone(self) -> set[int]:
-        return self._watch.ended() | self._failed()
+        return self._watch.find_ended() | self._failed()
 
     def _failed(self) -> frozenset[int]:
         # Without ULFM there are never any, and many an MPI library does not even have the call.
         return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
 
     def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
-        """Begin to send; return None if the receiver has just died, which `lost` will tell."""
+        """Begin to send; return None if the receiver has just died, which `find_lost` will tell."""
         try:
             return start_send(self._comm, value, rank, tag)
         except MPI.Exception as error:

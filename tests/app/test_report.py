@@ -14,7 +14,7 @@ from calcidem.app.report import analyse, show_cell, write_report
 from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import outcome_table, velocity_table
-from calcidem.app.report.wording import duration, number, probability, significant
+from calcidem.app.report.wording import number, probability, significant, time_span
 from calcidem.app.studies.stored_studies import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCellError
@@ -175,5 +175,5 @@ def test_words_for_numbers() -> None:
     """Missing numbers are dashes, times have the unit that suits them."""
     assert number(float("nan")) == "\N{EN DASH}"
     assert number(-3.14159, 2) == "\N{MINUS SIGN}3.14"
-    assert (duration(5.0), duration(90.0), duration(7200.0)) == ("5 s", "1.5 min", "2.0 h")
+    assert (time_span(5.0), time_span(90.0), time_span(7200.0)) == ("5 s", "1.5 min", "2.0 h")
     assert (probability(1e-9), probability(0.0471)) == ("< 0.001", "0.047")

@@ -298,13 +298,13 @@ def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> No
 def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: "Records") -> None:
     """Once another process has the lease, recording and heartbeats of the former master are refused."""
     store.acquire_lease()
-    store.heartbeat()
+    store.renew_lease()
     with store._writing() as session:
         session.execute(text("UPDATE lease SET token = 'of another process'"))
     with pytest.raises(LeaseLostError, match="taken this campaign over"):
         store.record_results([records.done(1, 5.0)])
     with pytest.raises(LeaseLostError):
-        store.heartbeat()
+        store.renew_lease()
     assert list(store.results()) == []
 
 

@@ -40,7 +40,7 @@ class MemorySink:
         """Keep outcomes."""
         self.outcomes.extend(outcomes)
 
-    def lost(self, batch: Batch[Any], reason: str) -> None:
+    def store_loss(self, batch: Batch[Any], reason: str) -> None:
         """Keep a loss."""
         self.losses.append((batch, reason))
 

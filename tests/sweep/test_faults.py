@@ -105,7 +105,7 @@ def test_a_cell_that_kills_three_workers_is_quarantined(campaign: "Campaign", ex
 
 
 def test_losses_count_over_restarts(campaign: "Campaign", expected: "Values") -> None:
-    """With two workers the deadly cell takes down the whole crew, twice at most; then it is quarantined."""
+    """With two workers the deadly cell takes down the whole pool, twice at most; then it is quarantined."""
     launch = campaign.run("--fault", "kill", *LIMITED, ranks=3)
     assert (launch.exit_code, launch.noted_exit_code) == (75, 75), launch.errors
     assert "all workers are lost" in launch.errors

@@ -38,7 +38,7 @@ def test_a_running_process_has_not_ended(sleeper: subprocess.Popen[bytes]) -> No
     """A watched process is not among the ended ones while it runs."""
     watch = ProcessWatch()
     watch.add(7, identity_of(sleeper))
-    assert watch.ended() == set()
+    assert watch.find_ended() == set()
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["running", "stopped"])
@@ -49,11 +49,11 @@ def test_a_killed_process_has_ended(sleeper: subprocess.Popen[bytes], stopped: b
     if stopped:
         sleeper.send_signal(signal.SIGSTOP)
     assert watch.kill(7)
-    assert soon(lambda: watch.ended() == {7})
+    assert soon(lambda: watch.find_ended() == {7})
     sleeper.wait()
     assert watch.kill(7)  # nobody else can be hit: the descriptor still means the dead process
     watch.remove(7)
-    assert watch.ended() == set()
+    assert watch.find_ended() == set()
 
 
 def test_processes_elsewhere_are_not_watched(sleeper: subprocess.Popen[bytes]) -> None:
@@ -74,7 +74,7 @@ def test_a_process_dies_with_its_parent() -> None:
     assert process.stdout is not None
     watch = ProcessWatch()
     watch.add(1, replace(ProcessIdentity.of_this_process(), process=int(process.stdout.readline())))
-    assert watch.ended() == set()
+    assert watch.find_ended() == set()
     process.kill()
     process.communicate()
-    assert soon(lambda: watch.ended() == {1})
+    assert soon(lambda: watch.find_ended() == {1})

@@ -77,13 +77,13 @@ def test_durations_read_well(seconds: float | None, text: str) -> None:
 
 def tell_a_story(progress: Progress) -> None:
     """Let a display live through a sweep with a failure and a lost worker."""
-    progress.started(BATCHES, workers=2)
-    progress.settled(done(BATCHES[0], 10.0))
+    progress.on_start(BATCHES, workers=2)
+    progress.on_outcome(done(BATCHES[0], 10.0))
     failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
-    progress.settled(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
-    progress.lost(PLACE, "its process ended")
-    progress.tick(workers=1, running=1)
-    progress.ended(SweepEnd(SweepState.STOPPED, "SIGUSR1: running batches were finished"))
+    progress.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
+    progress.on_loss(PLACE, "its process ended")
+    progress.on_heartbeat(workers=1, running=1)
+    progress.on_end(SweepEnd(SweepState.STOPPED, "SIGUSR1: running batches were finished"))
 
 
 def test_lines_tell_what_matters() -> None:

@@ -135,7 +135,7 @@ def test_an_error_of_the_sink_is_passed_on() -> None:
         def store(self, _outcomes: object) -> None:
             raise OSError(28, "No space left on device")
 
-        def lost(self, _batch: object, _reason: str) -> None: ...
+        def store_loss(self, _batch: object, _reason: str) -> None: ...
 
     with pytest.raises(OSError, match="No space left"):
         run_sweep(None, BATCHES, square, FullDisk())
@@ -155,7 +155,7 @@ from calcidem.sweep import Batch, Session, run_sweep
 
 class Sink:
     def store(self, outcomes): pass
-    def lost(self, batch, reason): pass
+    def store_loss(self, batch, reason): pass
 
 with Session() as session:
     end = run_sweep(session.comm, [Batch(0, (1,))], lambda batch, check: batch.cells, Sink())
@@ -174,7 +174,7 @@ from calcidem.sweep import Batch, run_sweep
 
 class Sink:
     def store(self, outcomes): pass
-    def lost(self, batch, reason): pass
+    def store_loss(self, batch, reason): pass
 
 for seconds in (0.1, 1.4):
     threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM)).start()

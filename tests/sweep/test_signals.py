@@ -33,7 +33,7 @@ def test_urgent_signals_ask_to_hurry(number: signal.Signals) -> None:
         send(number)
         send(signal.SIGUSR1)
         assert (request.level, request.hurry(), request.reason) == (StopLevel.HURRY, True, number.name)
-        assert ("Ctrl-C" in request.told) == (number == signal.SIGUSR2)
+        assert ("Ctrl-C" in request.explanation) == (number == signal.SIGUSR2)
 
 
 def test_the_same_signal_twice_in_a_row_is_one_request() -> None:

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher
-from calcidem.sweep.heartbeat import Listener
+from calcidem.sweep.heartbeat import HeartbeatMonitor
 from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
 
@@ -115,7 +115,7 @@ def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -
             preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
         with relay.to(process):
-            code = watched(process, Listener(note))
+            code = watched(process, HeartbeatMonitor(note))
         if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
             return Ended(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
@@ -129,7 +129,7 @@ def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -
     return Ended(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
 
 
-def watched(process: "subprocess.Popen[bytes]", listener: Listener) -> int:
+def watched(process: "subprocess.Popen[bytes]", listener: HeartbeatMonitor) -> int:
     """Wait for the end of the launcher; say so, once, if rank 0 gives no sign of life for too long."""
     told = False
     while True:

@@ -15,7 +15,7 @@ LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlal
 """What the numbers and the files depend on."""
 
 
-def run_record(ranks: int) -> RunRecord:
+def describe_run(ranks: int) -> RunRecord:
     """Provenance of the run that begins now, on rank 0 of so many."""
     environment = describe_environment(ranks)
     commit, dirty = source_tree_state()

@@ -9,8 +9,8 @@ from typing import Self
 
 from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
-from calcidem.app.campaign.provenance import run_record
-from calcidem.app.campaign.store_sink import Heartbeat, StoreSink
+from calcidem.app.campaign.provenance import describe_run
+from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
 from calcidem.app.campaign.task import cell_computation, expected_effort
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import load_configuration
@@ -73,7 +73,7 @@ def run(
     else:
         configuration = load_configuration(configuration, {"database": database, "output": folder})
     with CampaignRun(configuration, ranks=1, tell=lambda _: None) as work:
-        compute = cell_computation(configuration, work.packing, work.heartbeat)
+        compute = cell_computation(configuration, work.packing, work.lease_keeper)
         # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
         work.end = run_sweep(
             None, work.batches, compute, work.sink, options=sweep_options(configuration), stop_request=StopRequest()
@@ -114,7 +114,7 @@ class CampaignRun:
         What is left to compute, in order.
     sink
         Takes the outcomes.
-    heartbeat
+    lease_keeper
         To be called often while cells are computed.
     end
         To be set to the end of the sweep.
@@ -172,14 +172,14 @@ class CampaignRun:
         self.record = self.store.use_campaign(plan.name)
         pending = self.store.pending(plan.seed_numbers, plan.contents)
         self.sink = StoreSink(self.store, pending)
-        self.heartbeat = Heartbeat(self.store)
+        self.lease_keeper = LeaseKeeper(self.store)
         self.batches = plan_batches(
             [(key.seed, key.content) for key in pending],
             run.lanes,
             lambda content: expected_effort(self.configuration, content),
             self.sink.losses,
         )
-        self.store.begin_run(run_record(ranks))
+        self.store.begin_run(describe_run(ranks))
 
     def __enter__(self) -> Self:
         """Use it in a `with` statement."""

@@ -8,7 +8,7 @@ from typing import Any
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
 from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
-from calcidem.sweep.heartbeat import SignOfLife
+from calcidem.sweep.heartbeat import Heartbeat
 
 PAUSE = 30.0
 """Seconds between two signs of life of the master; half of what the store asks for."""
@@ -42,7 +42,7 @@ class StoreSink:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
 
-    def lost(self, batch: Batch[Cell], reason: str, /) -> None:
+    def store_loss(self, batch: Batch[Cell], reason: str, /) -> None:
         """Count a lost attempt for each cell."""
         self._counts |= self._store.record_lost([CellKey(*cell) for cell in batch.cells], reason)
 
@@ -65,7 +65,7 @@ class StoreSink:
         ]
 
 
-class Heartbeat:
+class LeaseKeeper:
     """Signs of life of the master, for other machines that might want to take the campaign over.
 
     Parameters
@@ -82,7 +82,7 @@ class Heartbeat:
         """Give one if it is time to."""
         if time.monotonic() > self._next:
             self._next = time.monotonic() + PAUSE
-            self._store.heartbeat()
+            self._store.renew_lease()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,28 +93,28 @@ class HeartbeatProgress:
     """
 
     shown: Progress
-    heartbeat: Heartbeat
-    sign_of_life: SignOfLife = field(default_factory=SignOfLife)
+    lease_keeper: LeaseKeeper
+    heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
-    def started(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Pass it on."""
-        self.shown.started(batches, workers)
+        self.shown.on_start(batches, workers)
 
-    def settled(self, outcome: BatchOutcome[Any, Any]) -> None:
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Pass it on."""
-        self.shown.settled(outcome)
+        self.shown.on_outcome(outcome)
 
-    def lost(self, place: Place, reason: str) -> None:
+    def on_loss(self, place: Place, reason: str) -> None:
         """Pass it on."""
-        self.shown.lost(place, reason)
+        self.shown.on_loss(place, reason)
 
-    def tick(self, workers: int, running: int) -> None:
+    def on_heartbeat(self, workers: int, running: int) -> None:
         """Give a sign of life and pass it on."""
-        self.heartbeat()
-        self.sign_of_life.give()
-        self.shown.tick(workers, running)
+        self.lease_keeper()
+        self.heartbeat.beat()
+        self.shown.on_heartbeat(workers, running)
 
-    def ended(self, end: SweepEnd) -> None:
+    def on_end(self, end: SweepEnd) -> None:
         """Pass it on; what follows may take its time."""
-        self.sign_of_life.end()
-        self.shown.ended(end)
+        self.heartbeat.end()
+        self.shown.on_end(end)

@@ -184,7 +184,7 @@ class EnoughSeenError(Exception):
     """Ends a measurement that was only made to have the kernel compiled."""
 
 
-def warm_up(configuration: Configuration, packing: Packing) -> None:
+def compile_kernels(configuration: Configuration, packing: Packing) -> None:
     """Compile the kernels that the campaign needs, by starting samples and ending them at once."""
     experiment = configuration.experiment(packing)
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
@@ -192,11 +192,11 @@ def warm_up(configuration: Configuration, packing: Packing) -> None:
     for content in sorted({min(contents), max(contents)}):
         if experiment.installation != "preserve":
             hasty = replace(experiment, wave=replace(experiment.wave, most_settling_steps=1))
-            begin_and_end(hasty, content, seed, lanes)
-        begin_and_end(replace(experiment, installation="preserve"), content, seed, lanes)
+            run_first_chunk(hasty, content, seed, lanes)
+        run_first_chunk(replace(experiment, installation="preserve"), content, seed, lanes)
 
 
-def begin_and_end(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
+def run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
     """Measure one sample until the kernel has run once."""
     calls = 0
 

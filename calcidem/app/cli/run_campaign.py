@@ -13,7 +13,7 @@ from rich.console import Console
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.store_sink import HeartbeatProgress
-from calcidem.app.campaign.task import cell_computation, warm_up
+from calcidem.app.campaign.task import cell_computation, compile_kernels
 from calcidem.app.cli.exit_codes import USER_ERRORS, exit_code_of
 from calcidem.app.cli.summary import packing_lines, velocity_table
 from calcidem.app.config.reader import load_configuration
@@ -79,7 +79,10 @@ def run_campaign(path: Path, overrides: Mapping[str, Any], *, with_report: bool 
                 check = partial(end_in_haste, session.stop_request)
                 work = CampaignRun(configuration, session.size, lambda text: say(console, text), check)
             except SweepInterrupted:
-                say(console, f"{session.stop_request.told}: ended before the packing was made; run it again to go on.")
+                say(
+                    console,
+                    f"{session.stop_request.explanation}: ended before the packing was made; run it again to go on.",
+                )
                 code = EXIT_RESUMABLE
             except USER_ERRORS as error:
                 code = refusal(error)
@@ -117,7 +120,7 @@ def compute(session: Session, orders: Orders) -> SweepEnd:
 def prepare(session: Session, orders: Orders) -> None:
     """Have the kernels compiled once on each node; alone, the first cells do it."""
     if orders.anything_to_do and session.size > 1:
-        session.once_per_node(lambda: warm_up(orders.configuration, orders.packing))
+        session.once_per_node(lambda: compile_kernels(orders.configuration, orders.packing))
 
 
 def lead(session: Session, orders: Orders, work: CampaignRun, console: Console, with_report: bool) -> int:
@@ -129,10 +132,10 @@ def lead(session: Session, orders: Orders, work: CampaignRun, console: Console, 
         work.end = run_sweep(
             session.comm,
             work.batches,
-            cell_computation(orders.configuration, work.packing, work.heartbeat),
+            cell_computation(orders.configuration, work.packing, work.lease_keeper),
             work.sink,
             options=sweep_options(orders.configuration),
-            progress=HeartbeatProgress(progress_for(console), work.heartbeat),
+            progress=HeartbeatProgress(progress_for(console), work.lease_keeper),
             stop_request=session.stop_request,
         )
         report(work, console, in_haste=session.stop_request.hurry())

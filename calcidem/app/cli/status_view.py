@@ -11,9 +11,9 @@ from rich.text import Text
 
 from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble, worst_status
 from calcidem.storage.records import CellStatus
-from calcidem.sweep.progress import count, duration
+from calcidem.sweep.progress import duration, pluralize
 
-SYMBOLS = {
+STATUS_CHARACTERS = {
     CellStatus.DONE: ("#", "green"),
     CellStatus.PENDING: (".", "dim"),
     CellStatus.NO_ARRIVAL: ("n", "yellow"),
@@ -24,9 +24,9 @@ SYMBOLS = {
 }
 """Character and style of each state of a cell; the characters tell them apart without colours."""
 
-NOT_PLANNED = " "
+UNPLANNED = " "
 
-PARTLY = ":"
+PARTLY_DONE = ":"
 """Some of the cells of a character are done, the others pending."""
 
 WIDTH_OF_NUMBERS = 78
@@ -34,7 +34,7 @@ WIDTH_OF_NUMBERS = 78
 
 NARROWEST_MATRIX = 10
 
-MOST_NAMED = 12
+MOST_TROUBLES = 12
 """Cells that are named with their reason; more are only counted."""
 
 
@@ -55,7 +55,7 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
     total = sum(status.counts.values())
     settled = total - status.pending
     shown = [f"{status.counts[kind]} {words(kind)}" for kind in CellStatus if status.counts.get(kind)]
-    yield f"{settled} of {total} cells settled ({share(settled, total)}): {', '.join(shown)}"
+    yield f"{settled} of {total} cells settled ({percent_of(settled, total)}): {', '.join(shown)}"
     if status.last_run is not None:
         run = status.last_run
         if status.running:
@@ -63,11 +63,11 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
         else:
             state = run.exit_state or "ended without saying so; the same 'calcidem run' continues"
         yield (
-            f"Run {status.run_number} on {run.host} with {count(run.ranks, 'rank')}"
+            f"Run {status.run_number} on {run.host} with {pluralize(run.ranks, 'rank')}"
             f" since {run.started:%Y-%m-%d %H:%M} UTC: {state}"
         )
     if status.pending and math.isfinite(status.seconds_left):
-        workers = count(status.workers, "core") + ("" if status.running else ", as in the last run")
+        workers = pluralize(status.workers, "core") + ("" if status.running else ", as in the last run")
         yield f"Time left: {duration(status.seconds_left)} on {workers}"
 
 
@@ -85,9 +85,9 @@ def matrix_table(status: CampaignStatus, columns: int) -> Table:
             f"{content.content:g}",
             matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}",
-            number(content.mean),
+            format_velocity(content.mean),
             f"+- {content.interval.half_width:.1f}" if math.isfinite(content.interval.half_width) else "-",
-            number(content.deviation),
+            format_velocity(content.deviation),
             "-" if math.isnan(content.seconds_per_cell) else f"{content.seconds_per_cell:.2g}",
             duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
         )
@@ -95,7 +95,7 @@ def matrix_table(status: CampaignStatus, columns: int) -> Table:
 
 
 def seeds_per_character(status: CampaignStatus, columns: int) -> int:
-    """Seeds that share a character so that a matrix fits into so many columns."""
+    """Seeds that percent_of a character so that a matrix fits into so many columns."""
     return max(1, math.ceil(len(status.seeds) / columns))
 
 
@@ -105,9 +105,9 @@ def matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: in
     for start in range(0, len(seeds), per_character):
         planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
         worst = worst_status(planned) if planned else None
-        symbol, style = SYMBOLS[worst] if worst is not None else (NOT_PLANNED, "")
+        symbol, style = STATUS_CHARACTERS[worst] if worst is not None else (UNPLANNED, "")
         if worst is CellStatus.PENDING and CellStatus.DONE in planned:
-            symbol = PARTLY
+            symbol = PARTLY_DONE
         row.append(symbol, style)
     return row
 
@@ -115,11 +115,11 @@ def matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: in
 def legend(status: CampaignStatus, columns: int) -> Text:
     """What the characters mean that occur in a matrix of so many columns."""
     text = Text("  ")
-    for kind, (symbol, style) in SYMBOLS.items():
+    for kind, (symbol, style) in STATUS_CHARACTERS.items():
         if status.counts.get(kind):
             text.append(symbol, style).append(f" {words(kind)}   ")
     if len(status.seeds) > columns:
-        text.append(f"{PARTLY} partly done   one character for {seeds_per_character(status, columns)} seeds")
+        text.append(f"{PARTLY_DONE} partly done   one character for {seeds_per_character(status, columns)} seeds")
     return text
 
 
@@ -129,19 +129,19 @@ def trouble_lines(status: CampaignStatus) -> Iterator[str]:
         return
     yield ""
     yield "Cells that went wrong or were tried again:"
-    for trouble in status.troubles[:MOST_NAMED]:
+    for trouble in status.troubles[:MOST_TROUBLES]:
         yield f"  {trouble_line(trouble)}"
-    if len(status.troubles) > MOST_NAMED:
-        yield f"  and {len(status.troubles) - MOST_NAMED} more; 'calcidem query DB --columns all' shows them all"
+    if len(status.troubles) > MOST_TROUBLES:
+        yield f"  and {len(status.troubles) - MOST_TROUBLES} more; 'calcidem query DB --columns all' shows them all"
     if any(trouble.reason for trouble in status.troubles):
         yield "'calcidem retry DB --status STATUS' makes such cells pending again."
 
 
 def trouble_line(trouble: Trouble) -> str:
     """One line about a cell."""
-    history = count(trouble.attempts, "attempt")
+    history = pluralize(trouble.attempts, "attempt")
     if trouble.losses:
-        history += f", {count(trouble.losses, 'worker')} lost"
+        history += f", {pluralize(trouble.losses, 'worker')} lost"
     if trouble.retry:
         history += f", sent again with half the step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
@@ -153,26 +153,26 @@ def words(status: CellStatus) -> str:
     return status.value.replace("_", " ")
 
 
-def share(part: int, whole: int) -> str:
+def percent_of(part: int, whole: int) -> str:
     """Part of a whole in percent, never 100 % before all is there."""
     return f"{math.floor(100 * part / whole)} %" if whole else "-"
 
 
-def number(value: float) -> str:
+def format_velocity(value: float) -> str:
     """A velocity, or a dash where there is none."""
     return f"{value:.1f}" if math.isfinite(value) else "-"
 
 
-def as_json(status: CampaignStatus) -> dict[str, Any]:
+def status_as_json(status: CampaignStatus) -> dict[str, Any]:
     """All there is to know, in JSON's types; a missing number is null."""
     run = status.last_run
     return {
         "campaign": status.name,
         "hash": status.hash,
         "running": status.running,
-        "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
+        "run": None if run is None else {"format_velocity": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": {kind.value: number for kind, number in sorted(status.counts.items())},
-        "seconds_left": finite(status.seconds_left),
+        "seconds_left": finite_or_none(status.seconds_left),
         "workers": status.workers,
         "seeds": list(status.seeds),
         "contents": [
@@ -180,11 +180,11 @@ def as_json(status: CampaignStatus) -> dict[str, Any]:
                 "content": content.content,
                 "status": [content.statuses[seed].value if seed in content.statuses else None for seed in status.seeds],
                 "cells": {kind.value: number for kind, number in sorted(content.counts.items())},
-                "mean": finite(content.mean),
-                "sd": finite(content.deviation),
-                "interval_95": [finite(content.interval.low), finite(content.interval.high)],
-                "seconds_per_cell": finite(content.seconds_per_cell),
-                "core_seconds_left": finite(content.seconds_left),
+                "mean": finite_or_none(content.mean),
+                "sd": finite_or_none(content.deviation),
+                "interval_95": [finite_or_none(content.interval.low), finite_or_none(content.interval.high)],
+                "seconds_per_cell": finite_or_none(content.seconds_per_cell),
+                "core_seconds_left": finite_or_none(content.seconds_left),
             }
             for content in status.contents
         ],
@@ -203,6 +203,6 @@ def as_json(status: CampaignStatus) -> dict[str, Any]:
     }
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """A number as JSON has it."""
     return value if math.isfinite(value) else None

@@ -22,7 +22,7 @@ from calcidem.app.report.results import (
     outcome_table,
     velocity_table,
 )
-from calcidem.app.report.wording import Table, duration, number, significant
+from calcidem.app.report.wording import Table, number, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
 
 FEW_SEEDS = 30
@@ -140,7 +140,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
         ("mean Vs", span),
         ("largest numerical error", error),
-        ("computing time", duration(seconds)),
+        ("computing time", time_span(seconds)),
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
-from calcidem.app.report.wording import ABSENT, Table, duration, number, significant
+from calcidem.app.report.wording import ABSENT, Table, number, significant, time_span
 from calcidem.storage.records import RunRecord
 
 PUBLISHED_AS = {
@@ -115,7 +115,7 @@ def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
         (
             str(run_number),
             f"{run.started:%Y-%m-%d %H:%M} UTC",
-            ABSENT if run.ended is None else duration((run.ended - run.started).total_seconds()),
+            ABSENT if run.ended is None else time_span((run.ended - run.started).total_seconds()),
             run.exit_state or "not ended, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
@@ -157,7 +157,7 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_overlap), ""),
             ("unbalanced force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
             ("grains at transmitter, receiver", _ends, "ends of the paths"),
-            ("time to make", lambda g: duration(g.packing.seconds), ""),
+            ("time to make", lambda g: time_span(g.packing.seconds), ""),
         )
     ]
     names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)

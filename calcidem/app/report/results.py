@@ -12,10 +12,10 @@ from calcidem.analysis.published import published_study
 from calcidem.app.report.wording import (
     Table,
     bounds,
-    duration,
     number,
     probability,
     significant,
+    time_span,
     with_bounds,
 )
 
@@ -197,7 +197,7 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
                 number(_typical(column["steps"])),
                 significant(100 * _largest(column["error_estimate"]), 2),
                 number(relative, 2),
-                duration(_typical(column["seconds"])),
+                time_span(_typical(column["seconds"])),
             )
         )
     return Table(

@@ -78,7 +78,7 @@ def probability(value: float) -> str:
     return f"< {SMALL_P:g}" if value < SMALL_P else f"{value:.2g}"
 
 
-def duration(seconds: float) -> str:
+def time_span(seconds: float) -> str:
     """Give a time span in the unit that suits it."""
     if not math.isfinite(seconds):
         return ABSENT

@@ -31,8 +31,6 @@ from calcidem.storage.sql.schema import prepare_schema, require_current_schema, 
 from calcidem.storage.sql.transaction import transaction
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
 
-__all__ = ["SqlStore", "open_store"]
-
 NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
 
 
@@ -165,7 +163,7 @@ class SqlStore(Store):
     @override
     def acquire_lease(self) -> LeaseGrant:
         if self._token is not None:
-            self.heartbeat()
+            self.renew_lease()
             return LeaseGrant(self._token, None)
         if self._lock is not None and not self._lock.acquire():
             raise lease.held_error(self._holder())
@@ -185,7 +183,7 @@ class SqlStore(Store):
             return session.get(LeaseRow, self._campaign)
 
     @override
-    def heartbeat(self) -> None:
+    def renew_lease(self) -> None:
         with self._writing():
             pass  # every writing transaction refreshes the lease
 

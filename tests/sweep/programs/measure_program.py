@@ -19,7 +19,7 @@ class Counter:
         """Count."""
         self.cells += sum(len(outcome.batch.cells) for outcome in outcomes)
 
-    def lost(self, batch: Batch[int], reason: str) -> None:
+    def store_loss(self, batch: Batch[int], reason: str) -> None:
         """Count nothing."""
 
 

@@ -73,7 +73,7 @@ class Sink:
         sys.stdout.flush()
         self._perhaps_die("after")
 
-    def lost(self, batch: Batch[Cell], reason: str) -> None:
+    def store_loss(self, batch: Batch[Cell], reason: str) -> None:
         """Keep a loss."""
         for seed, content in batch.cells:
             self._connection.execute("insert into loss values (?, ?, ?, ?)", (seed, content, batch.losses, reason))
