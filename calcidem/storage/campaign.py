@@ -25,8 +25,6 @@ from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
 
-__all__ = ["StoredCampaign", "open_stored_campaign"]
-
 
 def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "StoredCampaign":
     """Open a campaign for reading; a run may go on writing it meanwhile.

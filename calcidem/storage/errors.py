@@ -1,25 +1,5 @@
 """Errors of the store: each says what happened, why, and what to do about it."""
 
-__all__ = [
-    "CampaignMismatchError",
-    "DamagedStoreError",
-    "DiskError",
-    "DiskFullError",
-    "ForeignDatabaseError",
-    "InvalidRecordError",
-    "LeaseHeldError",
-    "LeaseLostError",
-    "NewerSchemaError",
-    "OlderSchemaError",
-    "QueryError",
-    "ReadOnlyStoreError",
-    "StoreError",
-    "StoreLockedError",
-    "StoreUnavailableError",
-    "UnknownCampaignError",
-    "UnknownCellError",
-]
-
 
 class StoreError(Exception):
     """Base of all errors of the store.

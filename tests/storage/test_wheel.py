@@ -14,7 +14,7 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
     (wheel,) = builder.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    folder = ROOT / "calcidem" / "storage" / "migrations"
+    folder = ROOT / "calcidem" / "storage" / "sql" / "migrations"
     needed = {str(path.relative_to(ROOT)) for path in folder.rglob("*.py")} | {
         "calcidem/storage/sql/migrations/script.py.mako"
     }

@@ -12,7 +12,7 @@ import numpy as np
 
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
-from calcidem.storage.netcdf.export import replaced_atomically
+from calcidem.storage.files import write_atomically
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql.reading import chunks
@@ -123,7 +123,7 @@ def merge_databases(
         raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
     with ExitStack() as stack:
         campaigns = [stack.enter_context(open_stored_campaign(source, campaign_name)) for source in sources]
-        temporary = stack.enter_context(replaced_atomically(out.absolute()))
+        temporary = stack.enter_context(write_atomically(out))
         with open_store(temporary) as store:
             merged = merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
         if merged.conflicts and prefer is None:

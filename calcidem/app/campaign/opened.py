@@ -28,7 +28,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import wave_scene
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import DamagedStoreError, StoreError, UnknownCellError
-from calcidem.storage.netcdf.export import replaced_atomically
+from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.sql.store import open_store
 
@@ -261,7 +261,7 @@ def write_sample(sample: Sample, file: Path) -> Path:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
-    with replaced_atomically(file.absolute()) as temporary:
+    with write_atomically(file) as temporary:
         if suffix == ".csv":
             write_packing_csv(sample.packing, temporary)
         else:

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from hashlib import sha256
@@ -16,6 +15,7 @@ from calcidem.dem.engine.state import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.store import Store
 
@@ -97,16 +97,8 @@ def write_cache(path: Path, packing: Packing, tell: Tell) -> None:
     """Put a packing into the cache in one step; a cache that cannot be written costs time later, nothing else."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        temporary = Path(name)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(packing_to_bytes(packing))
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with write_atomically(path) as temporary:
+            temporary.write_bytes(packing_to_bytes(packing))
     except OSError as error:
         cure = f"set {CACHE_VARIABLE} to a folder that works"
         tell(f"Packing: not kept in the cache {path.parent} ({error.strerror}); {cure}.")

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
-from calcidem.storage.netcdf.export import replaced_atomically
+from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
@@ -61,7 +61,7 @@ def query(
             raise QueryError("Parquet is no text.", "Give a file with --out.")
         write_parquet(found, out)
     elif out is not None:
-        with replaced_atomically(out.absolute()) as temporary:
+        with write_atomically(out) as temporary:
             temporary.write_text(as_text(found, layout), encoding="utf-8")
     else:
         typer.echo(as_text(found, layout), nl=False)
@@ -164,7 +164,7 @@ def write_parquet(columns: Columns, out: Path) -> None:
     frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
     frame = frame.astype({name: "Int64" for name in columns if QUANTITY_BY_NAME[name].kind == "whole"})
     try:
-        with replaced_atomically(out.absolute()) as temporary:
+        with write_atomically(out) as temporary:
             frame.to_parquet(temporary, index=False)
     except ImportError as error:
         raise QueryError(

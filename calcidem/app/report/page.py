@@ -24,6 +24,7 @@ from calcidem.app.report.results import (
 )
 from calcidem.app.report.wording import Table, number, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.files import write_atomically
 
 FEW_SEEDS = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
@@ -88,9 +89,8 @@ def write_report(
     target = Path(out)
     with open_stored_campaign(database, campaign_name) as campaign:
         text = render_page(CampaignAnalysis(campaign), studies or {})
-    partial = target.with_name(f"{target.name}.{os.getpid()}.part")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(target)
+    with write_atomically(target) as partial:
+        partial.write_text(text, encoding="utf-8")
     return target
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from calcidem.storage.netcdf.groups import Group, append, counted_slices, optional_texts, read_columns, texts
 from calcidem.storage.records import AttemptRecord, CellKey, PackingRecord
 
-__all__ = ["append_attempts", "append_packing", "read_attempts", "read_packings"]
-
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = timedelta(microseconds=1)
 NO_NUMBER = -1  # stands for None in whole-number columns, all of whose real values are 0 or more

@@ -1,8 +1,7 @@
 """Export of a campaign to one NetCDF-4 file, and the way back."""
 
 import os
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.campaign_groups import append_attempts, append_packing
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.sample_groups import SAMPLE_GROUPS, append_samples
@@ -17,8 +17,6 @@ from calcidem.storage.records import CampaignRecord
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.store import Store
-
-__all__ = ["export_netcdf", "replaced_atomically"]
 
 BLOCK = 1000  # cells in memory at a time while arrays are copied
 WHOLE_NUMBER_FILL = -1
@@ -58,8 +56,7 @@ def export_netcdf(
     if unknown:
         raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(SAMPLE_GROUPS)}")
     wanted = [group for group in SAMPLE_GROUPS if group not in without]
-    target = Path(path).absolute()
-    with replaced_atomically(target) as temporary:
+    with write_atomically(path) as temporary:
         dataset = campaign_dataset(store, campaign)
         dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
         with netCDF4.Dataset(temporary, "a") as file:
@@ -71,7 +68,7 @@ def export_netcdf(
                 append_attempts(file, attempts)
             for results in chunks(store.results(with_arrays=bool(wanted)), BLOCK):
                 append_samples(file, results, wanted)
-    return target
+    return Path(path).absolute()
 
 
 def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
@@ -88,34 +85,3 @@ def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
         elif quantity.kind == "real":
             encoding[quantity.name] = compressed | {"_FillValue": np.nan}
     return {name: options for name, options in encoding.items() if name in dataset.variables}
-
-
-@contextmanager
-def replaced_atomically(target: Path) -> Iterator[Path]:
-    """Give a temporary file that takes the target's place once the block has ended without error.
-
-    It is in the target's folder, since a file can be renamed in one step only within a file system.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder doesn't exist.
-    """
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        _flush_to_disk(temporary)
-        temporary.replace(target)
-        _flush_to_disk(target.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _flush_to_disk(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Column", "append", "counted_slices", "optional_texts", "read_columns", "texts"]
-
 Group = Any
 """A netCDF4.Dataset or netCDF4.Group; that library has no types."""
 

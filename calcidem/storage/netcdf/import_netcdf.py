@@ -31,8 +31,6 @@ from calcidem.storage.records import (
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
 
-__all__ = ["import_netcdf"]
-
 SEEDS_IN_MEMORY = 500
 VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
 PATH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(PATH_PREFIX))

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from calcidem.storage.netcdf.groups import Column, Group, append, read_columns
 from calcidem.storage.records import CellKey, CellResult, CementPattern, Signal
 
-__all__ = ["SAMPLE_GROUPS", "CellArrays", "append_samples", "cement_reader", "path_reader", "signal_reader"]
-
 T = TypeVar("T")
 
 BLOCK = 500

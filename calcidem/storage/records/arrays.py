@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["ComparedByValue", "frozen_array", "pack_arrays", "plain_finite_numbers", "unpack_arrays"]
-
 COMPRESSION_LEVEL = 1
 """Of zlib. On cement patterns level 6, the usual one, takes four times as long and saves 4 % of the bytes."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from calcidem.storage.records.arrays import ComparedByValue, frozen_array, plain_finite_numbers
 from calcidem.storage.records.cell import canonical_content
 
-__all__ = ["CampaignRecord", "PackingRecord", "RunRecord", "as_utc"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingRecord(ComparedByValue):

@@ -5,8 +5,6 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["canonical_json", "config_difference", "content_hash"]
-
 
 def canonical_json(config: Mapping[str, Any]) -> str:
     """Return JSON text that is the same for equal configurations: keys sorted, no spaces, shortest floats.

@@ -11,8 +11,6 @@ from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 from calcidem.storage.errors import StoreUnavailableError
 from calcidem.storage.sql.filesystem import is_network_filesystem
 
-__all__ = ["WRITES", "Address", "make_engine", "parse_address"]
-
 BUSY_TIMEOUT_SECONDS = 30.0
 WAL_SIZE_LIMIT_BYTES = 64 * 2**20
 

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-__all__ = ["filesystem_type", "is_network_filesystem"]
-
 NETWORK_FILESYSTEMS = frozenset(
     {
         "9p",

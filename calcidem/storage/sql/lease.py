@@ -20,8 +20,6 @@ from calcidem.storage.errors import LeaseHeldError, LeaseLostError
 from calcidem.storage.sql.models import LeaseRow
 from calcidem.storage.store import LeaseGrant
 
-__all__ = ["STALE_AFTER", "FileLock", "claim", "drop", "refresh"]
-
 STALE_AFTER = timedelta(minutes=5)
 """A master on another machine that has been silent for this long counts as dead."""
 

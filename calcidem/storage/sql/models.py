@@ -29,21 +29,6 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
 
-__all__ = [
-    "AttemptRow",
-    "Base",
-    "CampaignRow",
-    "CellRow",
-    "CementRow",
-    "GraphRow",
-    "LeaseRow",
-    "PackingRow",
-    "PathRow",
-    "ResultRow",
-    "RunRow",
-    "SignalRow",
-]
-
 LOST = "lost"
 LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 

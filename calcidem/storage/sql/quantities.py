@@ -11,8 +11,6 @@ from sqlalchemy import SQLColumnExpression, func, literal_column
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.models import AttemptRow, CellRow, GraphRow, PathRow, ResultRow
 
-__all__ = ["GRAPH_PREFIX", "PATH_PREFIX", "QUANTITIES", "QUANTITY_BY_NAME", "Quantity"]
-
 PATH_PREFIX = "path_"
 GRAPH_PREFIX = "graph_"
 

@@ -34,19 +34,6 @@ from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, STATUS
 from calcidem.storage.sql.where import parse_where
 from calcidem.storage.store import Selection
 
-__all__ = [
-    "CHUNK",
-    "attempt_counts",
-    "attempts_of",
-    "campaign_record",
-    "cell_in",
-    "chunks",
-    "results_of",
-    "selected_cells",
-    "status_counts",
-    "table",
-]
-
 T = TypeVar("T")
 
 BLOCK = 10_000

@@ -30,26 +30,6 @@ from calcidem.storage.sql.models import (
 )
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX
 
-__all__ = [
-    "ATTEMPT_COLUMNS",
-    "PATH_FIELDS",
-    "RESULT_COLUMNS",
-    "attempt_record",
-    "attempt_values",
-    "cell_result",
-    "cement_pattern",
-    "cement_values",
-    "graph_values",
-    "packing_record",
-    "packing_row",
-    "path_values",
-    "result_values",
-    "run_record",
-    "run_row",
-    "signal",
-    "signal_values",
-]
-
 RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in ResultRow.__table__.columns)
 ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
 PATH_FIELDS = tuple(f.name for f in fields(PathFeatures))

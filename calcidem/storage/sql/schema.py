@@ -11,8 +11,6 @@ from sqlalchemy import Connection, func, inspect, select
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
 from calcidem.storage.sql.engine import Address
 
-__all__ = ["VERSION_TABLE", "prepare_schema", "require_current_schema", "stored_revision"]
-
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
 

@@ -20,8 +20,6 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.sql.engine import WRITES, Address
 
-__all__ = ["transaction"]
-
 PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
 
 SQLITE_ERRORS: dict[int, type[StoreError]] = {

@@ -19,8 +19,6 @@ from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, 
 from calcidem.storage.errors import QueryError
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 
-__all__ = ["parse_where"]
-
 COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,

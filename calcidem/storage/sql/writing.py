@@ -34,16 +34,6 @@ from calcidem.storage.sql.models import (
 )
 from calcidem.storage.sql.reading import CHUNK, attempt_counts, cell_in, chunks
 
-__all__ = [
-    "begin_campaign",
-    "make_pending",
-    "plan_cells",
-    "record_lost",
-    "record_results",
-    "restore_attempts",
-    "save_packing",
-]
-
 
 def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
     """Find the campaign by its hash, or create it; its plan is the caller's next step.
