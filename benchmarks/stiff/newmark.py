@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.accuracy.comparison import sample_times
+from calcidem.app.studies.accuracy.reference import sample_times
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.engine.state import State, choose_features, start

@@ -4,15 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calcidem.app.studies.accuracy.converged import FINEST, HALVING
-from calcidem.app.studies.accuracy.convergence import convergence
-from calcidem.app.studies.accuracy.figure import error_against_run_time
 
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
-from calcidem.app.studies.accuracy.command import share
+from calcidem.app.studies.accuracy.command import parse_target
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
-from calcidem.app.studies.accuracy.findings import measured_errors
-from calcidem.app.studies.accuracy.report import Findings, as_json, tables
+from calcidem.app.studies.accuracy.findings import Findings, findings_json, measured_errors
+from calcidem.app.studies.accuracy.reference import FINEST, HALVING, measure_convergence
+from calcidem.app.studies.accuracy.report import accuracy_tables, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
 from calcidem.app.studies.explain import Explanation, precision, with_errors
@@ -41,8 +39,8 @@ def study(experiment: Experiment) -> Study:
     """Give a study of the default and of single precision, of a pulse that suits so short a way."""
     gentle = with_wave(experiment, amplitude=4e-4)
     single = Setting("precision", "float32", with_wave(gentle, precision="float32"))
-    chosen = [Setting(DEFAULT, "", gentle), single]
-    return run_study(gentle, CONTENTS, SEEDS, chosen=chosen, coarsest=0.1, rounds=1)
+    compared = [Setting(DEFAULT, "", gentle), single]
+    return run_study(gentle, CONTENTS, SEEDS, compared=compared, coarsest=0.1, rounds=1)
 
 
 def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
@@ -69,11 +67,11 @@ def test_the_default_is_as_exact_as_promised(study: Study) -> None:
 def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
     """The tables have a line for each setting and each content, and the figure has its axes."""
     findings = Findings("0" * 64, study)
-    text = tables(findings)
+    text = accuracy_tables(findings)
     assert "| precision float32 |" in text
     assert all(f"| {content:g} |" in text for content in CONTENTS)
-    assert json.loads(as_json(findings))["study"]["cells"][0]["setting"] == "default"
-    assert len(error_against_run_time(study).axes) == 1
+    assert json.loads(findings_json(findings))["study"]["cells"][0]["setting"] == "default"
+    assert len(draw_error_against_run_time(study).axes) == 1
 
 
 def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> None:
@@ -87,7 +85,7 @@ def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> 
 def test_errors_are_read_back_for_the_same_campaign_only(study: Study, tmp_path: Path) -> None:
     """What a study wrote says the largest error of a setting at a content, and refuses to speak for other physics."""
     file = tmp_path / "accuracy.json"
-    file.write_text(as_json(Findings("a" * 64, study)))
+    file.write_text(findings_json(Findings("a" * 64, study)))
     measured = measured_errors("a" * 64, file)
     assert measured is not None
     errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 0.66)]
@@ -101,7 +99,7 @@ def test_errors_are_read_back_for_the_same_campaign_only(study: Study, tmp_path:
 def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, study: Study, tmp_path: Path) -> None:
     """A row has the error of the campaign's own way and of the other, and none where nothing was measured."""
     file = tmp_path / "accuracy.json"
-    file.write_text(as_json(Findings("a" * 64, study)))
+    file.write_text(findings_json(Findings("a" * 64, study)))
     measured = measured_errors("a" * 64, file)
     row = with_errors(Explanation(0.66, precision(experiment), 1.0, 0.0), measured)
     assert row.error is not None
@@ -118,8 +116,8 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
 
 def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
     """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
-    undamped = convergence(experiment, 5.0, SEEDS, 1300.0, damped=False)
-    damped = convergence(experiment, 5.0, SEEDS, 1300.0, damped=True)
+    undamped = measure_convergence(experiment, 5.0, SEEDS, 1300.0, damped=False)
+    damped = measure_convergence(experiment, 5.0, SEEDS, 1300.0, damped=True)
     assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.05)
     # The sign in local damping turns over at some instant within a step.
     assert 0.5 < np.mean(damped.orders) < 1.6
@@ -136,7 +134,7 @@ def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: E
     assert (found[1e-1, "finite"].worst or 0.0) > 0.01
 
 
-def test_a_better_balanced_packing_gives_the_same_velocity(experiment: Experiment) -> None:
+def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Experiment) -> None:
     """What is left unbalanced moves Vs the less the smaller it is, with the cement at the same contacts."""
 
     def packing_of(balance: float) -> Packing:
@@ -196,11 +194,11 @@ def test_the_cheapest_setting_is_chosen_among_those_that_meet_the_target() -> No
 @pytest.mark.parametrize(("text", "value"), [("0.5%", 0.005), ("0.005", 0.005), ("2 %", 0.02)])
 def test_a_target_is_a_percentage_or_a_part(text: str, value: float) -> None:
     """Both spellings mean the same."""
-    assert share(text) == pytest.approx(value)
+    assert parse_target(text) == pytest.approx(value)
 
 
 @pytest.mark.parametrize("text", ["", "much", "-1%", "200%"])
 def test_a_senseless_target_is_refused(text: str) -> None:
     """The message shows what was given and an example."""
     with pytest.raises(ValueError, match=r"target = .*0\.5%"):
-        share(text)
+        parse_target(text)

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph, preferential_path
-from calcidem.analysis.packing_graph import PackingGraph, features_record, packing_graph
+from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Integers
@@ -130,7 +130,7 @@ def with_graph(result: CellResult, packing: PackingGraph) -> CellResult:
         return result
     bonded = packing.bonded(result.cement)
     summary = graph_summary(packing.graph, bonded)
-    features = None if summary.gap_contacts is None else features_record(packing.features(bonded))
+    features = None if summary.gap_contacts is None else packing.features(packing.path(bonded))
     return replace(result, features=features, graph=summary)
 
 

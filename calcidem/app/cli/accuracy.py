@@ -11,7 +11,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.accuracy.command import Task, accuracy, chosen_settings, share
+from calcidem.app.studies.accuracy.command import Task, accuracy, choose_settings, parse_target
 from calcidem.app.studies.stability.command import random_scenes, stability
 from calcidem.app.studies.stability.verdict import Verdict
 from calcidem.dem.sample.packing import Packing
@@ -61,8 +61,8 @@ def measure_accuracy(
         lanes=loaded.run.lanes,
     )
     try:
-        chosen_settings(task.experiment, only or ())
-        share(target or "1%")
+        choose_settings(task.experiment, only or ())
+        parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     accuracy(task, only=only or (), out=out, json=as_data, target=target, say=typer.echo, progress=tell)

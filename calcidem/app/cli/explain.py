@@ -11,7 +11,7 @@ from rich.table import Table
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.cli.run_campaign import make_console
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.accuracy.measured import MeasuredErrors, measured_errors
+from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
 from calcidem.app.studies.explain import Explanation, explain
 
 DEFAULT_CELLS = 8

@@ -11,7 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.measured import MeasuredErrors
+from calcidem.app.studies.accuracy.findings import MeasuredErrors
 from calcidem.app.studies.accuracy.settings import DEFAULT
 from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment

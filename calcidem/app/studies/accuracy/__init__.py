@@ -1,4 +1,5 @@
 """Error against run time: what each numerical setting costs and how far it moves a result.
 
-`study.run_study` measures, `table` and `figure` show, `command.accuracy` is the command.
+`settings` lists them, `reference` gives the truth, `study.run_study` measures, `report` shows, `command` does it all.
+Questions with a truth of their own are in `amplitudes`, `equilibrium` and `scatter`.
 """

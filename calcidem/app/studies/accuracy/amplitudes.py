@@ -9,17 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.batches import fitting_lanes
-from calcidem.app.studies.accuracy.comparison import relative
+from calcidem.app.studies.accuracy.reference import fitting_lanes, relative_deviation
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 
 AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
-SAMPLES = 400
+DENSE_SAMPLES = 400  # in a period of the pulse
 
-Found = dict[tuple[int, float], Measurement]
+CellsFound = dict[tuple[int, float], Measurement]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,29 +62,29 @@ def amplitude_rows(
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AmplitudeRow, ...]:
     """Measure some regimes at several amplitudes against the finite one."""
-    own, _ = measured(experiment, "finite", experiment.wave.amplitude, contents, seeds, lanes)
+    own, _ = measure_regime(experiment, "finite", experiment.wave.amplitude, contents, seeds, lanes)
     rows = []
     for amplitude in amplitudes:
         progress(f"regimes at {amplitude:g} m/s")
-        finite, refusal = measured(experiment, "finite", amplitude, contents, seeds, lanes)
+        finite, refusal = measure_regime(experiment, "finite", amplitude, contents, seeds, lanes)
         rows.append(row_of(amplitude, "finite", finite, own, refusal))
         for regime in regimes:
-            found, refusal = measured(experiment, regime, amplitude, contents, seeds, lanes)
+            found, refusal = measure_regime(experiment, regime, amplitude, contents, seeds, lanes)
             rows.append(row_of(amplitude, regime, found, finite, refusal))
     return tuple(rows)
 
 
-def measured(
+def measure_regime(
     experiment: Experiment,
     regime: Regime,
     amplitude: float,
     contents: Sequence[float],
     seeds: Sequence[int],
     lanes: int,
-) -> tuple[Found, str]:
+) -> tuple[CellsFound, str]:
     """Cells of a regime at an amplitude, and why some were refused."""
-    setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=SAMPLES)
-    found: Found = {}
+    setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=DENSE_SAMPLES)
+    found: CellsFound = {}
     refusal = ""
     for content in contents:
         try:
@@ -97,10 +96,10 @@ def measured(
     return found, refusal
 
 
-def row_of(amplitude: float, regime: Regime, found: Found, exact: Found, refusal: str) -> AmplitudeRow:
+def row_of(amplitude: float, regime: Regime, found: CellsFound, exact: CellsFound, refusal: str) -> AmplitudeRow:
     """Errors of the cells that are in both."""
     pairs = [(found[key], exact[key]) for key in found.keys() & exact.keys()]
-    errors = [abs(error) for cell, other in pairs if (error := relative(cell.vs, other.vs)) is not None]
+    errors = [abs(error) for cell, other in pairs if (error := relative_deviation(cell.vs, other.vs)) is not None]
     readable = sum(cell.vs is not None for cell in exact.values())
     return AmplitudeRow(
         amplitude=amplitude,

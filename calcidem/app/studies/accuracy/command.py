@@ -6,17 +6,15 @@ from pathlib import Path
 
 from calcidem.analysis.figures.style import save
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
-from calcidem.app.studies.accuracy.convergence import convergence
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
-from calcidem.app.studies.accuracy.figure import error_against_run_time
-from calcidem.app.studies.accuracy.report import Findings, as_json, name_of, tables
-from calcidem.app.studies.accuracy.scatter import SAMPLES, quick_campaign, scatter_rows
+from calcidem.app.studies.accuracy.findings import Findings, findings_json
+from calcidem.app.studies.accuracy.reference import measure_convergence
+from calcidem.app.studies.accuracy.report import accuracy_tables, draw_error_against_run_time, name_of
+from calcidem.app.studies.accuracy.scatter import SCATTER_SEEDS, quick_campaign, scatter_rows
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +54,8 @@ def accuracy(
     out: Path | None = None,
     json: bool = False,
     target: str | None = None,
-    say: Say,
-    progress: Say = lambda _: None,
+    say: Callable[[str], None],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Measure error against run time and say what came out.
 
@@ -81,25 +79,25 @@ def accuracy(
     ValueError
         If the target is no positive number, or there is no setting of a name.
     """
-    wanted = None if target is None else share(target)
-    findings = narrow(task, only, progress) if only else full(task, progress)
+    wanted = None if target is None else parse_target(target)
+    findings = compare_some(task, only, progress) if only else measure_everything(task, progress)
     if out is not None:
-        save(error_against_run_time(findings.study), out, "accuracy", ("png",))
-        (out / "accuracy.md").write_text(tables(findings))
-        (out / "accuracy.json").write_text(as_json(findings))
-    say(as_json(findings) if json else tables(findings))
+        save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
+        (out / "accuracy.md").write_text(accuracy_tables(findings))
+        (out / "accuracy.json").write_text(findings_json(findings))
+    say(findings_json(findings) if json else accuracy_tables(findings))
     if wanted is not None and not json:
         chosen = cheapest(findings.study, wanted)
         say(f"Cheapest setting with an error of at most {100 * wanted:g} %: {name_of(chosen)}")
 
 
-def narrow(task: Task, only: Sequence[str], progress: Say) -> Findings:
+def compare_some(task: Task, only: Sequence[str], progress: Callable[[str], None]) -> Findings:
     """Compare the default and some settings with the reference."""
     study = run_study(
         task.experiment,
         task.contents,
         task.seeds,
-        chosen=chosen_settings(task.experiment, only),
+        compared=choose_settings(task.experiment, only),
         lanes=task.lanes,
         rounds=1,
         progress=progress,
@@ -107,7 +105,7 @@ def narrow(task: Task, only: Sequence[str], progress: Say) -> Findings:
     return Findings(task.campaign_hash, study)
 
 
-def chosen_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
+def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
     """Give the default and the settings of these names; `ValueError` if there is none of a name."""
     known = {setting.name: setting for setting in settings(experiment)}
     for name in only:
@@ -116,7 +114,7 @@ def chosen_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting
     return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
 
 
-def full(task: Task, progress: Say) -> Findings:
+def measure_everything(task: Task, progress: Callable[[str], None]) -> Findings:
     """Measure everything."""
     experiment, contents, seeds, lanes = task.experiment, task.contents, task.seeds, task.lanes
     study = run_study(experiment, contents, seeds, lanes=lanes, progress=progress)
@@ -124,11 +122,11 @@ def full(task: Task, progress: Say) -> Findings:
     for content, velocity in slowest_velocities(study).items():
         for damped in (True, False):
             progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}")
-            orders.append(convergence(experiment, content, seeds, velocity, damped=damped, lanes=lanes))
+            orders.append(measure_convergence(experiment, content, seeds, velocity, damped=damped, lanes=lanes))
     velocities = task.stored
     if velocities is None:
         progress("scatter of the samples")
-        velocities = quick_campaign(experiment, contents, task.campaign_seeds[:SAMPLES], lanes)
+        velocities = quick_campaign(experiment, contents, task.campaign_seeds[:SCATTER_SEEDS], lanes)
     return Findings(
         task.campaign_hash,
         study,
@@ -148,7 +146,7 @@ def slowest_velocities(study: Study) -> dict[float, float]:
     return slowest
 
 
-def share(text: str) -> float:
+def parse_target(text: str) -> float:
     """Turn ``0.5%`` or ``0.005`` into 0.005."""
     number, scale = (text[:-1], 0.01) if text.rstrip().endswith("%") else (text, 1.0)
     try:

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.batches import fitting_lanes
-from calcidem.app.studies.accuracy.comparison import relative
+from calcidem.app.studies.accuracy.reference import fitting_lanes, relative_deviation
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.state import Preload
@@ -14,7 +13,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
 
-BALANCES = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the last one is taken for exact
+RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is taken for exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,17 +22,17 @@ class EquilibriumRow:
 
     Attributes
     ----------
-    balance
+    unbalanced_force_ratio
         That ratio.
     changed_contacts
-        Contacts that touch here or in the best balanced packing, but not in both.
+        Contacts that touch here or in the packing with the smallest ratio, but not in both.
     cells
         Compared.
     median, worst
-        Relative error of Vs against the best balanced packing, all else equal.
+        Relative error of Vs against the packing with the smallest ratio, all else equal.
     """
 
-    balance: float
+    unbalanced_force_ratio: float
     changed_contacts: int
     cells: int
     median: float
@@ -45,36 +44,36 @@ def equilibrium_rows(
     contents: Sequence[float],
     seeds: Sequence[int],
     packing_of: Callable[[float], Packing],
-    balances: Sequence[float] = BALANCES,
+    ratios: Sequence[float] = RATIOS,
     *,
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[EquilibriumRow, ...]:
-    """Measure Vs in packings of several balances, in the linear regime, with the cement at the same contacts.
+    """Measure Vs in packings of several unbalanced-force ratios, with the cement at the same contacts.
 
-    ``packing_of`` makes the experiment's packing for a balance.
+    ``packing_of`` makes the experiment's packing for a ratio. The regime is the linear one.
     """
     packings = {}
-    for balance in balances:
-        progress(f"packing balanced to {balance:g}")
-        packings[balance] = packing_of(balance)
+    for ratio in ratios:
+        progress(f"packing with an unbalanced-force ratio of {ratio:g}")
+        packings[ratio] = packing_of(ratio)
     velocities = {}
-    for balance, packing in packings.items():
+    for ratio, packing in packings.items():
         setting = with_wave(replace(experiment, packing=same_contacts(packing, experiment.packing)), regime="linear")
         cells = [
             cell
             for content in contents
             for cell in measure_all(setting, content, seeds, lanes=fitting_lanes(seeds, lanes))
         ]
-        velocities[balance] = [cell.vs for cell in cells]
-    best = min(balances)
+        velocities[ratio] = [cell.vs for cell in cells]
+    best = min(ratios)
     rows = []
-    for balance in balances:
-        pairs = zip(velocities[balance], velocities[best], strict=True)
-        errors = [abs(error) for found, exact in pairs if (error := relative(found, exact)) is not None]
-        changed = set(keys_of(packings[balance]).tolist()) ^ set(keys_of(packings[best]).tolist())
+    for ratio in ratios:
+        pairs = zip(velocities[ratio], velocities[best], strict=True)
+        errors = [abs(error) for found, exact in pairs if (error := relative_deviation(found, exact)) is not None]
+        changed = set(keys_of(packings[ratio]).tolist()) ^ set(keys_of(packings[best]).tolist())
         rows.append(
-            EquilibriumRow(balance, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
+            EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
         )
     return tuple(rows)
 

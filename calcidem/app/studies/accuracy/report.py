@@ -1,37 +1,27 @@
-"""What was found, as Markdown tables and as JSON."""
+"""What was found, as Markdown tables and as a figure of error against run time."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
 from calcidem.app.studies.accuracy.amplitudes import AmplitudeRow
-from calcidem.app.studies.accuracy.converged import HALVING
-from calcidem.app.studies.accuracy.convergence import STEPS, Convergence
 from calcidem.app.studies.accuracy.equilibrium import EquilibriumRow
+from calcidem.app.studies.accuracy.findings import Findings
+from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, Convergence
 from calcidem.app.studies.accuracy.scatter import Scatter
 from calcidem.app.studies.accuracy.settings import DEFAULT
-from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered, default_of
+from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered_share, default_of, pareto
 
 TARGETS = (0.005, 0.002, 0.001)
 MANY_CELLS = 40  # above which the table of cells is left to the JSON
-DIGITS = 5
+SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
+STAIRS = 4  # names one below the other, before they begin again
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """Everything that one run of the command measured, and the campaign hash that it belongs to."""
-
-    campaign_hash: str
-    study: Study
-    convergence: tuple[Convergence, ...] = ()
-    amplitudes: tuple[AmplitudeRow, ...] = ()
-    equilibrium: tuple[EquilibriumRow, ...] = ()
-    scatter: tuple[Scatter, ...] = ()
-
-
-def tables(findings: Findings, targets: Sequence[float] = TARGETS) -> str:
+def accuracy_tables(findings: Findings, targets: Sequence[float] = TARGETS) -> str:
     """Give all tables as Markdown; those that were not measured are left out."""
     study = findings.study
     parts = [
@@ -101,7 +91,7 @@ def content_table(study: Study) -> list[str]:
         estimate = np.median([cell.estimate for cell in found if cell.estimate is not None])
         lines.append(
             f"| {content:g} | {len(errors)} | {finest:g} | {halving:.1e} | {np.median(errors):.1e} "
-            f"| {max(errors):.1e} | {100 * covered(found):.0f} % | {estimate:.1e} |"
+            f"| {max(errors):.1e} | {100 * covered_share(found):.0f} % | {estimate:.1e} |"
         )
     return lines
 
@@ -121,9 +111,10 @@ def cell_table(study: Study) -> list[str]:
     for exact in study.references:
         cell = found[exact.seed, exact.content]
         numbers = (cell.vs_error, cell.estimate, cell.arrival_error, cell.signal_error)
+        errors = " | ".join(or_dash(number) for number in numbers)
         lines.append(
-            f"| {exact.content:g} | {exact.seed} | {plain(exact.vs, '.2f')} | {exact.step_fraction:g} "
-            f"| {plain(exact.halving)} | {plain(cell.vs, '.2f')} | {' | '.join(plain(number) for number in numbers)} |"
+            f"| {exact.content:g} | {exact.seed} | {or_dash(exact.vs, '.2f')} | {exact.step_fraction:g} "
+            f"| {or_dash(exact.halving)} | {or_dash(cell.vs, '.2f')} | {errors} |"
         )
     return lines
 
@@ -132,7 +123,7 @@ def convergence_table(rows: Sequence[Convergence]) -> list[str]:
     """Give change of the signal and observed order for each halving of the step."""
     if not rows:
         return []
-    halvings = [f"{2 * step:g} to {step:g}" for step in STEPS[1:]]
+    halvings = [f"{2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:]]
     lines = [
         f"| content % | local damping | signal, {' | '.join(halvings)} | order | order |",
         "|---|---|" + "---|" * (len(halvings) + 2),
@@ -156,22 +147,25 @@ def amplitude_table(rows: Sequence[AmplitudeRow]) -> list[str]:
         name = f"*{row.regime}, effect of the amplitude*" if row.regime == "finite" else row.regime
         reason = row.refusal.split(":")[0] if row.refusal else ""
         lines.append(
-            f"| {row.amplitude:g} | {name} | {plain(row.median)} | {plain(row.worst)} | {row.cells} | {row.lost} "
+            f"| {row.amplitude:g} | {name} | {or_dash(row.median)} | {or_dash(row.worst)} | {row.cells} | {row.lost} "
             f"| {reason} |"
         )
     return lines
 
 
 def equilibrium_table(rows: Sequence[EquilibriumRow]) -> list[str]:
-    """Give what a packing's rest of imbalance does."""
+    """Give what the unbalanced forces left in a packing do."""
     if not rows:
         return []
-    lines = ["| balance of the packing | changed contacts | Vs median | Vs worst | cells |", "|---|---|---|---|---|"]
-    lines += [
-        f"| {row.balance:g} | {row.changed_contacts} | {row.median:.1e} | {row.worst:.1e} | {row.cells} |"
-        for row in rows
+    return [
+        "| unbalanced-force ratio | changed contacts | Vs median | Vs worst | cells |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {row.unbalanced_force_ratio:g} | {row.changed_contacts} | {row.median:.1e} | {row.worst:.1e} "
+            f"| {row.cells} |"
+            for row in rows
+        ),
     ]
-    return lines
 
 
 def scatter_table(rows: Sequence[Scatter]) -> list[str]:
@@ -193,9 +187,9 @@ def scatter_table(rows: Sequence[Scatter]) -> list[str]:
     return lines
 
 
-def plain(number: float | None, form: str = ".1e") -> str:
+def or_dash(value: float | None, form: str = ".1e") -> str:
     """Write a number, or a dash."""
-    return "-" if number is None else format(number, form)
+    return "-" if value is None else format(value, form)
 
 
 def name_of(row: Summary | None) -> str:
@@ -203,17 +197,49 @@ def name_of(row: Summary | None) -> str:
     return "none of those measured" if row is None else f"{row.setting}, {row.seconds:.2f} s a cell"
 
 
-def as_json(findings: Findings) -> str:
-    """Everything as JSON, to five digits."""
-    return json.dumps(rounded(asdict(findings)), separators=(",", ":"))
+@apply_style
+def draw_error_against_run_time(study: Study) -> "Figure":
+    """Draw median and largest error of Vs against the processor time of a cell."""
+    figure = new_figure(3.6)
+    axes = figure.subplots()
+    rows = [row for row in study.summaries if row.numerical and row.cells]
+    front = pareto(rows)
+    axes.plot([row.seconds for row in front], [drawable(row.median) for row in front], color=BLUE, label="Pareto front")
+    for row in rows:
+        draw_setting(axes, row, on_front=row in front)
+    named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
+    for number, row in enumerate(named):
+        # Below the marks, where no bar is, and one below the other, because settings of one price stand close together.
+        axes.annotate(
+            row.setting,
+            (row.seconds, drawable(row.median)),
+            xytext=(-10, -10 - 9 * (number % STAIRS)),
+            textcoords="offset points",
+            fontsize=6.5,
+            color=BLACK,
+            ha="right",
+            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2},
+        )
+    axes.axvline(study.reference_seconds, color=GREY, linestyle=":", label="reference")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="processor time of a cell (s)",
+        ylabel="relative error of $V_s$: median to worst",
+        xlim=(0.3 * min(row.seconds for row in rows), 1.5 * study.reference_seconds),
+        ylim=(0.4 * min(drawable(row.median) for row in rows), None),
+    )
+    axes.legend(loc="lower left")
+    return figure
 
 
-def rounded(value: object) -> object:
-    """Return the same with all numbers to five digits, and null for what is no finite number."""
-    if isinstance(value, dict):
-        return {f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(item) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
-    return value
+def draw_setting(axes: "Axes", row: Summary, *, on_front: bool) -> None:
+    """Draw one setting: a bar from median to worst error."""
+    colour = VERMILION if row.setting == DEFAULT else BLUE if on_front else GREY
+    axes.plot([row.seconds] * 2, [drawable(row.median), drawable(row.worst)], color=colour, linewidth=0.8)
+    axes.plot(row.seconds, drawable(row.median), "o", color=colour, markersize=5 if row.setting == DEFAULT else 3)
+
+
+def drawable(error: float) -> float:
+    """Error as it can be drawn on a logarithmic axis."""
+    return max(error, SMALLEST)

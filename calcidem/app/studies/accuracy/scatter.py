@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.analysis.distribution import describe
-from calcidem.app.studies.accuracy.batches import fitting_lanes
-from calcidem.app.studies.accuracy.comparison import CellError
+from calcidem.app.studies.accuracy.reference import CellError, fitting_lanes
 from calcidem.app.studies.accuracy.settings import DEFAULT
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
 
-SAMPLES = 16  # seeds that tell the scatter if no stored campaign does
+SCATTER_SEEDS = 16  # seeds that tell the scatter if no stored campaign does
 
 
 @dataclass(frozen=True, slots=True)

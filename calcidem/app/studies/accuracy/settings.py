@@ -13,7 +13,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 DEFAULT = "default"
 STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
-SAMPLES = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
+SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
 BANDS = (0.8, 1.25)  # half-widths over the experiment's own
 REFERENCE_SAMPLES = 1600
 
@@ -51,7 +51,7 @@ def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: AN
     return replace(experiment, wave=replace(experiment.wave, **changes))
 
 
-def reference(experiment: Experiment, step_fraction: float) -> Experiment:
+def reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
     """Return the experiment as exactly as it can be computed: float64, finite displacement, all disks, dense samples.
 
     Early stop keeps its setting, because it is a knob of its own that is shown to change no reading.
@@ -70,11 +70,11 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     """Give the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave
     yield Setting(DEFAULT, "", experiment)
-    yield from turned(experiment, "step_fraction", STEP_FRACTIONS)
-    yield from turned(experiment, "samples_per_period", SAMPLES)
-    yield from turned(experiment, "precision", ("float32", "float64"))
+    yield from vary(experiment, "step_fraction", STEP_FRACTIONS)
+    yield from vary(experiment, "samples_per_period", SAMPLES_PER_PERIOD)
+    yield from vary(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
-        yield from turned(experiment, "regime", ("linear", "small", "finite"))
+        yield from vary(experiment, "regime", ("linear", "small", "finite"))
     yield Setting("whole domain", "", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
     yield Setting(
         "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
@@ -89,7 +89,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
             yield Setting(name, f"{1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
 
 
-def turned(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
+def vary(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
     """Give the experiment with each value of one field of its `WaveRule` that is not its own."""
     for value in values:
         if value != getattr(experiment.wave, knob):

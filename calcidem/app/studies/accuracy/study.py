@@ -7,16 +7,24 @@ from statistics import median
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.batches import Compiled, fitting_lanes, timed, warm_up
-from calcidem.app.studies.accuracy.comparison import CellError, cell_error
-from calcidem.app.studies.accuracy.converged import COARSEST, Reference, ReferenceCell, converged
+from calcidem.app.campaign.task import run_first_chunk
+from calcidem.app.studies.accuracy.reference import (
+    COARSEST,
+    CellError,
+    Reference,
+    ReferenceCell,
+    cell_error,
+    find_reference,
+    fitting_lanes,
+    measure_and_time,
+)
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.dem.wave.experiment import Experiment
 
 ROUNDS = 3
-PATIENCE = 3.0  # settings that take this many times the default's time are timed only once
+SLOW = 3.0  # settings that take this many times the default's time are timed only once
 
-Say = Callable[[str], None]
+CompiledKernels = set[tuple[str, str, bool, int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +96,11 @@ def run_study(
     contents: Sequence[float],
     seeds: Sequence[int],
     *,
-    chosen: Iterable[Setting] | None = None,
+    compared: Iterable[Setting] | None = None,
     coarsest: float = COARSEST,
     lanes: int = 8,
     rounds: int = ROUNDS,
-    progress: Say = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Study:
     """Measure the errors of settings.
 
@@ -104,7 +112,7 @@ def run_study(
         Percent.
     seeds
         Samples at each content.
-    chosen
+    compared
         Settings to compare, the experiment's own first; all of `settings.settings` by default.
     coarsest
         Step over the limit from which the reference is sought.
@@ -115,37 +123,37 @@ def run_study(
     progress
         Told what is done.
     """
-    compared = tuple(settings(experiment) if chosen is None else chosen)
+    compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)
-    compiled: Compiled = set()
+    compiled: CompiledKernels = set()
     exact: dict[float, Reference] = {}
     cells: list[CellError] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
     for content in contents:
         progress(f"{content:g} %: reference")
-        exact[content] = converged(experiment, content, seeds, width, coarsest)
+        exact[content] = find_reference(experiment, content, seeds, width, coarsest)
         progress(f"{content:g} %: {len(compared)} settings")
-        found, times = all_settings(compared, content, exact[content], width, compiled, rounds, progress)
+        found, times = compare_settings(compared, content, exact[content], width, compiled, rounds, progress)
         cells += found
         for name, value in times.items():
             seconds[name][content] = value
     return Study(
         cells=tuple(cells),
-        summaries=summarised(cells, compared, seconds),
+        summaries=summaries_of(cells, compared, seconds),
         references=tuple(cell for row in exact.values() for cell in row.cells),
         reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
         seconds={name: dict(row) for name, row in seconds.items()},
     )
 
 
-def all_settings(
+def compare_settings(
     compared: Sequence[Setting],
     content: float,
     exact: Reference,
     lanes: int,
-    compiled: Compiled,
+    compiled: CompiledKernels,
     rounds: int,
-    progress: Say,
+    progress: Callable[[str], None],
 ) -> tuple[list[CellError], dict[str, float]]:
     """Errors of all settings at one content, and their processor time of a cell, s."""
     seeds = [cell.seed for cell in exact.cells]
@@ -154,11 +162,11 @@ def all_settings(
     times: dict[str, list[float]] = {}
     for round_ in range(rounds):
         for setting in compared:
-            if round_ and (setting.name not in times or times[setting.name][0] > PATIENCE * times[compared[0].name][0]):
+            if round_ and (setting.name not in times or times[setting.name][0] > SLOW * times[compared[0].name][0]):
                 continue
             try:
-                warm_up(setting, content, seeds, lanes, compiled)
-                found, taken = timed(setting.experiment, content, seeds, lanes)
+                compile_kernel(setting, content, seeds[0], lanes, compiled)
+                found, taken = measure_and_time(setting.experiment, content, seeds, lanes)
             except ValueError as refused:
                 progress(f"{setting.name} at {content:g} %: {refused}")
                 continue
@@ -171,7 +179,16 @@ def all_settings(
     return cells, {name: median(values) for name, values in times.items()}
 
 
-def summarised(
+def compile_kernel(setting: Setting, content: float, seed: int, lanes: int, compiled: CompiledKernels) -> None:
+    """Compile the kernel that a setting needs unless that has been done, so that no run time contains it."""
+    wave = setting.experiment.wave
+    kernel = (wave.regime, wave.precision, content > 0.0, lanes)
+    if kernel not in compiled:
+        compiled.add(kernel)
+        run_first_chunk(setting.experiment, content, seed, lanes)
+
+
+def summaries_of(
     cells: Iterable[CellError], compared: Iterable[Setting], seconds: Mapping[str, Mapping[float, float]]
 ) -> tuple[Summary, ...]:
     """Summaries of the settings, in their order."""
@@ -179,12 +196,12 @@ def summarised(
     for cell in cells:
         rows[cell.setting].append(cell)
     return tuple(
-        summary(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
+        summary_of(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
         for setting in compared
     )
 
 
-def summary(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
+def summary_of(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
     """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
@@ -197,12 +214,12 @@ def summary(name: str, cells: Sequence[CellError], seconds: Sequence[float], num
         worst=max(errors, default=np.inf),
         arrival=float(np.median(arrivals)) if arrivals else np.inf,
         signal=float(np.median([cell.signal_error for cell in cells])) if cells else np.inf,
-        covered=covered(cells),
+        covered=covered_share(cells),
         seconds=float(np.mean(seconds)) if seconds else np.inf,
     )
 
 
-def covered(cells: Iterable[CellError]) -> float:
+def covered_share(cells: Iterable[CellError]) -> float:
     """Share of the cells with a velocity whose error is at most their own estimate."""
     honest = [
         abs(cell.vs_error) <= cell.estimate for cell in cells if cell.vs_error is not None and cell.estimate is not None

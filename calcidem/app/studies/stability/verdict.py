@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from calcidem.app.studies.accuracy.comparison import signal_distance
+from calcidem.app.studies.accuracy.reference import signal_distance
 from calcidem.app.studies.stability.packings import Packed
 from calcidem.app.studies.stability.scenes import Extreme, content_of, experiment_of
 from calcidem.dem.wave.experiment import Experiment

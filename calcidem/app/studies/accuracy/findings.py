@@ -1,11 +1,33 @@
-"""Errors that `calcidem accuracy` measured, read back: its JSON, or the one that calcidem brings for its examples."""
+"""Everything that one run of `calcidem accuracy` measured, as JSON and read back from it."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+
+import numpy as np
+
+from calcidem.app.studies.accuracy.amplitudes import AmplitudeRow
+from calcidem.app.studies.accuracy.equilibrium import EquilibriumRow
+from calcidem.app.studies.accuracy.reference import Convergence
+from calcidem.app.studies.accuracy.scatter import Scatter
+from calcidem.app.studies.accuracy.study import Study
+
+DIGITS = 5
 
 PACKAGED = Path(__file__).with_name("measured.json")
 """Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see docs/accuracy.md."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Everything that one run of the command measured, and the campaign hash that it belongs to."""
+
+    campaign_hash: str
+    study: Study
+    convergence: tuple[Convergence, ...] = ()
+    amplitudes: tuple[AmplitudeRow, ...] = ()
+    equilibrium: tuple[EquilibriumRow, ...] = ()
+    scatter: tuple[Scatter, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +48,22 @@ class MeasuredErrors:
     def of(self, setting: str, content: float) -> float | None:
         """Error of a setting at a content, None if it was not measured."""
         return self.worst.get((setting, content))
+
+
+def findings_json(findings: Findings) -> str:
+    """Everything as JSON, to five digits."""
+    return json.dumps(round_numbers(asdict(findings)), separators=(",", ":"))
+
+
+def round_numbers(value: object) -> object:
+    """Return the same with all numbers to five digits, and null for what is no finite number."""
+    if isinstance(value, dict):
+        return {f"{key:g}" if isinstance(key, float) else str(key): round_numbers(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [round_numbers(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+    return value
 
 
 def measured_errors(campaign_hash: str, path: Path | None = None) -> MeasuredErrors | None:

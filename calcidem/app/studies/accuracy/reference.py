@@ -1,0 +1,255 @@
+"""The converged reference of each cell, how far another way of computing it is off, and the order of convergence."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, reference_experiment, with_wave
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure_all
+from calcidem.dem.wave.propagation import WaveRecord
+
+HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
+COARSEST = 0.4  # step over the limit that is tried first
+FINEST = 0.05  # and that is not gone below
+CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)  # over the limit; each half of the one before
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceCell:
+    """Reference of one cell.
+
+    Attributes
+    ----------
+    seed, content
+        The cell; content in percent.
+    vs
+        m/s; None where the reference has no trusted pick either.
+    step_fraction
+        Its step over the stability limit.
+    halving
+        Relative change of Vs when a step twice as large was halved to that step; None without a velocity.
+    """
+
+    seed: int
+    content: float
+    vs: float | None
+    step_fraction: float
+    halving: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """Reference of all cells of a content: measurements, what is said of them, and processor time of a cell, s."""
+
+    measurements: tuple[Measurement, ...]
+    cells: tuple[ReferenceCell, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class CellError:
+    """How far one cell of one setting is from the reference.
+
+    Attributes
+    ----------
+    setting
+        `Setting.name`.
+    seed, content
+        The cell; content in percent.
+    vs, reference_vs
+        m/s; None where there is no trusted pick.
+    vs_error
+        Relative, signed; None unless both have a velocity.
+    arrival_error
+        Relative, of the travel time of the first arrival, signed; None unless both have one.
+    signal_error
+        See `signal_distance`.
+    estimate
+        The relative error the cell itself states.
+    """
+
+    setting: str
+    seed: int
+    content: float
+    vs: float | None
+    reference_vs: float | None
+    vs_error: float | None
+    arrival_error: float | None
+    signal_error: float
+    estimate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Convergence:
+    """How the signal of a content converges, in the linear regime, medians over its cells.
+
+    Attributes
+    ----------
+    content
+        Percent.
+    damped
+        With the experiment's local damping, or without any.
+    changes
+        Change of the signal by each halving of the step: normalised L2, at the times of the largest step's samples.
+    orders
+        Logarithm to base 2 of each change over the next: the order, without needing an exact solution.
+    """
+
+    content: float
+    damped: bool
+    changes: tuple[float, ...]
+    orders: tuple[float, ...]
+
+
+def find_reference(
+    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
+) -> Reference:
+    """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
+
+    A cell that is still moving at `FINEST` stays with that, and says by how much.
+    """
+    step, waiting = coarsest, list(seeds)
+    before, _ = measure_by_seed(experiment, step, content, waiting, lanes)
+    done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
+    while waiting:
+        step /= 2.0
+        now, seconds = measure_by_seed(experiment, step, content, waiting, lanes)
+        for seed in waiting:
+            change = relative_deviation(now[seed].vs, before[seed].vs)
+            if change is None or abs(change) < HALVING or step <= FINEST:
+                done[seed] = now[seed], ReferenceCell(seed, content, now[seed].vs, step, change), seconds
+        waiting = [seed for seed in waiting if seed not in done]
+        before = now
+    rows = [done[seed] for seed in seeds]
+    return Reference(tuple(row[0] for row in rows), tuple(row[1] for row in rows), float(np.mean([r[2] for r in rows])))
+
+
+def measure_by_seed(
+    experiment: Experiment, step: float, content: float, seeds: Sequence[int], lanes: int
+) -> tuple[dict[int, Measurement], float]:
+    """Measurements with a step, and processor time of a cell, s."""
+    found, seconds = measure_and_time(
+        reference_experiment(experiment, step), content, seeds, fitting_lanes(seeds, lanes)
+    )
+    return {cell.seed: cell for cell in found}, seconds
+
+
+def measure_and_time(
+    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
+) -> tuple[tuple[Measurement, ...], float]:
+    """Measure, and give the processor time of a cell, s.
+
+    Processor time leaves out what other programs take of a shared machine, unlike the wall time of a `Measurement`.
+    """
+    began = process_time()
+    found = measure_all(experiment, content, seeds, lanes=lanes)
+    return found, (process_time() - began) / len(seeds)
+
+
+def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
+    """Width of the kernel that so many seeds fill: the smallest power of two, at most ``lanes``."""
+    return min(lanes, 1 << (len(seeds) - 1).bit_length())
+
+
+def cell_error(
+    setting: str, found: Measurement, amplitude: float, exact: Measurement, exact_amplitude: float
+) -> CellError:
+    """Compare a cell with the reference of the same cell; amplitudes of the pulses in m/s."""
+    return CellError(
+        setting=setting,
+        seed=found.seed,
+        content=found.content,
+        vs=found.vs,
+        reference_vs=exact.vs,
+        vs_error=relative_deviation(found.vs, exact.vs),
+        arrival_error=relative_deviation(first_arrival(found), first_arrival(exact)),
+        signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
+        estimate=found.error_estimate,
+    )
+
+
+def relative_deviation(found: float | None, exact: float | None) -> float | None:
+    """Relative deviation; None if either is missing."""
+    return None if found is None or exact is None else found / exact - 1.0
+
+
+def first_arrival(measurement: Measurement) -> float | None:
+    """Travel time of the first arrival, s."""
+    return None if measurement.picks is None else measurement.picks.first_arrival.travel_time
+
+
+def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exact_amplitude: float) -> float:
+    """Normalised L2 distance of two received signals, each over its amplitude, on the time that both cover.
+
+    ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
+    """
+    times = [sample_times(record) for record in (found, exact)]
+    coarser = max(times, key=lambda time: float(time[1] - time[0]))
+    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
+    common = coarser[(coarser >= begin) & (coarser <= end)]
+    first = at_times(common, times[0], found.velocity / amplitude)
+    second = at_times(common, times[1], exact.velocity / exact_amplitude)
+    return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+def at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
+    """Values between samples, by a cubic spline; where they are not finite there is none."""
+    if not np.all(np.isfinite(values)):
+        return np.full(len(wanted), np.nan)
+    return np.asarray(CubicSpline(time, values)(wanted))
+
+
+def sample_times(record: WaveRecord) -> Floats:
+    """Times of the samples of a record, s: velocities belong to half a step before."""
+    return (np.arange(len(record.velocity)) + 1.0) * record.interval - 0.5 * record.time_step
+
+
+def measure_convergence(
+    experiment: Experiment, content: float, seeds: Sequence[int], velocity: float, *, damped: bool, lanes: int = 8
+) -> Convergence:
+    """Measure the order at one content.
+
+    Local damping pushes against the sign of the velocity half a step before, and that sign turns over at some instant
+    within a step: an error of first order. The rest of the scheme is of second order, which shows without damping.
+
+    Parameters
+    ----------
+    experiment, content, seeds
+        What to measure.
+    velocity
+        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been heard.
+    damped
+        See `Convergence`.
+    lanes
+        Width of the kernel.
+    """
+    even = with_wave(
+        experiment,
+        regime="linear",
+        precision="float64",
+        samples_per_period=REFERENCE_SAMPLES,
+        slowest=velocity / 1.5,
+        **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
+    )
+    even = replace(even, early_stop=False, installation="preserve")
+    width = fitting_lanes(seeds, lanes)
+    runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in CONVERGENCE_STEPS]
+    changes = np.median([signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
+    orders = np.log2(changes[:-1] / changes[1:])
+    return Convergence(content, damped, tuple(changes.tolist()), tuple(orders.tolist()))
+
+
+def signal_changes(records: Sequence[WaveRecord]) -> Floats:
+    """Change from each record to the next, at the times of the first."""
+    times = [sample_times(record) for record in records]
+    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
+    common = times[0][(times[0] >= begin) & (times[0] <= end)]
+    signals = [at_times(common, time, record.velocity) for time, record in zip(times, records, strict=True)]
+    size = np.linalg.norm(signals[-1])
+    return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])
