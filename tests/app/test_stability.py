@@ -4,12 +4,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.app.studies.stability.detection import forced
 from calcidem.app.studies.stability.endurance import energy_drift
-from calcidem.app.studies.stability.limits import limits
-from calcidem.app.studies.stability.packings import Packed, packed_experiment, small_packing
-from calcidem.app.studies.stability.scenes import Extreme, content_of, drawn, experiment_of
-from calcidem.app.studies.stability.verdict import Verdict, judge, judge_packed
+from calcidem.app.studies.stability.limits import force_step, limits
+from calcidem.app.studies.stability.scenes import (
+    Extreme,
+    Packed,
+    content_of,
+    draw_scenes,
+    experiment_of_packing,
+    experiment_of_scene,
+    small_packing,
+)
+from calcidem.app.studies.stability.verdict import StabilityVerdict, judge_packing, judge_scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import wave_scene
@@ -19,27 +25,30 @@ SCENES = 512
 
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence() -> None:
     """Of 512 scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
-    judgements = [judge(scene) for scene in drawn(SCENES, seed=1)]
-    assert [judgement for judgement in judgements if judgement.verdict == Verdict.WRONG] == []
+    judgements = [judge_scene(scene) for scene in draw_scenes(SCENES, seed=1)]
+    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
-    assert all(count[verdict] >= 20 for verdict in (Verdict.STABLE, Verdict.REFUSED, Verdict.DETECTED)), count
-    assert all(judgement.reason for judgement in judgements if judgement.verdict != Verdict.STABLE)
+    assert all(
+        count[verdict] >= 20
+        for verdict in (StabilityVerdict.STABLE, StabilityVerdict.REFUSED, StabilityVerdict.DETECTED)
+    ), count
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
 def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    judgements = [judge(scene) for scene in drawn(40, seed=3, box="plausible")]
-    assert [judgement for judgement in judgements if judgement.verdict == Verdict.WRONG] == []
+    judgements = [judge_scene(scene) for scene in draw_scenes(40, seed=3, box="plausible")]
+    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15
 
 
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
     """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
-    caught = forced(1.05, "linear")
+    caught = force_step(1.05, "linear")
     assert caught.steps == caught.looks
     assert "moves at" in caught.problem
-    assert forced(0.99, "linear").steps is None
+    assert force_step(0.99, "linear").steps is None
 
 
 def test_undamped_runs_keep_their_energy() -> None:
@@ -52,8 +61,8 @@ def test_undamped_runs_keep_their_energy() -> None:
 @pytest.mark.parametrize("floating", [1, 3])
 def test_disks_that_float_in_a_pore_do_no_harm(floating: int) -> None:
     """A grain without a contact, or a bonded cluster that nothing holds, changes no velocity."""
-    with_them, without = (judge(Extreme(content=1.0, contrast=1.0, floating=count)) for count in (floating, 0))
-    assert with_them.verdict == without.verdict == Verdict.STABLE
+    with_them, without = (judge_scene(Extreme(content=1.0, contrast=1.0, floating=count)) for count in (floating, 0))
+    assert with_them.verdict == without.verdict == StabilityVerdict.STABLE
     # Small bonded disks need a smaller step, which moves Vs by half a percent in so small a lattice.
     assert with_them.vs == pytest.approx(without.vs, rel=1e-2)
 
@@ -63,7 +72,7 @@ def test_a_packing_near_isostaticity_is_measured_right() -> None:
     packing = small_packing(5.0e3, 1.0)
     assert packing.report.coordination_number_without_rattlers < 3.6
     scene = Packed(5.0e3, 1.0, 2.0, "linear")
-    assert judge_packed(scene, packed_experiment(packing, scene)).verdict != Verdict.WRONG
+    assert judge_packing(scene, experiment_of_packing(packing, scene)).verdict != StabilityVerdict.WRONG
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
@@ -78,30 +87,30 @@ def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, 
 
 def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     """A step fraction above 1 is refused before anything is computed."""
-    judgement = judge(Extreme(step_fraction=1.01))
-    assert judgement.verdict == Verdict.REFUSED
+    judgement = judge_scene(Extreme(step_fraction=1.01))
+    assert judgement.verdict == StabilityVerdict.REFUSED
     assert "choose 0.05 to 0.95" in judgement.reason
 
 
 @pytest.mark.parametrize("regime", ["linear", "small"])
 def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
     """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
-    judgement = judge(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
-    assert judgement.verdict == Verdict.REFUSED
+    judgement = judge_scene(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
+    assert judgement.verdict == StabilityVerdict.REFUSED
     assert "amplitude of at most" in judgement.reason
 
 
 def test_a_pulse_below_the_unbalanced_forces_is_refused() -> None:
     """A gap in the lattice leaves forces unbalanced; a tiny pulse on top of them is not measured."""
-    judgement = judge(Extreme(amplitude=1e-9, missing=0.1, regime="finite"))
-    assert judgement.verdict == Verdict.REFUSED
+    judgement = judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime="finite"))
+    assert judgement.verdict == StabilityVerdict.REFUSED
     assert "unbalanced forces" in judgement.reason
 
 
 def test_bonds_that_break_are_reported_after_one_retry() -> None:
     """A pulse that breaks its sample gives no velocity but the number of broken bonds, and says it was tried twice."""
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
-    experiment = experiment_of(scene)
+    experiment = experiment_of_scene(scene)
     found = measure(experiment, content_of(scene, experiment), [1], lanes=1)[0]
     assert found.outcome == Outcome.UNSTABLE
     assert found.vs is None
@@ -112,7 +121,7 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
 
 def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
-    experiment = experiment_of(Extreme(regime="finite"))
+    experiment = experiment_of_scene(Extreme(regime="finite"))
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     state = advance(start(scene, regime="small", preload=experiment.packing.preload), 20_000)
     overlap = experiment.packing.report.mean_overlap
@@ -121,7 +130,7 @@ def test_a_scene_at_rest_stays_at_rest() -> None:
 
 def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
     """Twice 500 steps from a moving state are 1000 steps, bit by bit."""
-    experiment = experiment_of(Extreme(regime="finite", confinement=1e6))
+    experiment = experiment_of_scene(Extreme(regime="finite", confinement=1e6))
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     velocity = 1e-3 * np.random.default_rng(1).standard_normal((scene.count, 2))
     state = start(scene, regime="small", velocity=velocity)

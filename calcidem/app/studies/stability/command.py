@@ -6,25 +6,34 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from calcidem.analysis.figures.style import save
-from calcidem.app.studies.stability.detection import Detection, detections
 from calcidem.app.studies.stability.endurance import Endurance, endurance
-from calcidem.app.studies.stability.figure import draw_maps
-from calcidem.app.studies.stability.limits import Limits, limits
-from calcidem.app.studies.stability.maps import packing_map, walks
-from calcidem.app.studies.stability.report import draw_tables, tables
-from calcidem.app.studies.stability.scenes import BOXES, Extreme, drawn
-from calcidem.app.studies.stability.verdict import Judgement, judge
+from calcidem.app.studies.stability.limits import Detection, Limits, detections, limits
+from calcidem.app.studies.stability.report import draw_maps, random_scene_tables, stability_tables
+from calcidem.app.studies.stability.scenes import BOXES, Extreme, draw_scenes
+from calcidem.app.studies.stability.verdict import Judgement, judge_scene, packing_map, walks
 
 CONTRASTS = (1.0, 1e2, 1e4, 1e6)
-CONTENTS = (0.0, 0.3, 1.0)
+FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
 PROGRESS = 64  # drawn scenes between two words
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Maps:
-    """What the maps gave: verdicts along each quantity, in small packings, limits, long runs and forced steps."""
+    """What the maps gave.
+
+    Attributes
+    ----------
+    walks
+        Verdicts along each quantity, by its name.
+    packings
+        Verdicts on small packings.
+    limits
+        Time-step limits by stiffness contrast, for bare, partly and fully bonded scenes.
+    endurance
+        Long runs.
+    detections
+        Runs with a forced step.
+    """
 
     walks: dict[str, tuple[Judgement, ...]]
     packings: tuple[Judgement, ...]
@@ -33,7 +42,13 @@ class Maps:
     detections: tuple[Detection, ...]
 
 
-def stability(*, out: Path | None = None, json: bool = False, say: Say, progress: Say = lambda _: None) -> None:
+def stability(
+    *,
+    out: Path | None = None,
+    json: bool = False,
+    say: Callable[[str], None],
+    progress: Callable[[str], None] = lambda _: None,
+) -> None:
     """Map what is stable, refused and detected; ``out`` takes ``stability.png``, ``.md`` and ``.json``."""
     found = Maps(
         walks=walks(progress=progress),
@@ -42,8 +57,8 @@ def stability(*, out: Path | None = None, json: bool = False, say: Say, progress
         endurance=endurance(),
         detections=detections(),
     )
-    text, data = tables(found.walks, found.packings, found.limits, found.endurance, found.detections), asdict(found)
-    as_json = to_json.dumps(data, indent=1)
+    text = stability_tables(found.walks, found.packings, found.limits, found.endurance, found.detections)
+    as_json = to_json.dumps(asdict(found), indent=1)
     if out is not None:
         save(draw_maps(found.walks), out, "stability", ("png",))
         (out / "stability.md").write_text(text)
@@ -53,11 +68,16 @@ def stability(*, out: Path | None = None, json: bool = False, say: Say, progress
 
 def limits_at(contrast: float) -> tuple[Limits, ...]:
     """Predicted and true limits of bare, partly and fully bonded scenes."""
-    return tuple(limits(Extreme(contrast=contrast, content=content)) for content in CONTENTS)
+    return tuple(limits(Extreme(contrast=contrast, content=content)) for content in FILLINGS)
 
 
 def random_scenes(
-    count: int, draw: int, *, json: bool = False, say: Say, progress: Say = lambda _: None
+    count: int,
+    draw: int,
+    *,
+    json: bool = False,
+    say: Callable[[str], None],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Judgement, ...]:
     """Judge scenes drawn at random from each of the `scenes.BOXES`.
 
@@ -75,10 +95,10 @@ def random_scenes(
     found: dict[str, list[Judgement]] = {}
     for box in BOXES:
         found[box] = []
-        for scene in drawn(count, draw, box):
-            found[box].append(judge(scene))
+        for scene in draw_scenes(count, draw, box):
+            found[box].append(judge_scene(scene))
             if len(found[box]) % PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
     data = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
-    say(to_json.dumps(data, indent=1) if json else draw_tables(found))
+    say(to_json.dumps(data, indent=1) if json else random_scene_tables(found))
     return tuple(judgement for row in found.values() for judgement in row)

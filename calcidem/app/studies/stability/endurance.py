@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.studies.stability.limits import acceleration_matrix, inertia_of
-from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime, Scene
 from calcidem.dem.engine.state import State, advance, choose_features, duplicate, start
@@ -30,7 +30,7 @@ class Endurance:
         Of each run.
     drift
         Largest change of the energy without damping over its first value.
-    unrest
+    residual_motion
         Largest displacement of a disk of a balanced scene that was left alone, over the mean overlap.
     restarted
         Whether a run that was stored half-way and read back ended with the same bits.
@@ -39,38 +39,40 @@ class Endurance:
     regime: Regime
     steps: int
     drift: float
-    unrest: float
+    residual_motion: float
     restarted: bool
 
 
 def endurance(steps: int = LONG) -> tuple[Endurance, ...]:
     """Long runs in all regimes of a lattice with a third of its cement."""
     return tuple(
-        Endurance(regime, steps, energy_drift(regime, steps), unrest(regime, steps), restarted(regime))
+        Endurance(
+            regime, steps, energy_drift(regime, steps), residual_motion(regime, steps), restart_keeps_bits(regime)
+        )
         for regime in REGIMES
     )
 
 
-def plain(regime: Regime) -> Extreme:
+def pressed_lattice(regime: Regime) -> Extreme:
     """Lattice that is pressed well."""
     return Extreme(regime=regime, confinement=1e6)
 
 
-def scene_of(regime: Regime, damping: float) -> Scene:
+def scene_at_rest(regime: Regime, damping: float) -> Scene:
     """The lattice without a pulse: walls at rest, bonds at a third of the contacts."""
-    extreme = plain(regime)
-    experiment = experiment_of(extreme)
+    extreme = pressed_lattice(regime)
+    experiment = experiment_of_scene(extreme)
     bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
     bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
     return replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=damping)
 
 
-def thrown(regime: Regime) -> State:
+def moving_state(regime: Regime) -> State:
     """That scene without damping and with random velocities, so small that no contact opens or slips."""
-    scene = scene_of(regime, 0.0)
+    scene = scene_at_rest(regime, 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).limit[0])
-    speed = MOTION * experiment_of(plain(regime)).packing.report.mean_overlap / limit
+    speed = MOTION * experiment_of_scene(pressed_lattice(regime)).packing.report.mean_overlap / limit
     velocity = speed * np.random.default_rng(1).standard_normal((scene.count, 2))
     return start(scene, features=features, velocity=velocity)
 
@@ -80,7 +82,7 @@ def energy_drift(regime: Regime, steps: int) -> float:
 
     The linear regime has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.
     """
-    state = advance(thrown(regime), 1)
+    state = advance(moving_state(regime), 1)
     balance = linear_invariant(state) if regime == "linear" else lambda state: energies(state).imbalance
     inertia = inertia_of(state)
     begin, kinetic = balance(state), 0.5 * float(inertia @ state.motion.velocity[:, :, 0].ravel() ** 2)
@@ -105,17 +107,17 @@ def linear_invariant(state: State) -> Callable[[State], float]:
     return energy
 
 
-def unrest(regime: Regime, steps: int) -> float:
+def residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in a balanced scene that is left alone, over the mean overlap."""
-    scene = scene_of(regime, 0.3)
+    scene = scene_at_rest(regime, 0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     moved = np.abs(advance(state, steps).motion.displacement[:, :2]).max()
-    return float(moved) / experiment_of(plain(regime)).packing.report.mean_overlap
+    return float(moved) / experiment_of_scene(pressed_lattice(regime)).packing.report.mean_overlap
 
 
-def restarted(regime: Regime, steps: int = 1000) -> bool:
+def restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
     """Whether a run that was stored half-way and read back ends with the same bits as one that was not."""
-    state = thrown(regime)
+    state = moving_state(regime)
     half = advance(state, steps // 2)
     again = advance(pickle.loads(pickle.dumps(half)), steps - steps // 2)  # noqa: S301 - what was just written
     whole = advance(state, steps)

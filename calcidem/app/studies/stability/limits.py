@@ -1,18 +1,33 @@
-"""Predicted time-step limit against the true one, from the eigenvalues of what the kernel really does."""
+"""Predicted time-step limit against the true one, and how soon a run above it is ended.
+
+The true limit is from the eigenvalues of what the kernel really does.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.studies.stability.scenes import Extreme, content_of, experiment_of
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.propagation import lane_bonds, wave_scene
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import lane_bonds, prepared, wave_scene
+
+FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Predicted and true critical step of a scene, s."""
+    """Critical time steps of a scene.
+
+    Attributes
+    ----------
+    predicted
+        By the per-particle bound, s.
+    true
+        From the largest eigenvalue, s.
+    """
 
     predicted: float
     true: float
@@ -23,13 +38,38 @@ class Limits:
         return self.predicted / self.true
 
 
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """One run with a forced step.
+
+    Attributes
+    ----------
+    factor
+        Step over the true limit, that of the eigenvalues.
+    regime
+        See `state.start`.
+    steps
+        After which a guard ended it; None if none did.
+    problem
+        What the guard said.
+    looks
+        Steps between two looks of the guards.
+    """
+
+    factor: float
+    regime: Regime
+    steps: int | None
+    problem: str
+    looks: int
+
+
 def limits(scene: Extreme) -> Limits:
     """Critical steps of a scene in the linear regime, with local damping's reduction by ``sqrt(1 + alpha)`` in both.
 
     The scene's damping is taken for all disks, so that the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
     """
     even = replace(scene, regime="linear")
-    experiment = experiment_of(replace(even, step_fraction=0.8))
+    experiment = experiment_of_scene(replace(even, step_fraction=0.8))
     bonded = experiment.ordering(scene.seed).at(content_of(scene, experiment)).bonded
     bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
     damped = replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=scene.damping)
@@ -67,3 +107,44 @@ def acceleration_matrix(state: State) -> Floats:
         run_kernel(state, 1, no_recording(state))
         matrix[:, column] = -velocity[:, :, 0].ravel() / step
     return matrix
+
+
+def detections(factors: tuple[float, ...] = FACTORS) -> tuple[Detection, ...]:
+    """Force steps around the true limit in all regimes of the plain lattice."""
+    return tuple(force_step(factor, regime) for factor in factors for regime in REGIMES)
+
+
+def force_step(factor: float, regime: Regime) -> Detection:
+    """Send a pulse through the plain lattice with a step that nobody could ask for."""
+    scene = Extreme(regime=regime, damping=0.0)
+    experiment = experiment_of_scene(scene)
+    undamped = replace(experiment.wave, boundary_damping=0.0)
+    return run_with_step(
+        replace(experiment, wave=undamped),
+        content_of(scene, experiment),
+        scene.seed,
+        factor,
+        factor * limits(scene).true,
+    )
+
+
+def run_with_step(experiment: Experiment, content: float, seed: int, factor: float, step: float) -> Detection:
+    """Send a pulse through one sample of an experiment with any step, s."""
+    bonded = experiment.ordering(seed).at(content).bonded
+    packing, sand = experiment.stiffened()
+    recorder = prepared(
+        packing,
+        sand,
+        experiment.cement,
+        [bonded],
+        experiment.frequency(content),
+        experiment.wave,
+        heard_enough=lambda _: False,
+        lanes=1,
+        installation=experiment.installation,
+        check=lambda: None,
+    )
+    recorder.state = replace(recorder.state, time_step=recorder.state.time_step * 0.0 + step)
+    record = recorder.run(packing.width, lambda: None)[0]
+    steps = record.steps if record.problem else None
+    return Detection(factor, experiment.wave.regime, steps, record.problem, recorder.steps_per_look)

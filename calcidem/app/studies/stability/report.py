@@ -1,19 +1,27 @@
-"""Verdicts, limits, long runs and detections as Markdown tables."""
+"""Verdicts, limits, long runs and detections as Markdown tables, and a figure of the verdicts."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from calcidem.app.studies.stability.detection import Detection
+from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, new_figure
 from calcidem.app.studies.stability.endurance import Endurance
-from calcidem.app.studies.stability.limits import Limits
-from calcidem.app.studies.stability.packings import Packed
-from calcidem.app.studies.stability.scenes import REGIMES
-from calcidem.app.studies.stability.verdict import Judgement, Verdict
+from calcidem.app.studies.stability.limits import Detection, Limits
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme, Packed
+from calcidem.app.studies.stability.verdict import WALKS, Judgement, StabilityVerdict
+
+COLOURS = {
+    StabilityVerdict.STABLE: BLUE,
+    StabilityVerdict.REFUSED: GREY,
+    StabilityVerdict.DETECTED: ORANGE,
+    StabilityVerdict.WRONG: VERMILION,
+}
+PANELS_ACROSS = 2
 
 
-def tables(
+def stability_tables(
     walks: Mapping[str, Sequence[Judgement]],
     packings: Sequence[Judgement],
     limits: Mapping[float, Sequence[Limits]],
@@ -23,7 +31,7 @@ def tables(
     """Give all tables of the maps."""
     parts = (
         verdict_table("quantity", walks),
-        packing_table(packings),
+        small_packing_table(packings),
         limit_table(limits),
         endurance_table(endurance),
         detection_table(detections),
@@ -33,26 +41,26 @@ def tables(
 
 def verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> list[str]:
     """Give the number of scenes of each verdict in every row."""
-    lines = [f"| {title} | " + " | ".join(Verdict) + " |", "|---|" + "---|" * len(Verdict)]
+    lines = [f"| {title} | " + " | ".join(StabilityVerdict) + " |", "|---|" + "---|" * len(StabilityVerdict)]
     for name, row in found.items():
         count = Counter(judgement.verdict for judgement in row)
-        lines.append(f"| {name} | " + " | ".join(str(count[verdict]) for verdict in Verdict) + " |")
+        lines.append(f"| {name} | " + " | ".join(str(count[verdict]) for verdict in StabilityVerdict) + " |")
     return lines
 
 
-def draw_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
+def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
     """Give the verdicts of each box, the errors of the velocities, and every scene that was wrong."""
     lines = [*verdict_table("box", found), "", "| box | velocities | error, median | worst |", "|---|---|---|---|"]
     for box, row in found.items():
         errors = [abs(judgement.error) for judgement in row if judgement.error is not None]
         if errors:
             lines.append(f"| {box} | {len(errors)} | {np.median(errors):.1e} | {max(errors):.1e} |")
-    wrong = [judgement for row in found.values() for judgement in row if judgement.verdict == Verdict.WRONG]
+    wrong = [judgement for row in found.values() for judgement in row if judgement.verdict == StabilityVerdict.WRONG]
     lines += ["", *(f"wrong: {judgement}" for judgement in wrong)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def packing_table(found: Sequence[Judgement]) -> list[str]:
+def small_packing_table(found: Sequence[Judgement]) -> list[str]:
     """Give the verdict of each small packing in each regime."""
     lines = [f"| stress, Pa | friction | content % | {' | '.join(REGIMES)} |", "|---|---|---|" + "---|" * len(REGIMES)]
     rows: dict[tuple[float, float, float], dict[str, str]] = {}
@@ -60,16 +68,16 @@ def packing_table(found: Sequence[Judgement]) -> list[str]:
         scene = judgement.scene
         if isinstance(scene, Packed):
             key = (scene.stress, scene.friction, scene.content)
-            rows.setdefault(key, {})[scene.regime] = described(judgement)
+            rows.setdefault(key, {})[scene.regime] = describe_judgement(judgement)
     for key, row in rows.items():
         place = " | ".join(f"{number:g}" for number in key)
         lines.append(f"| {place} | " + " | ".join(row.get(regime, "") for regime in REGIMES) + " |")
     return lines
 
 
-def described(judgement: Judgement) -> str:
+def describe_judgement(judgement: Judgement) -> str:
     """Give the velocity and its error, or the verdict and the start of its reason."""
-    if judgement.verdict == Verdict.STABLE and judgement.vs is not None:
+    if judgement.verdict == StabilityVerdict.STABLE and judgement.vs is not None:
         return f"{judgement.vs:.3g} m/s" + (f" ({judgement.error:+.1e})" if judgement.error is not None else "")
     # Of "amplitude = 1: unbalanced forces ..., more than ..." the cause is wanted, of others the first clause.
     clauses = judgement.reason.split(": ")
@@ -95,7 +103,7 @@ def endurance_table(rows: Iterable[Endurance]) -> list[str]:
     ]
     for row in rows:
         same = "same bits" if row.restarted else "other bits"
-        lines.append(f"| {row.regime} | {row.steps} | {row.drift:.1e} | {row.unrest:.1e} | {same} |")
+        lines.append(f"| {row.regime} | {row.steps} | {row.drift:.1e} | {row.residual_motion:.1e} | {same} |")
     return lines
 
 
@@ -107,3 +115,24 @@ def detection_table(rows: Iterable[Detection]) -> list[str]:
         steps = "not ended" if row.steps is None else str(row.steps)
         lines.append(f"| {row.factor:g} | {row.regime} | {steps} | {row.looks} | {row.problem or '-'} |")
     return lines
+
+
+@apply_style
+def draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
+    """Draw one row of marks for each regime along each quantity."""
+    rows = -(-len(found) // PANELS_ACROSS)
+    figure = new_figure(1.4 * rows)
+    panels = figure.subplots(rows, PANELS_ACROSS, squeeze=False).ravel()
+    for axes, (name, row) in zip(panels, found.items(), strict=False):
+        for judgement in row:
+            if isinstance(judgement.scene, Extreme):
+                place = WALKS[name].index(getattr(judgement.scene, name)), REGIMES.index(judgement.scene.regime)
+                axes.plot(*place, "s", color=COLOURS[judgement.verdict], markersize=6)
+        axes.set_xticks(range(len(WALKS[name])), [f"{value:g}" for value in WALKS[name]], fontsize=6)
+        axes.set_yticks(range(len(REGIMES)), REGIMES, fontsize=7)
+        axes.set(ylim=(-0.6, len(REGIMES) - 0.4), title=name.replace("_", " "))
+    for axes in panels[len(found) :]:
+        axes.set_axis_off()
+    handles = [panels[0].plot([], [], "s", color=colour, label=verdict)[0] for verdict, colour in COLOURS.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return figure

@@ -1,6 +1,11 @@
-"""Small extreme scenes: a lattice of disks in a box, with everything that may go wrong as a number."""
+"""Small extreme scenes: a lattice of disks in a box with everything that may go wrong as a number, and small packings.
 
-from dataclasses import dataclass
+The packings are at the edge of rigidity: hardly pressed (nearly unjammed), or with hardly enough contacts. A packing of
+disks with friction is isostatic at three contacts a disk, one without friction at four; friction while packing decides
+which of the two is come near.
+"""
+
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +17,13 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import Preload
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
-from calcidem.dem.sample.packing import Packing, PackingReport
+from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.rule import WaveRule
 
 RADIUS = 1.25e-3  # m, of the largest disks
-COLUMNS, ROWS = 6, 10
+DISKS_ACROSS, DISKS_UP = 6, 10
 SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
 SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
@@ -51,6 +56,15 @@ PLAUSIBLE = {
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
 POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
+
+STRESSES = (1.0e2, 5.0e3, 5.0e5)  # on a small packing, Pa
+FRICTIONS = (0.0, 0.2, 1.0)  # while packing
+CONTENTS = (0.0, 2.0)  # of small packings, percent
+BOX_WIDTH, BOX_HEIGHT = 0.025, 0.04  # m
+UNBALANCED_FORCE_RATIO = 1.0e-7  # so few contacts take long to come to rest
+STROKE = 0.1  # of the pulse over the mean overlap
+SLOW_PULSE = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
+CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave, whatever presses the contacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +116,32 @@ class Extreme:
     seed: int = 1
 
 
-def drawn(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """One sample of a small packing.
+
+    Attributes
+    ----------
+    stress
+        On the lid, Pa.
+    friction
+        Between the disks while packing.
+    content
+        Percent.
+    regime
+        See `state.start`.
+    seed
+        Of packing and cement.
+    """
+
+    stress: float
+    friction: float
+    content: float
+    regime: Regime
+    seed: int = 1
+
+
+def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
     """Latin hypercube over all quantities of one of the `BOXES`, with regimes taking turns."""
     ranges = BOXES[box]
     sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
@@ -115,7 +154,7 @@ def drawn(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
     return tuple(scenes)
 
 
-def experiment_of(extreme: Extreme) -> Experiment:
+def experiment_of_scene(extreme: Extreme) -> Experiment:
     """Experiment for `measurement.measure`, whose single content is `content_of` it.
 
     Raises
@@ -170,7 +209,7 @@ def lattice(extreme: Extreme, sand: Sand) -> Packing:
     spacing = 2.0 * RADIUS - overlap
     # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
     to_wall = RADIUS - overlap / 2.0 ** (1.0 / 3.0)
-    column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
+    column, row = np.meshgrid(np.arange(DISKS_ACROSS), np.arange(DISKS_UP))
     kept = generator.random(column.size) >= extreme.missing
     x, y = (to_wall + index.ravel()[kept] * spacing for index in (column, row))
     radius = np.full(len(x), RADIUS)
@@ -181,15 +220,15 @@ def lattice(extreme: Extreme, sand: Sand) -> Packing:
         apart = (RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
         x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
         radius = np.append(radius, np.full(len(hosts), small))
-    inside = (x < spacing * (COLUMNS - 1) + 1.1 * to_wall) & (y < spacing * (ROWS - 1) + 1.1 * to_wall)
+    inside = (x < spacing * (DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (DISKS_UP - 1) + 1.1 * to_wall)
     x, y, radius = with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
     pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
     return Packing(
         x,
         y,
         radius,
-        width=spacing * (COLUMNS - 1) + 2.0 * to_wall,
-        height=spacing * (ROWS - 1) + 2.0 * to_wall,
+        width=spacing * (DISKS_ACROSS - 1) + 2.0 * to_wall,
+        height=spacing * (DISKS_UP - 1) + 2.0 * to_wall,
         preload=Preload(pairs, np.zeros(len(pairs))),
         report=report_of(extreme, overlap),
     )
@@ -202,7 +241,7 @@ def with_floaters(
     own = FLOATER * RADIUS
     # They overlap by rounding alone, so that they touch without pushing.
     along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
-    middle = to_wall + spacing * np.array([COLUMNS // 2 - 0.5, ROWS // 2 - 0.5])
+    middle = to_wall + spacing * np.array([DISKS_ACROSS // 2 - 0.5, DISKS_UP // 2 - 0.5])
     return (
         np.append(x, middle[0] + along),
         np.append(y, np.full(count, middle[1])),
@@ -230,6 +269,36 @@ def overlap_under(stress: float, sand: Sand) -> float:
     """Overlap of the contacts of a lattice that a stress (Pa) presses, m: force = stress times diameter, Hertz."""
     coefficient = float(sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS)))
     return float((stress * 2.0 * RADIUS / coefficient) ** (2.0 / 3.0))
+
+
+def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
+    """About 150 disks at rest under a stress, Pa."""
+    rule = PackingRule(
+        width=BOX_WIDTH,
+        height=BOX_HEIGHT,
+        stress=stress,
+        friction_preparation=friction,
+        unbalanced_force_ratio=UNBALANCED_FORCE_RATIO,
+    )
+    return make_packing(rule, Sand(), np.random.default_rng(seed))
+
+
+def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
+    """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
+    sand = Sand()
+    radius = float(np.mean(packing.radius))
+    cut_off = cutoff_frequency(pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
+    frequency = CEMENTED_FREQUENCY if scene.content > 0.0 else SLOW_PULSE * cut_off
+    wave = WaveRule(
+        amplitude=STROKE * packing.report.mean_overlap * frequency,
+        transmitter_half_width=BOX_HEIGHT / 5.0,
+        receiver_half_width=BOX_HEIGHT / 5.0,
+        boundary_thickness=BOX_HEIGHT / 8.0,
+        listening_depth=5.0 * radius,
+        slowest=0.3 * radius * cut_off,
+        regime=scene.regime,
+    )
+    return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))
 
 
 def pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:

@@ -1,12 +1,24 @@
-"""Runs an extreme scene and says what became of it."""
+"""Runs extreme scenes and says what became of them: one by one, along one quantity at a time, and in small packings."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from calcidem.app.studies.accuracy.reference import signal_distance
-from calcidem.app.studies.stability.packings import Packed
-from calcidem.app.studies.stability.scenes import Extreme, content_of, experiment_of
+from calcidem.app.studies.stability.scenes import (
+    CONTENTS,
+    FRICTIONS,
+    REGIMES,
+    STRESSES,
+    Extreme,
+    Packed,
+    content_of,
+    experiment_of_packing,
+    experiment_of_scene,
+    small_packing,
+)
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 
@@ -15,8 +27,25 @@ FINER = 4  # times smaller step, and denser samples, of the run that decides
 ALIKE = 0.1
 """Distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call."""
 
+WALKS: dict[str, tuple[float, ...]] = {
+    "step_fraction": (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2),
+    "contrast": (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6),
+    "damping": (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0),
+    "amplitude": (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
+    "frequency": (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
+    "size_ratio": (1.0, 3.0, 5.0, 10.0, 20.0),
+    "content": (0.0, 0.1, 0.3, 0.6, 0.9, 1.0),
+    "confinement": (1.0, 1e2, 1e4, 1e6, 1e8),
+    "missing": (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
+    "strength": (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
+    "floating": (0, 1, 2, 3),
+}
+"""Values of each quantity; all others stay as `Extreme` has them, except those of `BASES`."""
+BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(amplitude=1e-3)}
+"""Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
-class Verdict(StrEnum):
+
+class StabilityVerdict(StrEnum):
     """What became of a scene."""
 
     STABLE = "stable"
@@ -27,60 +56,109 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Verdict on a scene, with its reason in words, the velocity if there is one, and its true relative error."""
+    """What became of one scene.
+
+    Attributes
+    ----------
+    scene
+        Which one.
+    verdict
+        What became of it.
+    reason
+        Why, in words.
+    vs
+        Velocity, m/s; None if there is none.
+    error
+        Its true relative error; None if it is not known.
+    """
 
     scene: Extreme | Packed
-    verdict: Verdict
+    verdict: StabilityVerdict
     reason: str = ""
     vs: float | None = None
     error: float | None = None
 
 
-def judge(scene: Extreme) -> Judgement:
+def judge_scene(scene: Extreme) -> Judgement:
     """Run a scene as a user would, and once more with a far smaller step, for longer, if it gave a velocity."""
 
     def make() -> tuple[Experiment, float]:
-        experiment = experiment_of(scene)
+        experiment = experiment_of_scene(scene)
         return experiment, content_of(scene, experiment)
 
-    return judged(scene, make)
+    return judge_experiment(scene, make)
 
 
-def judge_packed(scene: Packed, experiment: Experiment) -> Judgement:
+def judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
     """Do the same on a real packing."""
-    return judged(scene, lambda: (experiment, scene.content))
+    return judge_experiment(scene, lambda: (experiment, scene.content))
 
 
-def judged(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
+def judge_experiment(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
     """Run what ``make`` gives: an experiment, and a content in percent."""
     try:
         experiment, content = make()
-        found = measured(experiment, content, scene)
+        found = measure_sample(experiment, content, scene)
     except ValueError as error:
-        return Judgement(scene, Verdict.REFUSED, str(error))
+        return Judgement(scene, StabilityVerdict.REFUSED, str(error))
     if found.outcome != Outcome.DONE or found.vs is None:
-        return Judgement(scene, Verdict.DETECTED, found.reason)
+        return Judgement(scene, StabilityVerdict.DETECTED, found.reason)
     finer = replace(
         experiment.wave,
         step_fraction=experiment.wave.step_fraction / FINER,
         samples_per_period=experiment.wave.samples_per_period * FINER,
         slowest=experiment.wave.slowest / 2.0,
     )
-    return compared(scene, experiment, found, measured(replace(experiment, wave=finer), content, scene))
+    return compare_with_finer(scene, experiment, found, measure_sample(replace(experiment, wave=finer), content, scene))
 
 
-def measured(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
+def measure_sample(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
     """Measure the scene's one sample."""
     return measure(experiment, content, [scene.seed], lanes=1)[0]
 
 
-def compared(scene: Extreme | Packed, experiment: Experiment, found: Measurement, exact: Measurement) -> Judgement:
+def compare_with_finer(
+    scene: Extreme | Packed, experiment: Experiment, found: Measurement, exact: Measurement
+) -> Judgement:
     """Hold a velocity against that of a far smaller step."""
     if found.vs is None or exact.vs is None:
         amplitude = experiment.wave.amplitude
         distance = signal_distance(found.record, amplitude, exact.record, amplitude)
-        verdict = Verdict.STABLE if distance < ALIKE else Verdict.WRONG
+        verdict = StabilityVerdict.STABLE if distance < ALIKE else StabilityVerdict.WRONG
         return Judgement(scene, verdict, f"{exact.reason} with a smaller step, signals {distance:.2g} apart", found.vs)
     error = found.vs / exact.vs - 1.0
     right = abs(error) <= max(TOLERANCE, found.error_estimate or 0.0)
-    return Judgement(scene, Verdict.STABLE if right else Verdict.WRONG, found.record.retry, found.vs, error)
+    return Judgement(
+        scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, found.record.retry, found.vs, error
+    )
+
+
+def walks(
+    names: Iterable[str] = tuple(WALKS), progress: Callable[[str], None] = lambda _: None
+) -> dict[str, tuple[Judgement, ...]]:
+    """Judge the scenes of each walk in all regimes."""
+    found = {}
+    for name in names:
+        progress(name)
+        found[name] = tuple(judge_scene(scene_with(name, value, regime)) for value in WALKS[name] for regime in REGIMES)
+    return found
+
+
+def scene_with(name: str, value: float, regime: Regime) -> Extreme:
+    """Return the plain scene with one quantity changed."""
+    changes: dict[str, Any] = {name: value, "regime": regime}
+    return replace(BASES.get(name, Extreme()), **changes)
+
+
+def packing_map(
+    stresses: Iterable[float] = STRESSES, progress: Callable[[str], None] = lambda _: None
+) -> tuple[Judgement, ...]:
+    """Judge samples of small packings from nearly unjammed to well pressed, bare and cemented, in all regimes."""
+    found = []
+    for stress in stresses:
+        for friction in FRICTIONS:
+            progress(f"packing under {stress:g} Pa, friction {friction:g}")
+            packing = small_packing(stress, friction)
+            scenes = [Packed(stress, friction, content, regime) for content in CONTENTS for regime in REGIMES]
+            found += [judge_packing(scene, experiment_of_packing(packing, scene)) for scene in scenes]
+    return tuple(found)
