@@ -240,7 +240,7 @@ PHYSICAL = [
 def test_whatever_changes_the_physics_changes_the_hash(attribute: str, name: str) -> None:
     """Every key of the physical sections is part of the campaign's hash."""
     configuration = Configuration()
-    part: "DataclassInstance" = getattr(configuration, attribute)
+    part: DataclassInstance = getattr(configuration, attribute)
     changed = object.__new__(type(part))
     for field in fields(part):  # past the checks: most of these values are nonsense
         value = getattr(part, field.name)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sqlalchemy import select
 
 from calcidem.analysis.intervals import Interval, mean_interval
-from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.engine import make_engine, parse_address
 from calcidem.storage.sql.lease import STALE_AFTER
@@ -120,6 +120,18 @@ class CampaignStatus:
     def pending(self) -> int:
         """Number of cells without an outcome."""
         return self.counts.get(CellStatus.PENDING, 0)
+
+
+def read_status(database: str | os.PathLike[str], campaign_name: str | None = None) -> CampaignStatus:
+    """Progress of a stored campaign at this moment.
+
+    Raises
+    ------
+    StoreError
+        If the database can't be read or has no such campaign.
+    """
+    with open_stored_campaign(database, campaign_name) as campaign:
+        return campaign_status(campaign, running=is_being_written(database, campaign.record.name))
 
 
 def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatus:

@@ -11,16 +11,16 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import PARAMETERS, Calibration, calibrate, calibrated_text
 
 
-def calibrate_campaign(
+def calibrate_command(
     configuration: Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")],
     target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
     parameter: Annotated[
-        list[str] | None, typer.Option(help=f"Parameter to fit; may be repeated. Among {', '.join(PARAMETERS)}.")
+        list[str] | None, typer.Option(help=f"Parameter to fit, one of {', '.join(PARAMETERS)}; may be repeated.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=2, help="Seeds of each content, the same in every trial.")] = 16,
+    seeds: Annotated[int, typer.Option(min=2, help="Number of seeds at each content, the same in every trial.")] = 16,
 ) -> None:
-    """Fit parameters so that mean Vs meets measured values, and write a calibrated configuration."""
+    """Fit parameters so that the mean of Vs matches measured values, and write a calibrated configuration."""
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, typer.echo)
@@ -65,7 +65,7 @@ def calibration_lines(fitted: Calibration) -> list[str]:
             if j > i
         ]
     lines += [
-        f"{content:g} %: wanted {wanted:.1f} m/s, reached {fitted.fitted[content]:.1f} m/s "
+        f"{content:g} %: target {wanted:.1f} m/s, reached {fitted.fitted[content]:.1f} m/s "
         f"({100.0 * (fitted.fitted[content] / wanted - 1.0):+.1f} %)"
         for content, wanted in fitted.targets.items()
     ]

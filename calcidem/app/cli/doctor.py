@@ -1,4 +1,4 @@
-"""``calcidem doctor``: what stands between this machine and a campaign, a verdict a line."""
+"""``calcidem doctor``: what stands between this machine and a campaign, one finding per line."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +13,9 @@ from calcidem.app.doctor.finding import Finding, Verdict
 STYLES = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.PROBLEM: "bold red"}
 
 
-def doctor(
+def doctor_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="[DIR]", help="Folder in which the database is to be; this one by default.")
+        Path, typer.Argument(metavar="[DIR]", help="Folder for the database; the current one by default.")
     ] = Path(),
 ) -> None:
     """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; say what to do about what is wrong.
@@ -27,7 +27,7 @@ def doctor(
     for finding in findings(folder):
         console.print(finding_line(finding), soft_wrap=True)
         found.append(finding)
-    console.print(conclusion(found))
+    console.print(findings_summary(found))
     if any(finding.verdict is Verdict.PROBLEM for finding in found):
         raise typer.Exit(1)
 
@@ -38,7 +38,7 @@ def finding_line(finding: Finding) -> Text:
     return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line
 
 
-def conclusion(found: list[Finding]) -> str:
+def findings_summary(found: list[Finding]) -> str:
     """The last line."""
     numbers = {verdict: sum(finding.verdict is verdict for finding in found) for verdict in Verdict}
     if not numbers[Verdict.PROBLEM] and not numbers[Verdict.WARNING]:

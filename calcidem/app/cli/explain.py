@@ -9,7 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.cli.run_campaign import make_console
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
+from calcidem.app.cli.tables import make_console
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
 from calcidem.app.studies.explain import Explanation, explain
@@ -18,21 +19,19 @@ DEFAULT_CELLS = 8
 """Seeds of one content that are measured, one batch."""
 
 
-def explain_campaign(
-    configuration: Annotated[Path, typer.Argument(metavar="[CONFIG]", help="TOML file of the campaign.")] = Path(
-        "calcidem.toml"
-    ),
+def explain_command(
+    configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: Annotated[
-        list[float] | None, typer.Option(help="Only this content, in percent; may be repeated. By default three.")
+        list[float] | None, typer.Option(help="Only this content, percent; may be repeated. By default three.")
     ] = None,
     accuracy: Annotated[
-        Path | None, typer.Option(metavar="JSON", help="What 'calcidem accuracy' found for this campaign.")
+        Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out' for this campaign.")
     ] = None,
 ) -> None:
-    """Show what each content needs of the kernel and what is left out: why that is safe, what it saves and costs.
+    """Show which parts of the computation each content needs, and why leaving out the others is safe and what it saves.
 
-    Times and differences are measured here and now, on cells of the campaign; errors are those that 'calcidem accuracy'
-    measured against a converged reference.
+    Times and differences are measured now, on cells of the campaign; errors are those that 'calcidem accuracy' measured
+    against a converged reference.
     """
     loaded = load_configuration(configuration)
     try:
@@ -49,33 +48,33 @@ def explain_campaign(
         seeds,
         loaded.run.lanes,
         measured,
-        progress=lambda text: typer.echo(f"measuring {text}", err=True),
+        progress=lambda text: typer.echo(f"Measuring {text}", err=True),
     )
     console = make_console()
     for value in chosen:
         console.print(explanation_table(value, [row for row in rows if row.content == value]))
-    console.print(where_from(measured, str(configuration)))
+    console.print(errors_source(measured, str(configuration)))
 
 
-def where_from(measured: MeasuredErrors | None, configuration: str) -> str:
-    """Say where the errors are from, or how to get them."""
+def errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
+    """Where the errors are from, or how to get them."""
     if measured is None:
         return (
-            f"The errors of this campaign have not been measured: calcidem accuracy {configuration} --out DIR, "
-            "then add --accuracy DIR/accuracy.json."
+            "The errors of this campaign have not been measured yet. To see them here, run "
+            f"'calcidem accuracy {configuration} --out DIR' and add --accuracy DIR/accuracy.json."
         )
-    return f"Errors: largest of the cells measured by calcidem accuracy, own way and other way, from {measured.source}."
+    return f"Errors: largest of the cells that calcidem accuracy measured, from {measured.source}."
 
 
 def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
     """Table of one content."""
     table = Table(title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("what")
+    table.add_column("part")
     table.add_column("needed")
     table.add_column("why")
-    table.add_column("time the other way", justify="right")
-    table.add_column("difference in Vs", justify="right")
-    table.add_column("error of Vs, own and other way", justify="right")
+    table.add_column("time of the alternative", justify="right")
+    table.add_column("change of Vs", justify="right")
+    table.add_column("error of Vs, own and of the alternative", justify="right")
     for row in rows:
         table.add_row(
             row.alternative.what,

@@ -6,19 +6,19 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.merge import Merged, conflict_lines, merge_databases
+from calcidem.app.cli.arguments import CampaignName
 
 
-def merge(
+def merge_command(
     sources: Annotated[list[str], typer.Argument(metavar="A.db B.db ...", help="Databases of the same campaign.")],
     out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; must not exist yet.")],
     prefer: Annotated[
-        str | None, typer.Option(metavar="A.db", help="Whose value to take where databases disagree on a done cell.")
+        str | None,
+        typer.Option(metavar="A.db", help="Database whose value to take where several disagree on a done cell."),
     ] = None,
-    campaign: Annotated[
-        str | None, typer.Option("--campaign", help="Which one, if the databases have several.")
-    ] = None,
+    campaign: CampaignName = None,
 ) -> None:
-    """Join databases of one campaign, such as those of several seed ranges, into a new one.
+    """Merge databases of one campaign, such as those of several seed ranges, into a new one.
 
     Done cells win over all others. Where two databases have different values for the same done cell, nothing is written
     unless --prefer says which to take.
@@ -33,13 +33,13 @@ def merge(
 def merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:
     """What was done, for a person."""
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
-    lines = [f"Merged {merged.settled} settled cells of {merged.planned} planned ones into {out}:", *taken]
+    lines = [f"Merged {merged.settled} finished cells, of {merged.planned} planned, into {out}:", *taken]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
     if merged.overruled:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:
-        lines.append(f"  {len(merged.conflicts)} done cells had different values, taken as --prefer says:")
+        lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
         lines += ["  " + line for line in conflict_lines(merged.conflicts, sources)]
     if merged.settled < merged.planned:
         lines.append(f"The other cells are pending; 'calcidem run CONFIG --db {out}' computes them.")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.files import write_atomically
@@ -29,7 +30,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 class Format(StrEnum):
-    """How the answer is written."""
+    """Output format."""
 
     TABLE = "table"
     CSV = "csv"
@@ -37,28 +38,28 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
-def query(
-    database: Annotated[str, typer.Argument(help="SQLite file or database URL.")],
-    content: Annotated[list[float] | None, typer.Option(help="Only this content, in percent; may be repeated.")] = None,
-    seed: Annotated[list[int] | None, typer.Option(help="Only this seed; may be repeated.")] = None,
+def query_command(
+    database: Database,
+    content: OnlyContents = None,
+    seed: OnlySeeds = None,
     status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status; may be repeated.")] = None,
     where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
-    columns: Annotated[str | None, typer.Option(help='Quantities, such as "seed,vs,steps", or "all".')] = None,
-    sort: Annotated[str, typer.Option(help='Sort by these, such as "-vs,seed"; "-" is for descending.')] = "",
-    limit: Annotated[int | None, typer.Option(min=0, help="Give the first so many only.")] = None,
-    layout: Annotated[Format, typer.Option("--format", help="How to write the answer.")] = Format.TABLE,
-    out: Annotated[Path | None, typer.Option(help="File to write, instead of showing it.")] = None,
-    campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
+    columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
+    sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
+    limit: Annotated[int | None, typer.Option(min=0, help="Show at most this many rows.")] = None,
+    layout: Annotated[Format, typer.Option("--format", help="Output format.")] = Format.TABLE,
+    out: Annotated[Path | None, typer.Option(help="File to write instead of showing the rows.")] = None,
+    campaign: CampaignName = None,
 ) -> None:
-    """Show the cells of a campaign that meet all the conditions given."""
+    """Show the cells of a campaign that meet all given conditions."""
     try:
         selection = Selection(seed or None, content or None, status or None, where)
     except ValueError as error:
         raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
-    found = find(database, selection, column_names(columns), split(sort), limit, campaign)
+    found = find(database, selection, column_names(columns), split_list(sort), limit, campaign)
     if layout is Format.PARQUET:
         if out is None:
-            raise QueryError("Parquet is no text.", "Give a file with --out.")
+            raise QueryError("Parquet is a binary format.", "Give a file with --out.")
         write_parquet(found, out)
     elif out is not None:
         with write_atomically(out) as temporary:
@@ -75,7 +76,7 @@ def find(
     limit: int | None = None,
     campaign_name: str | None = None,
 ) -> Columns:
-    """Return columns of the selected cells; see `calcidem.storage.store.Store.table`.
+    """Columns of the selected cells; see `calcidem.storage.store.Store.table`.
 
     Raises
     ------
@@ -89,19 +90,19 @@ def find(
 
 
 def column_names(text: str | None) -> Sequence[str]:
-    """Return the columns asked for: the default ones, all, or a list with commas."""
+    """Columns asked for: the default ones, all, or a list with commas."""
     if text is None:
         return DEFAULT_COLUMNS
-    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(split(text)))
+    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(split_list(text)))
 
 
-def split(text: str) -> list[str]:
-    """Return the parts of a list with commas."""
-    return [part.strip() for part in text.split(",") if part.strip()]
+def split_list(text: str) -> list[str]:
+    """Parts of a list with commas."""
+    return [part.strip() for part in text.split_list(",") if part.strip()]
 
 
 def as_text(columns: Columns, layout: Format) -> str:
-    """Return the columns as a table, CSV or JSON."""
+    """Columns as a table, CSV or JSON."""
     rows = list(zip(*(plain_values(name, values) for name, values in columns.items()), strict=True))
     if layout is Format.JSON:
         return json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1, ensure_ascii=False) + "\n"
@@ -115,7 +116,7 @@ def as_text(columns: Columns, layout: Format) -> str:
 
 
 def plain_values(name: str, values: NDArray[Any]) -> list[Any]:
-    """Return the values of a column as Python's own, None where missing."""
+    """Values of a column as Python's own, None where missing."""
     if QUANTITY_BY_NAME[name].kind == "whole":
         return [None if math.isnan(value) else int(value) for value in values.tolist()]
     if QUANTITY_BY_NAME[name].kind == "real":
@@ -124,7 +125,7 @@ def plain_values(name: str, values: NDArray[Any]) -> list[Any]:
 
 
 def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return rows in aligned columns with the units in the head; no wider than the numbers need."""
+    """Rows in aligned columns with the units in the head; no wider than the numbers need."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in names:
         quantity = QUANTITY_BY_NAME[name]
@@ -133,7 +134,7 @@ def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
             f"{name}{unit}".replace("[", r"\["), justify="left" if quantity.kind == "text" else "right", no_wrap=True
         )
     for row in rows:
-        table.add_row(*(shown(value) for value in row))
+        table.add_row(*(format_value(value) for value in row))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
     Console(file=stream, width=1000, highlight=False, markup=True).print(table)
@@ -141,8 +142,8 @@ def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join([*lines, f"{len(rows)} cells", ""])
 
 
-def shown(value: object) -> str:
-    """Return a value as people read it: six digits, the first line of a text, nothing where it is missing."""
+def format_value(value: object) -> str:
+    """Value as people read it: six digits, the first line of a text, nothing where it is missing."""
     if value is None:
         return ""
     if isinstance(value, float):
@@ -168,5 +169,5 @@ def write_parquet(columns: Columns, out: Path) -> None:
             frame.to_parquet(temporary, index=False)
     except ImportError as error:
         raise QueryError(
-            "Writing Parquet needs a library that isn't there.", "Install it: pip install 'calcidem[parquet]'."
+            "Writing Parquet needs a library that isn't installed.", "Install it: pip install 'calcidem[parquet]'."
         ) from error

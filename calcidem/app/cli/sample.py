@@ -6,18 +6,19 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
+from calcidem.app.cli.arguments import CampaignName, Database
 
 
-def export_sample(
-    database: Annotated[str, typer.Argument(help="SQLite file or database URL.")],
+def sample_command(
+    database: Database,
     out: Annotated[Path, typer.Argument(help=f"File to write; its ending decides: {', '.join(SUFFIXES)}.")],
     seed: Annotated[int, typer.Option(help="Seed of the sample.")],
-    content: Annotated[float, typer.Option(help="Its calcite content, in percent.")],
-    campaign: Annotated[str | None, typer.Option(help="Which campaign, where there are several.")] = None,
+    content: Annotated[float, typer.Option(help="Calcite content of the sample, percent.")],
+    campaign: CampaignName = None,
 ) -> None:
     """Write one sample for ParaView (.vtu, .vtk), or the disks of its packing as CSV (x, y, radius in m)."""
     if out.suffix.lower() not in SUFFIXES:
         raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
     with open_campaign(database, campaign) as opened:
         write_sample(opened.sample(seed=seed, content=content), out)
-    typer.echo(f"Written: {out}")
+    typer.echo(f"Wrote {out}")

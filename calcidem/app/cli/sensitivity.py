@@ -1,4 +1,4 @@
-"""``calcidem sensitivity``: what each choice of a campaign does to mean and scatter of Vs."""
+"""``calcidem sensitivity``: how each choice of a campaign changes mean and scatter of Vs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,13 +10,13 @@ from calcidem.app.studies.sensitivity.study import changes, compute
 from calcidem.app.studies.sensitivity.table import sensitivity_table
 
 
-def measure_sensitivity(
+def sensitivity_command(
     plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Variants of a configuration.")],
-    database: Annotated[str, typer.Option("--db", metavar="FILE", help="Database for all of them.")],
+    database: Annotated[str, typer.Option("--db", metavar="FILE", help="Database for all variants.")],
     out: Annotated[Path | None, typer.Option(metavar="TABLE.md", help="File for the table.")] = None,
-    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is there.")] = False,
+    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
 ) -> None:
-    """Compute variants of a campaign with the same seeds, and show what each does to mean and scatter of Vs."""
+    """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs."""
     variants = load_plan(plan, database)
     if not only_table:
         compute(variants, lambda text: typer.echo(text, err=True))

@@ -26,11 +26,11 @@ STATUS_CHARACTERS = {
 
 UNPLANNED = " "
 
-PARTLY_DONE = ":"
+PARTLY_DONE = "+"
 """Some of the cells of a character are done, the others pending."""
 
 WIDTH_OF_NUMBERS = 78
-"""Columns that the table needs beside the matrix."""
+"""Columns that the table needs besides the matrix."""
 
 NARROWEST_MATRIX = 10
 
@@ -39,7 +39,7 @@ MOST_TROUBLES = 12
 
 
 def status_view(status: CampaignStatus, width: int) -> RenderableType:
-    """All there is to see, for a terminal of so many columns."""
+    """All there is to see, for a terminal of this many columns."""
     columns = max(NARROWEST_MATRIX, width - WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(line) for line in head_lines(status)]
     parts += [matrix_table(status, columns), legend(status, columns)]
@@ -48,26 +48,26 @@ def status_view(status: CampaignStatus, width: int) -> RenderableType:
 
 
 def head_lines(status: CampaignStatus) -> Iterator[str]:
-    """What the campaign is, how far it is, and how its last run went."""
+    """What the campaign is, its progress, and how its last run went."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
     )
     total = sum(status.counts.values())
-    settled = total - status.pending
-    shown = [f"{status.counts[kind]} {words(kind)}" for kind in CellStatus if status.counts.get(kind)]
-    yield f"{settled} of {total} cells settled ({percent_of(settled, total)}): {', '.join(shown)}"
+    finished = total - status.pending
+    counts = [f"{status.counts[kind]} {words(kind)}" for kind in CellStatus if status.counts.get(kind)]
+    yield f"{finished} of {total} cells finished ({percent_of(finished, total)}): {', '.join(counts)}"
     if status.last_run is not None:
         run = status.last_run
         if status.running:
-            state = "runs"
+            state = "running"
         else:
-            state = run.exit_state or "ended without saying so; the same 'calcidem run' continues"
+            state = run.exit_state or "stopped unexpectedly; the same 'calcidem run' command continues"
         yield (
             f"Run {status.run_number} on {run.host} with {pluralize(run.ranks, 'rank')}"
             f" since {run.started:%Y-%m-%d %H:%M} UTC: {state}"
         )
     if status.pending and math.isfinite(status.seconds_left):
-        workers = pluralize(status.workers, "core") + ("" if status.running else ", as in the last run")
+        workers = pluralize(status.workers, "core") + ("" if status.running else " (as in the last run)")
         yield f"Time left: {duration(status.seconds_left)} on {workers}"
 
 
@@ -95,7 +95,7 @@ def matrix_table(status: CampaignStatus, columns: int) -> Table:
 
 
 def seeds_per_character(status: CampaignStatus, columns: int) -> int:
-    """Seeds that percent_of a character so that a matrix fits into so many columns."""
+    """Seeds that share a character so that a matrix fits into so many columns."""
     return max(1, math.ceil(len(status.seeds) / columns))
 
 
@@ -132,7 +132,7 @@ def trouble_lines(status: CampaignStatus) -> Iterator[str]:
     for trouble in status.troubles[:MOST_TROUBLES]:
         yield f"  {trouble_line(trouble)}"
     if len(status.troubles) > MOST_TROUBLES:
-        yield f"  and {len(status.troubles) - MOST_TROUBLES} more; 'calcidem query DB --columns all' shows them all"
+        yield f"  and {len(status.troubles) - MOST_TROUBLES} more; 'calcidem query DB --columns all' lists every cell"
     if any(trouble.reason for trouble in status.troubles):
         yield "'calcidem retry DB --status STATUS' makes such cells pending again."
 
@@ -143,9 +143,9 @@ def trouble_line(trouble: Trouble) -> str:
     if trouble.losses:
         history += f", {pluralize(trouble.losses, 'worker')} lost"
     if trouble.retry:
-        history += f", sent again with half the step ({trouble.retry})"
+        history += f", wave sent again with half the time step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
-    return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {words(trouble.status)}, {history}{reason}"
+    return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {words(trouble.status)} after {history}{reason}"
 
 
 def words(status: CellStatus) -> str:
@@ -170,7 +170,7 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
         "campaign": status.name,
         "hash": status.hash,
         "running": status.running,
-        "run": None if run is None else {"format_velocity": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
+        "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": {kind.value: number for kind, number in sorted(status.counts.items())},
         "seconds_left": finite_or_none(status.seconds_left),
         "workers": status.workers,

@@ -5,14 +5,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
-from calcidem.app.cli.import_netcdf import import_file
-from calcidem.app.cli.query import query
-from calcidem.app.cli.sample import export_sample
-from calcidem.app.cli.verify import verify_cells
+from calcidem.app.cli.main import build_application
 from calcidem.storage.sql.store import open_store
 
 TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial"
@@ -36,14 +32,10 @@ def campaign(database: Path) -> Iterator[OpenedCampaign]:
 @pytest.fixture
 def invoke() -> Callable[..., str]:
     """Run a command line that must succeed and give what it prints."""
-    application = typer.Typer(pretty_exceptions_enable=False)
-    application.command("query")(query)
-    application.command("import")(import_file)
-    application.command("verify")(verify_cells)
-    application.command("sample")(export_sample)
 
     def run(*arguments: object, exit_code: int = 0) -> str:
-        result = CliRunner().invoke(application, [str(argument) for argument in arguments])
+        words = [str(argument) for argument in arguments]
+        result = CliRunner().invoke(build_application(words), words)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == exit_code, result.output

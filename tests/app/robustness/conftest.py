@@ -6,13 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import typer
 from typer.testing import CliRunner
 
-from calcidem.app.cli.doctor import doctor
-from calcidem.app.cli.merge import merge
-from calcidem.app.cli.retry import retry
-from calcidem.app.cli.status import status
+from calcidem.app.cli.main import build_application
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
 
@@ -75,12 +71,10 @@ def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
 @pytest.fixture
 def invoke() -> Callable[..., str]:
     """Run a command line that ends with the exit code expected, and give what it prints."""
-    application = typer.Typer(pretty_exceptions_enable=False)
-    for command in (doctor, merge, retry, status):
-        application.command()(command)
 
     def run(*arguments: object, exit_code: int = 0) -> str:
-        result = CliRunner().invoke(application, [str(argument) for argument in arguments])
+        words = [str(argument) for argument in arguments]
+        result = CliRunner().invoke(build_application(words), words)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == exit_code, result.output

@@ -10,8 +10,7 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from calcidem.app.campaign.status import campaign_status, is_being_written
-from calcidem.app.cli.status import look
+from calcidem.app.campaign.status import campaign_status, is_being_written, read_status
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey
@@ -28,8 +27,8 @@ def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str
 def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[..., str]) -> None:
     """The quarantined cell comes first, with its attempts, its lost worker and the reason."""
     output = invoke("status", troubled)
-    assert "seed 9, 2.55 %: quarantined, 2 attempts, 1 worker lost: what went wrong is quarantined" in output
-    assert output.index("quarantined, 2") < output.index("failed, 1 attempt:")
+    assert "seed 9, 2.55 %: quarantined after 2 attempts, 1 worker lost: what went wrong is quarantined" in output
+    assert output.index("quarantined after 2") < output.index("failed after 1 attempt:")
     assert "calcidem retry" in output
 
 
@@ -40,7 +39,8 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
         store.use_campaign()
         cell = next(result for result in store.results() if result.key == CellKey(3, 5.0))
         store.record_results([replace(cell, retry=why)], replace_done=True)
-    assert f"seed 3, 5 %: done, 1 attempt, sent again with half the step ({why})" in invoke("status", complete)
+    history = f"done after 1 attempt, wave sent again with half the time step ({why})"
+    assert f"seed 3, 5 %: {history}" in invoke("status", complete)
     (trouble,) = json.loads(invoke("status", complete, "--json"))["troubles"]
     assert trouble["retry"] == why
     with open_stored_campaign(complete) as campaign:
@@ -84,9 +84,9 @@ def test_a_campaign_without_outcomes_can_be_shown(part: Callable[..., Path]) -> 
         store.use_campaign()
         store.extend((1, 2), (0.0, 5.0))
     console = Console(width=100, record=True)
-    console.print(status_view(look(str(empty)), console.width))
+    console.print(status_view(read_status(str(empty)), console.width))
     shown = console.export_text()
-    assert "0 of 4 cells settled (0 %)" in shown
+    assert "0 of 4 cells finished (0 %)" in shown
     assert "Time left" not in shown
 
 
@@ -96,10 +96,10 @@ def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
         contents = store.use_campaign().contents
         store.extend(range(1, 401), contents)
     console = Console(width=100, record=True)
-    console.print(status_view(look(str(complete)), console.width))
+    console.print(status_view(read_status(str(complete)), console.width))
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= 100
-    assert sum(":...................." in line for line in lines) == 5
+    assert sum("+...................." in line for line in lines) == 5
     assert "one character for 19 seeds" in lines[-1]
 
 

@@ -1,10 +1,13 @@
 """The command `calcidem accuracy`: a study of the configuration's own scenes, as tables, figure and JSON."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json
@@ -15,6 +18,7 @@ from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.storage.campaign import open_stored_campaign
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +49,55 @@ class Task:
     packing_of: Callable[[float], Packing]
     stored: Mapping[float, Sequence[float]] | None = None
     lanes: int = 8
+
+
+def plan_task(
+    configuration: Configuration,
+    contents: Sequence[float],
+    seeds: int,
+    database: str | os.PathLike[str] | None,
+    progress: Callable[[str], None],
+) -> Task:
+    """Plan to measure some contents and the first seeds of a campaign.
+
+    Parameters
+    ----------
+    configuration
+        Of the campaign.
+    contents
+        Percent; all of the campaign if there are none.
+    seeds
+        How many.
+    database
+        Where the campaign is stored, for the scatter of its samples.
+    progress
+        Told what is done.
+    """
+
+    def packing_of(ratio: float) -> Packing:
+        rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
+        return provide_packing(replace(configuration, packing=rule), None, progress)
+
+    plan = configuration.campaign
+    contents = contents or sorted(plan.contents)
+    return Task(
+        experiment=configuration.experiment(provide_packing(configuration, None, progress)),
+        contents=contents,
+        seeds=plan.seed_numbers[:seeds],
+        campaign_hash=configuration.hash,
+        campaign_seeds=plan.seed_numbers,
+        packing_of=packing_of,
+        stored=None if database is None else stored_velocities(database, contents),
+        lanes=configuration.run.lanes,
+    )
+
+
+def stored_velocities(database: str | os.PathLike[str], contents: Sequence[float]) -> dict[float, list[float]]:
+    """Velocities of a stored campaign at those of some contents that it has, m/s."""
+    with open_stored_campaign(database) as campaign:
+        vs = campaign.vs()
+        known = [value for value in contents if value in vs.content.to_numpy()]
+        return {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
 
 
 def accuracy(

@@ -16,10 +16,10 @@ from typing import Any
 
 from sqlalchemy import Engine, event
 
+from calcidem.app.campaign import ranks
 from calcidem.app.campaign import run as campaign
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.task import cell_computation
-from calcidem.app.cli import run_campaign as run_command
 from calcidem.app.cli.main import main
 from calcidem.sweep import Batch, BatchOutcome
 
@@ -140,6 +140,6 @@ def let_go_on_later(victim: int) -> None:
 
 
 (FOLDER / f"rank-{RANK}").write_text(str(os.getpid()))
-run_command.cell_computation = lambda *arguments: FaultyComputation(cell_computation(*arguments))  # type: ignore[assignment]
+ranks.cell_computation = lambda *arguments: FaultyComputation(cell_computation(*arguments))  # type: ignore[assignment]
 campaign.StoreSink = FaultySink  # type: ignore[misc]
 main()

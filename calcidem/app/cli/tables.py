@@ -1,16 +1,41 @@
-"""What a person reads of a campaign: the report on its packing, and Vs against content."""
+"""What several commands show: the report on a packing, Vs against content, and the console for them."""
 
+import os
+import sys
 from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 
+from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection, Store
+from calcidem.sweep.environment import launcher
+
+PLAIN_WIDTH = 110
+"""Columns where no terminal says how many there are."""
+
+
+def make_console() -> Console:
+    """Console for results.
+
+    A rank cannot see by itself whether a terminal reads it, since launchers give it a pseudo-terminal.
+    """
+    if launcher() is None and sys.stdout.isatty():
+        return Console(highlight=False)
+    columns = int(os.environ.get(TERMINAL_VARIABLE, "0"))
+    return Console(highlight=False, force_terminal=columns > 0, width=columns or PLAIN_WIDTH)
+
+
+def tell(text: str) -> None:
+    """Write what is being done, apart from the result."""
+    typer.echo(text, err=True)
 
 
 def packing_lines(packing: Packing) -> Iterator[str]:
@@ -32,7 +57,7 @@ def packing_lines(packing: Packing) -> Iterator[str]:
     )
 
 
-def velocity_table(store: Store, selection: Selection) -> Table:
+def vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content.
 
     Parameters

@@ -1,0 +1,23 @@
+"""``calcidem analyse``: a campaign as a folder of figures, tables and numbers."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.report import analyse
+
+
+def analyse_command(
+    database: Database,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; created if it is missing.")] = Path(
+        "analysis"
+    ),
+    campaign: CampaignName = None,
+) -> None:
+    """Write all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF) of a campaign to a folder."""
+    missing = analyse(database, out, campaign_name=campaign)
+    for name, reason in missing.items():
+        typer.echo(f"Left out {name}: {reason}")
+    typer.echo(f"Wrote {len(list(out.iterdir()))} files to {out}")

@@ -1,0 +1,33 @@
+"""``calcidem export``: a campaign as a NetCDF file."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.netcdf.export import export_netcdf
+
+
+class ArrayGroup(StrEnum):
+    """Arrays of single cells in an exported file."""
+
+    PATHS = "paths"
+    SIGNALS = "signals"
+    CEMENT = "cement"
+
+
+def export_command(
+    database: Database,
+    netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
+    campaign: CampaignName = None,
+    without: Annotated[
+        list[ArrayGroup] | None,
+        typer.Option(help="Leave out these arrays of single cells, nearly all of the file; may be repeated."),
+    ] = None,
+) -> None:
+    """Write a campaign to a NetCDF file."""
+    with open_stored_campaign(database, campaign) as opened:
+        typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf, without=without or ())}")

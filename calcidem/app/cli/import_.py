@@ -1,0 +1,22 @@
+"""``calcidem import``: a database from an exported file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.sql.store import open_store
+
+
+def import_command(
+    file: Annotated[Path, typer.Argument(help="NetCDF file that 'calcidem export' wrote.")],
+    database: Annotated[
+        str, typer.Option("--db", metavar="DB", help="SQLite file or database URL; created if it does not exist.")
+    ],
+) -> None:
+    """Rebuild a campaign's database from its exported file; what a database already has is kept."""
+    with open_store(database) as store:
+        campaign = import_netcdf(file, store)
+    cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
+    typer.echo(f"Campaign '{campaign.name}' ({cells}) is in {database}.")

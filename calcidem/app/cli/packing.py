@@ -1,0 +1,14 @@
+"""``calcidem packing``: the packing of a campaign alone."""
+
+import typer
+
+from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
+from calcidem.app.cli.tables import packing_lines
+from calcidem.app.config.reader import load_configuration
+
+
+def packing_command(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
+    """Make the packing of a campaign, keep it in the cache, and report on it."""
+    for line in packing_lines(provide_packing(load_configuration(configuration), None, typer.echo)):
+        typer.echo(line)

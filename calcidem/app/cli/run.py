@@ -1,0 +1,55 @@
+"""``calcidem run``: one campaign, in this process or on MPI ranks."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
+
+# The process that starts the ranks computes nothing: it need not wait for numerical libraries, nor keep them in memory.
+# ruff: noqa: PLC0415
+
+
+def run_command(
+    configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
+    database: Annotated[
+        str | None, typer.Option("--db", metavar="FILE", help="Database: file or URL, instead of the configuration's.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the results, instead of the configuration's.")
+    ] = None,
+    ranks: Annotated[
+        int | None,
+        typer.Option(min=0, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."),
+    ] = None,
+    restarts: Annotated[
+        int,
+        typer.Option(
+            min=0, metavar="K", help="With --ranks: restart up to K times if ranks die and the others cannot go on."
+        ),
+    ] = 0,
+    with_report: Annotated[
+        bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")
+    ] = False,
+) -> None:
+    """Compute a campaign, or what is left of it: after a stop, the same command continues."""
+    if ranks is not None and ranks != 1:
+        from calcidem.app.campaign.launch import default_ranks, launch
+
+        arguments = ["run", str(configuration)]
+        arguments += ["--db", database] if database is not None else []
+        arguments += ["--output", str(output)] if output is not None else []
+        arguments += ["--report"] if with_report else []
+        raise typer.Exit(launch(arguments, ranks or default_ranks(), restarts))
+    if restarts:
+        raise typer.BadParameter(
+            "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
+        )
+    from calcidem.app.campaign.ranks import run_on_ranks
+    from calcidem.app.cli.run_view import TerminalView
+    from calcidem.app.config.reader import load_configuration
+
+    overrides = {"database": database, "output": None if output is None else str(output)}
+    run_on_ranks(partial(load_configuration, configuration, overrides), TerminalView(with_report=with_report))

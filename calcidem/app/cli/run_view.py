@@ -1,0 +1,55 @@
+"""What a person reads of a run."""
+
+import sys
+
+from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.cli.exit_codes import USER_ERRORS, exit_code_of
+from calcidem.app.cli.tables import make_console, packing_lines, vs_table
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.store import Selection
+from calcidem.sweep import Progress, progress_for
+
+
+class TerminalView:
+    """A `calcidem.app.campaign.ranks.RunView` on the terminal, or in the log, of this process."""
+
+    def __init__(self, *, with_report: bool) -> None:
+        self.console = make_console()
+        self.with_report = with_report
+
+    def say(self, text: str) -> None:
+        """Write a line as it is."""
+        self.console.print(text, markup=False, soft_wrap=True)
+
+    def progress(self) -> Progress:
+        """Bar or lines that follow the cells."""
+        return progress_for(self.console)
+
+    def begin(self, work: CampaignRun) -> None:
+        """Report on the packing."""
+        for line in packing_lines(work.packing):
+            self.say(line)
+
+    def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
+        """Show the velocities, export them and, if asked for, write the report; in haste show them only."""
+        configuration, plan = work.configuration, work.configuration.campaign
+        self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
+        path = parse_address(configuration.database).path
+        self.say(f"Database: {configuration.database if path is None else path.absolute()}")
+        if in_haste:
+            self.say(f"NetCDF:   not written, to end quickly; calcidem export {configuration.database} OUT.nc does it")
+        else:
+            self.say(f"NetCDF:   {export_netcdf(work.store, work.record, configuration.netcdf)}")
+        if self.with_report and work.end is not None and work.end.exit_code == 0:
+            from calcidem.app.report import write_report  # noqa: PLC0415 - drawing libraries take seconds to load
+
+            page = write_report(configuration.database, configuration.netcdf.with_suffix(".html").absolute())
+            self.say(f"Report:   {page}")
+
+    def refuse(self, error: Exception) -> int:
+        """Tell an error that is the user's to cure, and give the exit code it means; raise any other."""
+        if not isinstance(error, USER_ERRORS):
+            raise error
+        sys.stderr.write(f"Error: {error}\n")
+        return exit_code_of(error)

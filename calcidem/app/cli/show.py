@@ -1,0 +1,29 @@
+"""``calcidem show``: a closer look at one cell."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.tables import make_console
+from calcidem.app.report import show_cell
+
+
+def show_command(
+    database: Database,
+    seed: Annotated[int, typer.Option(help="Seed of the cell.")],
+    content: Annotated[float, typer.Option(help="Content of the cell, percent.")],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
+    campaign: CampaignName = None,
+) -> None:
+    """Show one cell: what was measured and, with --out, its packing, cement, path and signals as figures."""
+    described, figures = show_cell(database, seed, content, out, campaign_name=campaign)
+    table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
+    for row in described.rows:
+        table.add_row(*row)
+    make_console().print(table)
+    for file in figures:
+        typer.echo(f"Wrote {file}")
