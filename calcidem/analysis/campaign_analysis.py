@@ -5,26 +5,59 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
+from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.features import FEATURES, PathFeatures
+from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
-from calcidem.analysis.outcomes import count_outcomes
+from calcidem.analysis.outcomes import NOT_COMPUTED, count_outcomes
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
-from calcidem.storage.campaign import StoredCampaign
-from calcidem.storage.netcdf.dataset import NOT_PLANNED, STATUS_CODES
-from calcidem.storage.records import CellResult, CellStatus, CementPattern, PackingRecord
+from calcidem.storage.records import (
+    NOT_PLANNED,
+    STATUS_CODES,
+    CampaignRecord,
+    CellResult,
+    CellStatus,
+    CementPattern,
+    PackingRecord,
+    PathFeatures,
+    RunRecord,
+    Signal,
+)
 
-NOT_COMPUTED = (CellStatus.PENDING.value, NOT_PLANNED)
+
+class CampaignReader(Protocol):
+    """What an analysis and its report read of a campaign, as `calcidem.storage.campaign.StoredCampaign` gives it."""
+
+    @property
+    def record(self) -> CampaignRecord: ...  # noqa: D102 - said where they are implemented
+
+    @property
+    def config(self) -> dict[str, Any]: ...  # noqa: D102
+
+    def to_xarray(self) -> xr.Dataset: ...  # noqa: D102
+
+    def select(self, *, with_arrays: bool) -> Iterator[CellResult]: ...  # noqa: D102
+
+    def cell(self, *, seed: int, content: float) -> CellResult: ...  # noqa: D102
+
+    def signal(self, *, seed: int, content: float) -> Signal: ...  # noqa: D102
+
+    def packing(self, index: int = 0) -> PackingRecord: ...  # noqa: D102
+
+    def packing_indices(self) -> tuple[int, ...]: ...  # noqa: D102
+
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]: ...  # noqa: D102
 
 
 class UnavailableError(Exception):
@@ -35,7 +68,7 @@ class UnavailableError(Exception):
 class MeasuredSample:
     """A computed cell with its cement and its path.
 
-    Parameters
+    Attributes
     ----------
     seed, content
         Its identity; content in percent.
@@ -45,8 +78,8 @@ class MeasuredSample:
         Which packing it is made of.
     kinds
         0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,).
-    features
-        Path and features.
+    path, features
+        Its preferential path, and what that is like.
     """
 
     seed: int
@@ -54,6 +87,7 @@ class MeasuredSample:
     vs: float
     packing_index: int
     kinds: NDArray[np.uint8]
+    path: PreferentialPath
     features: PathFeatures
 
 
@@ -61,7 +95,7 @@ class MeasuredSample:
 class LawFit:
     """The law Vs = a C_d,n^b + c for one choice of weights.
 
-    Parameters
+    Attributes
     ----------
     name
         How the weights were chosen, as in the published tables.
@@ -87,13 +121,13 @@ class CampaignAnalysis:
     Attributes that need what the campaign lacks raise `UnavailableError`. The cells are read when an
     attribute is first used, so an analysis of a campaign that is still running is a snapshot.
 
-    Parameters
+    Attributes
     ----------
     campaign
         An open campaign.
     """
 
-    campaign: StoredCampaign
+    campaign: CampaignReader
 
     @cached_property
     def cells(self) -> xr.Dataset:
@@ -108,7 +142,8 @@ class CampaignAnalysis:
     @cached_property
     def status(self) -> xr.DataArray:
         """Outcome of each cell as text along (seed, content), empty where it is not computed."""
-        names = {code: "" if name in NOT_COMPUTED else str(name) for name, code in STATUS_CODES.items()}
+        not_computed = (CellStatus.PENDING, NOT_PLANNED)
+        names = {code: NOT_COMPUTED if name in not_computed else str(name) for name, code in STATUS_CODES.items()}
         codes = self.cells["status"]
         texts = [[names[int(code)] for code in row] for row in codes.to_numpy()]
         return xr.DataArray(np.array(texts, dtype=object), codes.coords, codes.dims)
@@ -245,7 +280,7 @@ class CampaignAnalysis:
             )
 
     def _packings(self) -> list[PackingRecord]:
-        indices = self.campaign.store.packing_indices()
+        indices = self.campaign.packing_indices()
         if list(indices) != list(range(len(indices))) or not indices:
             raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
         return [self.campaign.packing(index) for index in indices]
@@ -259,13 +294,15 @@ class CampaignAnalysis:
     def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]
         kinds = graph.kinds(cement)
+        path = graph.path(kinds > 0, cell.features.path if cell.features else ())
         return MeasuredSample(
             seed=cell.key.seed,
             content=cell.key.content,
             vs=math.nan if cell.vs is None else cell.vs,
             packing_index=cell.packing_index,
             kinds=kinds,
-            features=graph.features(kinds > 0, cell.features),
+            path=path,
+            features=graph.features(path),
         )
 
 

@@ -8,7 +8,7 @@ from typing import Self
 class ContactWeights:
     """How much a contact of each kind adds to the length of a path; dimensionless.
 
-    Parameters
+    Attributes
     ----------
     hertz
         Weight of a sand contact, omega_h.
@@ -56,7 +56,7 @@ class ContactWeights:
 class PathScale:
     """What makes path lengths of different samples comparable.
 
-    Parameters
+    Attributes
     ----------
     distance
         Distance L between transmitter and receiver in m.

@@ -23,7 +23,7 @@ RELATIVE_TIE = 1e-9
 class ContactGraph:
     """The contacts of one packing.
 
-    Parameters
+    Attributes
     ----------
     grain_count
         Number of grains N; grains are numbered from 0.
@@ -137,7 +137,7 @@ class ContactGraph:
 class PreferentialPath:
     """A shortest path from the transmitter to the receiver.
 
-    Parameters
+    Attributes
     ----------
     grains
         The grains it visits, from a transmitter grain to a receiver grain.

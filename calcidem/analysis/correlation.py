@@ -20,7 +20,7 @@ class Correlations:
     Each is a Dataset along (variable, other) with `pearson`, its interval `pearson_low` and `pearson_high`,
     `spearman`, and the number of samples `n`. A variable that does not vary has NaN.
 
-    Parameters
+    Attributes
     ----------
     overall
         Over all samples of all contents. A common trend with content inflates it.

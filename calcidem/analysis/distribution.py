@@ -26,7 +26,7 @@ from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
 class NormalFit:
     """The normal distribution with the mean and standard deviation of a sample.
 
-    Parameters
+    Attributes
     ----------
     mean, standard_deviation
         In the unit of the sample; the deviation has n - 1 in its denominator.
@@ -48,7 +48,7 @@ class NormalFit:
 class Distribution:
     """What a sample of values says about the distribution it comes from.
 
-    Parameters
+    Attributes
     ----------
     n
         Number of values.
@@ -87,7 +87,7 @@ class Distribution:
 class ContentDistribution:
     """The distribution at one calcite content, and the cells that are not in it.
 
-    Parameters
+    Attributes
     ----------
     content
         Calcite content in percent of sand mass.

@@ -19,7 +19,7 @@ START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.
 class PowerLawFit:
     """A fitted law Vs = a C^b + c; C is dimensionless, Vs, a and c are in m/s.
 
-    Parameters
+    Attributes
     ----------
     a, b, c
         The parameters.
@@ -92,21 +92,18 @@ class PowerLawFit:
 class LeaveOneSeedOut:
     """How well the law predicts the samples of a seed it was not fitted to.
 
-    Parameters
+    Attributes
     ----------
     errors
         Measured minus predicted velocity in m/s of every sample used, shape (n,).
     root_mean_square_error
         Of these errors, in m/s.
-    mean_relative_error
-        Mean of their size over the measured velocity, dimensionless.
     coverage
         Share of the samples inside their prediction interval, to compare with its level.
     """
 
     errors: NDArray[np.float64]
     root_mean_square_error: float
-    mean_relative_error: float
     coverage: float
 
 
@@ -195,7 +192,6 @@ def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, 
     return LeaveOneSeedOut(
         errors=errors,
         root_mean_square_error=float(np.sqrt(np.mean(errors**2))),
-        mean_relative_error=float(np.mean(np.abs(errors) / y)),
         coverage=float(np.mean((low <= y) & (y <= high))),
     )
 

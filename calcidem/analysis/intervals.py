@@ -22,7 +22,7 @@ BOOTSTRAP_SEED = 20_240_501
 class Interval:
     """A closed interval.
 
-    Parameters
+    Attributes
     ----------
     low, high
         The two ends, in the unit of the quantity; NaN where the interval is undefined.

@@ -18,7 +18,7 @@ SIMULATION_SEED = 19_870_555
 class NormalityTest:
     """Result of a Jarque-Bera test.
 
-    Parameters
+    Attributes
     ----------
     statistic
         The Jarque-Bera statistic, Eq. 5.

@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
-from calcidem.analysis.features import PathFeatures, measure_path, path_features
-from calcidem.storage.records import CementPattern, PackingRecord
-from calcidem.storage.records import PathFeatures as StoredPathFeatures
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
+from calcidem.analysis.features import measure_path
+from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingGraph:
     """The contacts of a packing, and what turns its paths into features.
 
-    Parameters
+    Attributes
     ----------
     packing
         The disks.
@@ -53,25 +52,28 @@ class PackingGraph:
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds
 
-    def features(self, bonded: NDArray[np.bool_], known: StoredPathFeatures | None = None) -> PathFeatures:
-        """Give the path features of one sample.
+    def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
+        """Give the preferential path of one sample.
 
         Parameters
         ----------
         bonded
             Which contacts are cemented, shape (m,).
         known
-            Features stored with the sample; their path saves the search.
+            Its grains where they are stored, which saves the search.
 
         Raises
         ------
         ValueError
             If no chain of contacts joins transmitter and receiver.
         """
-        if known is None or not known.path:
-            return path_features(self.graph, bonded, self.weights, self.scale)
-        flags = bonded[self._rows(np.array(list(pairwise(known.path))))]
-        path = PreferentialPath(known.path, tuple(flags.tolist()))
+        if not known:
+            return preferential_path(self.graph, bonded, self.weights)
+        flags = bonded[self._rows(np.array(list(pairwise(known))))]
+        return PreferentialPath(known, tuple(flags.tolist()))
+
+    def features(self, path: PreferentialPath) -> PathFeatures:
+        """Give the features of a path."""
         return measure_path(path, self.weights, self.scale)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
@@ -129,21 +131,6 @@ def touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArr
     distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
     pairs = pairs[distance < radius[pairs].sum(axis=1)]
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.int64)
-
-
-def features_record(features: PathFeatures) -> StoredPathFeatures:
-    """Turn features into the record in which a store keeps them."""
-    return StoredPathFeatures(
-        contacts=features.contacts,
-        hertz_contacts=features.hertz_contacts,
-        bonded_contacts=features.bonded_contacts,
-        bonded_fraction=features.bonded_fraction,
-        longest_bonded_run_fraction=features.longest_bonded_run_fraction,
-        longest_bonded_run=features.longest_bonded_run,
-        connectivity=features.connectivity,
-        normalized_connectivity=features.normalized_connectivity,
-        path=features.path.grains,
-    )
 
 
 def _contact_keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:

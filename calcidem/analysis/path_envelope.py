@@ -7,7 +7,6 @@ found with a few searches and then holds exactly for all ratios.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ class PathLine(NamedTuple):
 class PathEnvelope:
     """The shortest path length of one sample as a function of the weight ratio.
 
-    Parameters
+    Attributes
     ----------
     lines
         The paths that are shortest somewhere, in order of the ratio: N_LPB falls and N_h grows from each to
@@ -40,11 +39,6 @@ class PathEnvelope:
     lines: tuple[PathLine, ...]
     low: float
     high: float
-
-    @property
-    def corners(self) -> tuple[float, ...]:
-        """The ratios at which one path takes over from the one before."""
-        return tuple(_corner(before, after) for before, after in pairwise(self.lines))
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Give C_d for omega_h = 1 and omega_LPB = `ratio`.

@@ -19,7 +19,7 @@ SMALLEST_COUNT = 3
 class SeedPlan:
     """How many seeds make the confidence interval of a mean as narrow as asked.
 
-    Parameters
+    Attributes
     ----------
     half_width
         Half-width asked for, in the unit of the values.

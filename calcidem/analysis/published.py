@@ -42,7 +42,7 @@ class PublishedContent:
 class PublishedStage:
     """A stage of section 3.2.1.
 
-    Parameters
+    Attributes
     ----------
     name
         Roman numeral.
@@ -64,7 +64,7 @@ class PublishedStage:
 class PublishedLaw:
     """A column of Table 4: Vs = a C_d,n^b + c, with Vs, a and c in m/s.
 
-    Parameters
+    Attributes
     ----------
     name
         How the weights were chosen.
@@ -91,7 +91,7 @@ class PublishedLaw:
 class PublishedStudy:
     """All printed numbers.
 
-    Parameters
+    Attributes
     ----------
     title
         Title of the paper.

@@ -15,7 +15,7 @@ from calcidem.analysis.normality import NormalityTest, jarque_bera_from_moments
 from calcidem.analysis.published import PublishedLaw, PublishedStudy, published_study
 from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
 
-SIGNIFICANCE = 0.05
+PAPER_SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""
 
 RATE_ROUNDING = 0.01
@@ -34,7 +34,7 @@ NORMAL_KURTOSIS = 3.0
 class VerdictCheck:
     """The printed verdict on normality of one content, and the one its printed moments give.
 
-    Parameters
+    Attributes
     ----------
     content
         Calcite content in percent.
@@ -51,7 +51,7 @@ class VerdictCheck:
     @property
     def computed_normal(self) -> bool:
         """The verdict by the paper's own rule."""
-        return self.test.p_asymptotic >= SIGNIFICANCE
+        return self.test.p_asymptotic >= PAPER_SIGNIFICANCE
 
     @property
     def agrees(self) -> bool:
@@ -63,7 +63,7 @@ class VerdictCheck:
 class StatementCheck:
     """One comparison of what is printed with what follows from other printed numbers.
 
-    Parameters
+    Attributes
     ----------
     place
         Where in the paper.

@@ -17,7 +17,7 @@ FEWEST_PAIRS = 4
 class Change:
     """One content of a variant beside the same seeds of the reference.
 
-    Parameters
+    Attributes
     ----------
     content
         Percent.
@@ -27,8 +27,8 @@ class Change:
         Of the variant, m/s, over all that it measured.
     mean_ratio, deviation_ratio
         Mean and standard deviation over those of the reference, both over the seeds that have a velocity in both.
-    mean_ratio_interval, deviation_ratio_interval
-        95 % bootstrap intervals of these: seeds are drawn with replacement, the same ones on both sides.
+    deviation_ratio_interval
+        95 % bootstrap interval of that: seeds are drawn with replacement, the same ones on both sides.
     """
 
     content: float
@@ -37,7 +37,6 @@ class Change:
     mean: float
     standard_deviation: float
     mean_ratio: float
-    mean_ratio_interval: Interval
     deviation_ratio: float
     deviation_ratio_interval: Interval
 
@@ -57,7 +56,7 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
         pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
         measured = own[np.isfinite(own)]
         some, several = measured.size > 0, measured.size > 1
-        ratios = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
+        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
         changes.append(
             Change(
                 content=content,
@@ -65,27 +64,25 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
                 measured=measured.size,
                 mean=float(measured.mean()) if some else math.nan,
                 standard_deviation=float(measured.std(ddof=1)) if several else math.nan,
-                mean_ratio=ratios[0][0],
-                mean_ratio_interval=ratios[0][1],
-                deviation_ratio=ratios[1][0],
-                deviation_ratio_interval=ratios[1][1],
+                mean_ratio=mean_ratio,
+                deviation_ratio=deviation_ratio,
+                deviation_ratio_interval=interval,
             )
         )
     return tuple(changes)
 
 
-def _paired_ratios(pair: np.ndarray) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
-    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n), with their intervals."""
+def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
+    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
     count = pair.shape[1]
     if count < FEWEST_PAIRS:
-        return (math.nan, UNDEFINED), (math.nan, UNDEFINED)
+        return math.nan, math.nan, UNDEFINED
     drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (REPLICATES, count))]
     # Reference without scatter (no cement, one packing): a ratio of scatters is not defined.
     with np.errstate(divide="ignore", invalid="ignore"):
-        means = drawn[0].mean(axis=1) / drawn[1].mean(axis=1)
         deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
         ratio = float(np.divide(*pair.std(axis=1)))
-    return (float(np.divide(*pair.mean(axis=1))), _percentiles(means)), (ratio, _percentiles(deviations))
+    return float(np.divide(*pair.mean(axis=1))), ratio, _percentiles(deviations)
 
 
 def _percentiles(values: np.ndarray) -> Interval:
@@ -101,7 +98,7 @@ def _percentiles(values: np.ndarray) -> Interval:
 class VarianceParts:
     """Variance of Vs at one content, divided between two crossed causes, each part in (m/s)^2.
 
-    Parameters
+    Attributes
     ----------
     first, second
         Of the causes themselves; unbiased estimates, so that one of nothing may be below zero.

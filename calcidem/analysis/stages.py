@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 class Stage:
     """A range of calcite content.
 
-    Parameters
+    Attributes
     ----------
     name
         Roman numeral, as in the paper.
@@ -38,7 +38,7 @@ STAGES = (
 class StageGrowth:
     """How mean Vs grows within one stage.
 
-    Parameters
+    Attributes
     ----------
     stage
         The range.

@@ -25,7 +25,7 @@ RATIOS.flags.writeable = False
 class RatioScan:
     """Correlation of C_d,n with Vs over the weight ratio.
 
-    Parameters
+    Attributes
     ----------
     ratios
         omega_LPB / omega_h, shape (k,).
@@ -37,8 +37,6 @@ class RatioScan:
         Its value there.
     best_ratio_interval
         Where the best ratio of 95 % of the bootstrap replicates lies (or the level asked for).
-    best_ratio_replicates
-        The best ratio of each replicate, shape (replicates,).
     n
         Number of samples used.
     left_out
@@ -50,14 +48,8 @@ class RatioScan:
     best_ratio: float
     best_correlation: float
     best_ratio_interval: Interval
-    best_ratio_replicates: NDArray[np.float64]
     n: int
     left_out: int
-
-    @property
-    def at_edge(self) -> bool:
-        """Whether the best ratio is the first or last of the scan, so that the true one may lie beyond."""
-        return self.best_ratio in (self.ratios[0], self.ratios[-1])
 
 
 def scan_ratio(
@@ -129,7 +121,6 @@ def scan_ratio(
         best_ratio=float(grid[best]),
         best_correlation=float(correlation[best]),
         best_ratio_interval=Interval(float(low), float(high)),
-        best_ratio_replicates=best_ratios,
         n=int(known.sum()),
         left_out=int((~known).sum()),
     )

@@ -7,16 +7,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath
-from calcidem.analysis.features import FEATURES, PathFeatures, measure_path, path_features
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
+from calcidem.analysis.features import FEATURES, measure_path
+from calcidem.storage.records import PathFeatures
 
 WEIGHTS = ContactWeights.from_ratio(0.5)
 
 
 def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np.bool_]]) -> None:
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
-    found = path_features(*drawn_sample, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
-    assert found.path.grains == (5, 6, 7, 8, 9)
+    path = preferential_path(*drawn_sample, WEIGHTS)
+    found = measure_path(path, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
+    assert found.path == path.grains == (5, 6, 7, 8, 9)
     assert (found.contacts, found.hertz_contacts, found.bonded_contacts) == (4, 1, 3)
     assert found.bonded_fraction == 3 / 4
     assert found.longest_bonded_run == 2
@@ -28,7 +30,7 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
 def test_each_feature_is_defined_once() -> None:
     """The eight definitions are the eight fields of the record, each with its own symbol and words."""
     names = [feature.name for feature in FEATURES]
-    assert names == [field.name for field in fields(PathFeatures)][1:]
+    assert {*names, "path"} == {field.name for field in fields(PathFeatures)}
     assert len(FEATURES) == len({feature.symbol for feature in FEATURES}) == 8
     assert len({feature.definition for feature in FEATURES}) == 8
 

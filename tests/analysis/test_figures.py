@@ -78,7 +78,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     sample = analysis.measured_samples(2.55)[0]
     axes = draw_preferential_paths(analysis.graphs[0], [sample]).axes[0]
     line = next(line for line in axes.lines if line.get_color() == style.BLACK and len(line.get_xdata()) > 2)
-    grains = list(sample.features.path.grains)
+    grains = list(sample.path.grains)
     assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
     assert len(rings.get_xdata()) == sample.features.hertz_contacts

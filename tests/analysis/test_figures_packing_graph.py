@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.packing_graph import features_record, packing_graph
+from calcidem.analysis.packing_graph import packing_graph
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CementPattern
@@ -32,7 +32,7 @@ def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) ->
     """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
     packing = analysis.campaign.packing()
     for sample in analysis.samples:
-        first, last = sample.features.path.grains[0], sample.features.path.grains[-1]
+        first, last = sample.features.path[0], sample.features.path[-1]
         assert packing.x[first] < packing.radius[first]
         assert abs(packing.y[first] - packing.height / 2) < 0.01
         assert packing.width - packing.x[last] < packing.radius[last]
@@ -52,15 +52,16 @@ def test_stored_features_give_the_same_as_a_search(analysis: CampaignAnalysis) -
     graph = analysis.graphs[0]
     for sample in analysis.samples[::5]:
         bonded = sample.kinds > 0
-        again = graph.features(bonded, features_record(sample.features))
-        assert again == sample.features == graph.features(bonded)
+        again = graph.path(bonded, sample.features.path)
+        assert again == sample.path == graph.path(bonded)
+        assert graph.features(again) == sample.features
 
 
 def test_path_contacts_are_cemented_where_the_sample_is(analysis: CampaignAnalysis) -> None:
     """Each step of a path is a contact, and its flag says whether the sample has cement there."""
     sample = analysis.samples[-2]
     pairs = [tuple(pair) for pair in analysis.graphs[0].graph.pairs.tolist()]
-    for step, bonded in zip(pairwise(sample.features.path.grains), sample.features.path.bonded, strict=True):
+    for step, bonded in zip(pairwise(sample.path.grains), sample.path.bonded, strict=True):
         assert bool(sample.kinds[pairs.index(tuple(sorted(step)))]) is bonded
 
 

@@ -1,10 +1,10 @@
 import pytest
 
 from calcidem.analysis.published import published_study
-from calcidem.analysis.published_check import Finding, check_study, check_verdicts
+from calcidem.analysis.published_check import StatementCheck, check_study, check_verdicts
 
 
-def finding(place: str, words: str) -> Finding:
+def finding(place: str, words: str) -> StatementCheck:
     """Pick the one finding at a place whose printed side has certain words."""
     (found,) = [item for item in check_study() if item.place == place and words in item.printed]
     return found

@@ -12,6 +12,7 @@ from calcidem.analysis.figures.style import (
     C_CEMENT,
     CLUSTER_GRAIN,
     GREEN,
+    MM,
     P_CEMENT,
     PURPLE,
     SAND_GRAIN,
@@ -19,10 +20,7 @@ from calcidem.analysis.figures.style import (
     strip_axes,
 )
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.storage.records import PackingRecord
-
-MM = 1e3
-P_CONTACT, C_CONTACT = 1, 2
+from calcidem.storage.records import C_CONTACT, P_CONTACT, PackingRecord
 
 
 def draw_grains(

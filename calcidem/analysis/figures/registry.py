@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
-from calcidem.analysis.figures.signals import METHODS, Arrival, draw_signals
+from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_narrowing, draw_range
 from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
@@ -30,7 +30,7 @@ SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).r
 class CampaignFigure:
     """A figure that every campaign can have.
 
-    Parameters
+    Attributes
     ----------
     name
         File name without ending.
@@ -73,7 +73,7 @@ def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
     cell = analysis.cells.sel(seed=seed, content=content)
     pick = analysis.campaign.config.get("pick", {})
     force = pick.get("signal") == "force"
-    velocities = {name: float(cell[f"vs_{name}"]) for name in METHODS}
+    velocities = {name: float(cell[f"vs_{name}"]) for name in METHOD_STYLES}
     return Arrival(
         seed=seed,
         content=content,

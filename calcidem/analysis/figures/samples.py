@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from calcidem.analysis.campaign_analysis import MeasuredSample
-from calcidem.analysis.figures.grains import MM, draw_bands, draw_frame, draw_grains, draw_path
+from calcidem.analysis.figures.grains import draw_bands, draw_frame, draw_grains, draw_path
 from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -17,6 +17,7 @@ from calcidem.analysis.figures.style import (
     CLUSTER_GRAIN,
     GREEN,
     GREY,
+    MM,
     P_CEMENT,
     PURPLE,
     SAND_GRAIN,
@@ -168,7 +169,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         Three samples from slow to fast.
     """
     packing = graph.packing
-    heights = np.concatenate([packing.y[list(sample.features.path.grains)] for sample in samples])
+    heights = np.concatenate([packing.y[list(sample.features.path)] for sample in samples])
     margin = 0.012
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
@@ -176,7 +177,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
         draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
-        draw_path(axes, graph, sample.features.path)
+        draw_path(axes, graph, sample.path)
         axes.set_anchor("W")
         features = sample.features
         velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"

@@ -9,12 +9,14 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from calcidem.analysis.figures.signals import METHODS
+from calcidem.analysis.figures.signals import METHOD_STYLES
 from calcidem.analysis.figures.style import (
     BLUE,
     CONTENT_MAP,
     FIGURE_WIDTH,
     GREY,
+    KHZ,
+    MS,
     SEQUENCE,
     VS_LABEL,
     apply_style,
@@ -22,8 +24,6 @@ from calcidem.analysis.figures.style import (
     start_at_zero,
 )
 
-KHZ = 1e-3
-MS = 1e3
 FREQUENCY_LABEL = "excitation frequency (kHz)"
 SHOWN_METHODS = ("peak", "first_arrival")
 
@@ -45,7 +45,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     frequency = study["frequency"].to_numpy() * KHZ
     for axes, content in zip(panels, contents, strict=False):
         for name in SHOWN_METHODS:
-            label, colour, marker = METHODS[name]
+            label, colour, marker = METHOD_STYLES[name]
             values = study[f"vs_{name}"].sel(content=content).transpose("seed", "frequency").to_numpy()
             axes.plot(frequency, values.T, color=colour, alpha=0.25, linewidth=0.7)
             known = np.isfinite(values).any(axis=0)
@@ -153,7 +153,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
 class StudyFigure:
     """A figure of a sensitivity study.
 
-    Parameters
+    Attributes
     ----------
     study
         "frequency" or "damping": which study it shows.

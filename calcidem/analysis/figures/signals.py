@@ -8,11 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from calcidem.analysis.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, apply_style, new_figure
+from calcidem.analysis.figures.style import BLUE, GREEN, GREY, MS, ORANGE, VERMILION, apply_style, new_figure
 
-MS = 1e3
 POINTING = 0.14
-METHODS = {
+METHOD_STYLES = {
     "peak": ("peak to peak", VERMILION, "v"),
     "first_arrival": ("first arrival", GREEN, "o"),
     "cross_correlation": ("cross-correlation", ORANGE, "s"),
@@ -24,7 +23,7 @@ METHODS = {
 class Arrival:
     """Signals of one sample and what was read from them.
 
-    Parameters
+    Attributes
     ----------
     seed, content
         Which sample; content in percent.
@@ -35,7 +34,7 @@ class Arrival:
     distance
         Between transmitter and receiver, m.
     velocities
-        Velocity in m/s by the methods of `METHODS` that gave one.
+        Velocity in m/s by the methods of `METHOD_STYLES` that gave one.
     onset
         Level of the first arrival, relative to the peak.
     """
@@ -78,7 +77,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     end = received_peak_index(arrival)
     largest = np.abs(arrival.received[: end + 1]).max()
     axes.plot(time, arrival.received / largest, color=BLUE, label="received")
-    for method, (label, colour, marker) in METHODS.items():
+    for method, (label, colour, marker) in METHOD_STYLES.items():
         if method not in arrival.velocities:
             continue
         moment = arrival.arrival_time(method)

@@ -24,6 +24,10 @@ PURPLE = "#CC79A7"
 GREY = "#8a8f94"
 PALE = "#d9dde1"
 
+MM = MS = 1e3
+KHZ = 1e-3
+"""Millimetres in a metre, milliseconds in a second, kilohertz in a hertz."""
+
 SAND_GRAIN = "#d3e0ea"
 CLUSTER_GRAIN = "#f6c667"
 P_CEMENT = BLUE

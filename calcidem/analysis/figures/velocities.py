@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from calcidem.analysis.distribution import ContentDistribution, Distribution
-from calcidem.analysis.figures.signals import METHODS
+from calcidem.analysis.figures.signals import METHOD_STYLES
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
@@ -184,7 +184,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()
     reference = cells["vs_peak"].to_numpy()
-    for name, (label, colour, marker) in METHODS.items():
+    for name, (label, colour, marker) in METHOD_STYLES.items():
         values = cells[f"vs_{name}"].to_numpy()
         ratio = 100 * (values / reference - 1)
         for axes, numbers in ((upper, values), (lower, ratio)):
