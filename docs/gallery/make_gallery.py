@@ -16,7 +16,7 @@ from calcidem.analysis.figures.style import render
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
 from calcidem.app.report.provenance import CHOSEN, flatten, value_text
-from calcidem.app.studies.stored_studies import run_studies
+from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 
 FOLDER = Path(__file__).parent

@@ -15,7 +15,7 @@ from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import outcome_table, velocity_table
 from calcidem.app.report.wording import number, probability, significant, time_span
-from calcidem.app.studies.stored_studies import run_studies
+from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCellError
 

@@ -6,8 +6,7 @@ import pytest
 
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
-from calcidem.app.studies.sensitivity.study import changes, compute
-from calcidem.app.studies.sensitivity.table import sensitivity_table
+from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
 
 BASE = """
 [packing]
@@ -82,8 +81,8 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     """Four times the modulus of the bonds raises mean Vs; a second call adds no attempt and gives the same table."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
     variants = load_plan(planned(tmp_path), str(tmp_path / "all.db"))[:2]
-    compute(variants, lambda _: None)
-    found = changes(variants)
+    compute_variants(variants, lambda _: None)
+    found = compare_variants(variants)
     (change,) = found[variants[1].name]
     assert change.planned == 8
     assert change.measured >= 4  # a box this small swallows some pulses and makes some velocities too uncertain
@@ -91,8 +90,8 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     table = sensitivity_table(variants, found)
     assert table.count("\n") == 4
     assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
-    compute(variants, lambda _: None)
-    assert sensitivity_table(variants, changes(variants)) == table
+    compute_variants(variants, lambda _: None)
+    assert sensitivity_table(variants, compare_variants(variants)) == table
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:

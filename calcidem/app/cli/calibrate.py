@@ -8,7 +8,7 @@ import typer
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.calibrate import PARAMETERS, Calibration, calibrate, calibrated_text
+from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, text_with_values
 
 
 def calibrate_command(
@@ -16,7 +16,7 @@ def calibrate_command(
     target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
     parameter: Annotated[
-        list[str] | None, typer.Option(help=f"Parameter to fit, one of {', '.join(PARAMETERS)}; may be repeated.")
+        list[str] | None, typer.Option(help=f"Parameter to fit, one of {', '.join(FITTABLE)}; may be repeated.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=2, help="Number of seeds at each content, the same in every trial.")] = 16,
 ) -> None:
@@ -24,11 +24,11 @@ def calibrate_command(
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, typer.echo)
-    names = parameter or list(PARAMETERS[: min(3, len(targets))])
+    names = parameter or list(FITTABLE[: min(3, len(targets))])
     fitted = calibrate(loaded, packing, targets, names, range(1, seeds + 1), typer.echo)
     for line in calibration_lines(fitted):
         typer.echo(line)
-    out.write_text(calibrated_text(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
+    out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
     typer.echo(f"Wrote {out}")
 
 
@@ -54,7 +54,7 @@ def read_targets(file: Path) -> dict[float, float]:
     return targets
 
 
-def calibration_lines(fitted: Calibration) -> list[str]:
+def calibration_lines(fitted: FittedParameters) -> list[str]:
     """Report on a calibration."""
     lines = [f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}" for name, value in fitted.values.items()]
     names = list(fitted.values)

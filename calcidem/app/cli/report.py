@@ -7,7 +7,7 @@ import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.report import write_report
-from calcidem.app.studies.stored_studies import run_studies
+from calcidem.app.studies.frequency_and_damping import run_studies
 
 
 def report_command(

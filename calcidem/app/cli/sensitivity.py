@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.studies.sensitivity.plan import load_plan
-from calcidem.app.studies.sensitivity.study import changes, compute
-from calcidem.app.studies.sensitivity.table import sensitivity_table
+from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
 
 
 def sensitivity_command(
@@ -19,8 +18,8 @@ def sensitivity_command(
     """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs."""
     variants = load_plan(plan, database)
     if not only_table:
-        compute(variants, lambda text: typer.echo(text, err=True))
-    table = sensitivity_table(variants, changes(variants))
+        compute_variants(variants, lambda text: typer.echo(text, err=True))
+    table = sensitivity_table(variants, compare_variants(variants))
     if out is None:
         typer.echo(table)
     else:

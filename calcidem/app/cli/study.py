@@ -9,7 +9,7 @@ import typer
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import save
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.studies.stored_studies import run_studies
+from calcidem.app.studies.frequency_and_damping import run_studies
 
 
 class StudyName(StrEnum):

@@ -30,14 +30,14 @@ def verify_command(
             typer.echo(verification_line(verification))
             found.append(verification)
     typer.echo(verification_summary(found))
-    if not all(verification.verdict.good for verification in found):
+    if not all(verification.agreement.good for verification in found):
         raise typer.Exit(1)
 
 
 def verification_line(verification: Verification) -> str:
     """What came of one cell."""
     key = verification.stored.key
-    text = f"seed {key.seed}, {key.content:g} %: {verification.verdict}"
+    text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"
     if not verification.differences:
         return text
     change = verification.relative_difference
@@ -47,5 +47,5 @@ def verification_line(verification: Verification) -> str:
 
 def verification_summary(found: Sequence[Verification]) -> str:
     """The last line."""
-    good = sum(verification.verdict.good for verification in found)
+    good = sum(verification.agreement.good for verification in found)
     return f"{good} of {len(found)} cells confirmed."

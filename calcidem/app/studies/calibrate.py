@@ -12,7 +12,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure_all
 
-PARAMETERS = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area", "cement.bond_modulus")
+FITTABLE = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area", "cement.bond_modulus")
 """Parameters that can be fitted, as section.key of the configuration."""
 
 STEP = 0.06
@@ -23,8 +23,8 @@ MOST_TRIALS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """Outcome of a fit.
+class FittedParameters:
+    """Parameters that a fit found.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def calibrate(
     names: Sequence[str],
     seeds: Sequence[int],
     tell: Callable[[str], None] = lambda _: None,
-) -> Calibration:
+) -> FittedParameters:
     """Fit parameters so that the mean Vs of some seeds meets targets, in relative least squares.
 
     Parameters
@@ -90,7 +90,7 @@ def calibrate(
     targets
         Mean Vs, m/s, by content in percent.
     names
-        Parameters to fit, of `PARAMETERS`; at most as many as targets.
+        Parameters to fit, of `FITTABLE`; at most as many as targets.
     seeds
         The same in every trial, so that trials differ by the parameters alone.
     tell
@@ -101,17 +101,13 @@ def calibrate(
     ValueError
         If a parameter is unknown, or there are more parameters than targets.
     """
-    strange = sorted(set(names) - set(PARAMETERS))
-    if strange:
-        raise ValueError(f"parameter = {', '.join(strange)}: cannot be fitted; choose among {', '.join(PARAMETERS)}")
-    if not 0 < len(names) <= len(targets):
-        raise ValueError(f"parameters = {len(names)}: give at least 1 and at most {len(targets)}, one for each target")
-    scale = np.array([start_value(configuration, packing, name) for name in names])
+    refuse_names(names, targets)
+    start = np.array([start_value(configuration, packing, name) for name in names])
     errors: dict[bytes, Floats] = {}
 
     # The unknowns are 1 + log(value / start): steps of derivatives are relative, and values stay positive.
     def residuals(unknown: Floats) -> Floats:
-        values = dict(zip(names, np.exp(unknown - 1.0) * scale, strict=True))
+        values = dict(zip(names, np.exp(unknown - 1.0) * start, strict=True))
         means, standard_errors = mean_velocities(with_values(configuration, values), packing, list(targets), seeds)
         errors[unknown.tobytes()] = standard_errors / means
         ratios = means / np.array(list(targets.values()))
@@ -124,16 +120,24 @@ def calibrate(
     inverse = np.linalg.pinv(np.asarray(fit.jac))
     covariance = inverse @ np.diag(errors[fit.x.tobytes()] ** 2) @ inverse.T
     deviation = np.sqrt(np.diag(covariance))
-    values = np.exp(fit.x - 1.0) * scale
-    return Calibration(
+    values = np.exp(fit.x - 1.0) * start
+    ratios = np.exp(fit.fun).tolist()
+    return FittedParameters(
         values=dict(zip(names, values.tolist(), strict=True)),
         deviations=dict(zip(names, (values * deviation).tolist(), strict=True)),
         correlation=covariance / np.outer(deviation, deviation),
         targets=dict(targets),
-        fitted={
-            content: float(target * np.exp(r)) for (content, target), r in zip(targets.items(), fit.fun, strict=True)
-        },
+        fitted={content: target * ratio for (content, target), ratio in zip(targets.items(), ratios, strict=True)},
     )
+
+
+def refuse_names(names: Sequence[str], targets: Mapping[float, float]) -> None:
+    """Raise `ValueError` if a parameter cannot be fitted, or if there are more of them than targets."""
+    strange = sorted(set(names) - set(FITTABLE))
+    if strange:
+        raise ValueError(f"parameter = {', '.join(strange)}: cannot be fitted; choose among {', '.join(FITTABLE)}")
+    if not 0 < len(names) <= len(targets):
+        raise ValueError(f"parameters = {len(names)}: give at least 1 and at most {len(targets)}, one for each target")
 
 
 def mean_velocities(
@@ -160,7 +164,7 @@ def mean_velocities(
     return np.array(means), np.array(standard_errors)
 
 
-def calibrated_text(text: str, values: Mapping[str, float]) -> str:
+def text_with_values(text: str, values: Mapping[str, float]) -> str:
     """TOML text with the values put in: keys that are there are replaced, others added to their section."""
     for name, value in values.items():
         section, key = name.split(".")

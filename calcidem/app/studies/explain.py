@@ -12,13 +12,12 @@ from time import perf_counter
 import numpy as np
 
 from calcidem.app.studies.accuracy.findings import MeasuredErrors
-from calcidem.app.studies.accuracy.settings import DEFAULT
+from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
+from calcidem.app.studies.accuracy.study import ROUNDS
 from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
-
-ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,7 @@ def explain(
     for content in contents:
         for alternative in alternatives(experiment, content):
             progress(f"{content:g} %: {alternative.what}")
-            rows.append(with_errors(explained(experiment, alternative, content, seeds, lanes), measured))
+            rows.append(with_errors(measure_alternative(experiment, alternative, content, seeds, lanes), measured))
     return rows
 
 
@@ -122,7 +121,7 @@ def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
                 "bonds",
                 needed=False,
                 why="no contact is cemented, and without stiff bonds the step is about ten times longer",
-                opposite=replace(experiment, wave=replace(experiment.wave, keep=("bonds",))),
+                opposite=with_wave(experiment, keep=("bonds",)),
             )
         )
     else:
@@ -143,13 +142,13 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
             Alternative("new normals and overlaps", needed=wave.regime == "finite", why=why, opposite=None),
         ]
     small = "the pulse moves the grains by a small part of their overlaps"
-    finite = replace(experiment, wave=replace(wave, regime="finite"))
+    finite = with_wave(experiment, regime="finite")
     return [
         Alternative(
             "slip, opening and Hertz stiffening",
             needed=False,
             why=f"{small}, so contacts keep their stiffness",
-            opposite=replace(experiment, wave=replace(wave, regime="small")),
+            opposite=with_wave(experiment, regime="small"),
             setting="regime small",
         ),
         Alternative(
@@ -163,7 +162,7 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
             "contact search",
             needed=False,
             why=f"{small}: no two grains meet anew",
-            opposite=replace(finite, wave=replace(finite.wave, keep=("search",))),
+            opposite=with_wave(finite, keep=("search",)),
         ),
     ]
 
@@ -179,7 +178,7 @@ def whole_domain(experiment: Experiment) -> Alternative:
         "disks out of reach",
         needed=False,
         why=f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there",
-        opposite=replace(experiment, wave=replace(wave, keep=(*wave.keep, WHOLE_DOMAIN))),
+        opposite=with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)),
     )
 
 
@@ -198,13 +197,13 @@ def early_stop(experiment: Experiment) -> Alternative:
 def precision(experiment: Experiment) -> Alternative:
     """Single or double precision."""
     double = experiment.wave.precision == "float64"
-    other = replace(experiment, wave=replace(experiment.wave, precision="float32" if double else "float64"))
+    other = with_wave(experiment, precision="float32" if double else "float64")
     why = "the default; single precision pays with 16 lanes" if double else "the configuration asks for float32"
     setting = f"precision {other.wave.precision}"
     return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
 
 
-def explained(
+def measure_alternative(
     experiment: Experiment, alternative: Alternative, content: float, seeds: Sequence[int], lanes: int
 ) -> Explanation:
     """Measure one alternative on one content."""

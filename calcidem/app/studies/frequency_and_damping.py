@@ -1,5 +1,6 @@
 """Sensitivity studies: how reading, damping and excitation frequency change Vs (section 3.1 of the paper)."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -7,16 +8,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.dem.wave.arrival import read_arrival
+from calcidem.app.campaign.packing import stored_packing
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.wave.arrival import read_travel_times
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure, signals_of
-from calcidem.dem.wave.propagation import WaveRecord, send_waves
+from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.storage.campaign import open_stored_campaign
 
 METHODS = ("peak", "first_arrival", "cross_correlation")
 FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
 DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
 LANES = (4, 8, 16, 32)
-SAMPLES = 600
+RECORD_POINTS = 600
 UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
 WHOLE_RANGE = (0.0, 100.0)
 
@@ -104,8 +109,8 @@ def damping_study(
         (s) along (content, sample), and `vs_peak` (m/s) along (content, damping), NaN where nothing trustworthy
         was read.
     """
-    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), SAMPLES) for content in contents])
-    received = np.zeros((len(contents), len(factors), SAMPLES))
+    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), RECORD_POINTS) for content in contents])
+    received = np.zeros((len(contents), len(factors), RECORD_POINTS))
     velocity = np.full(received.shape[:2], np.nan)
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
@@ -115,10 +120,8 @@ def damping_study(
                 received[row, column] = np.nan
                 continue
             signals = signals_of(record, damped)
-            received[row, column] = np.interp(
-                time[row], np.arange(len(record.sent)) * record.interval, signals.received
-            )
-            peak = read_arrival(signals, damped.pick).peak
+            received[row, column] = np.interp(time[row], record.times, signals.received)
+            peak = read_travel_times(signals, damped.pick).peak
             if peak.velocity is not None and peak.quality >= damped.least_quality:
                 velocity[row, column] = peak.velocity
     study = xr.Dataset(
@@ -140,18 +143,18 @@ def readings(experiment: Experiment, measurement: Measurement) -> dict[str, floa
         reading = getattr(measurement.picks, method)
         if reading.velocity is not None and reading.quality >= experiment.least_quality:
             found[f"vs_{method}"] = reading.velocity
-    peak = measurement.picks.peak
+    peak, record = measurement.picks.peak, measurement.record
     if peak.travel_time is not None and "vs_peak" in found:
         found["received_frequency"] = pulse_frequency(
-            signals_of(measurement.record, experiment).received,
-            measurement.record.interval,
-            peak.travel_time + 0.5 / measurement.frequency,
+            signals_of(record, experiment).received,
+            record.sampling_interval,
+            peak.travel_time + 0.5 / measurement.frequency - record.start_time,
             reach=0.1 / measurement.frequency,
         )
     return found
 
 
-def pulse_frequency(signal: NDArray[np.float64], interval: float, moment: float, reach: float) -> float:
+def pulse_frequency(signal: NDArray[np.float64], sampling_interval: float, moment: float, reach: float) -> float:
     """Give the frequency of the pulse that peaks at a moment: one over twice its width at half height.
 
     For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum would not do: a pulse of one sign has its largest
@@ -161,17 +164,17 @@ def pulse_frequency(signal: NDArray[np.float64], interval: float, moment: float,
     ----------
     signal
         Any unit, shape (t,).
-    interval
+    sampling_interval
         Between its samples, s.
     moment, reach
-        Time of the peak, and how far from it the largest value may be, s.
+        Time of the peak after the first sample, and how far from it the largest value may be, s.
 
     Returns
     -------
     float
         Hz; NaN if the signal does not fall to half its peak on both sides.
     """
-    near, wide = round(moment / interval), max(1, round(reach / interval))
+    near, wide = round(moment / sampling_interval), max(1, round(reach / sampling_interval))
     begin = max(0, near - wide)
     top = begin + int(np.argmax(signal[begin : near + wide + 1]))
     half = signal[top] / 2
@@ -181,28 +184,66 @@ def pulse_frequency(signal: NDArray[np.float64], interval: float, moment: float,
     rise, fall = int(before[-1]), top + int(after[0])
     began = rise + (half - signal[rise]) / (signal[rise + 1] - signal[rise])
     ended = fall - (half - signal[fall]) / (signal[fall - 1] - signal[fall])
-    return float(1.0 / (2.0 * (ended - began) * interval))
+    return float(1.0 / (2.0 * (ended - began) * sampling_interval))
 
 
 def long_record(
     experiment: Experiment, content: float, seed: int, duration: float, check: Callable[[], None]
 ) -> WaveRecord:
     """Record one sample for a given time in s, whatever arrives when."""
-    packing, sand = experiment.stiffened()
+    patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.packing.width / duration))
+    bonded = [experiment.ordering(seed).at(content).bonded]
+    frequency = experiment.frequency(content)
     return send_waves(
-        packing,
-        sand,
-        experiment.cement,
-        [experiment.ordering(seed).at(content).bonded],
-        experiment.frequency(content),
-        replace(experiment.wave, slowest=packing.width / duration),
-        heard_enough=lambda record: len(record.sent) * record.interval >= duration,
-        lanes=1,
-        installation=experiment.installation,
-        check=check,
+        patient, bonded, frequency, stop_when=lambda record: record.duration >= duration, lanes=1, check=check
     )[0]
 
 
 def _set_units(study: xr.Dataset) -> None:
     for name, variable in study.variables.items():
         variable.attrs["units"] = UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
+
+
+STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": frequency_study, "damping": damping_study}
+
+
+def run_studies(
+    database: str | os.PathLike[str],
+    names: Sequence[str] = ("frequency", "damping"),
+    *,
+    contents: Sequence[float] | None = None,
+    campaign_name: str | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> dict[str, xr.Dataset]:
+    """Run sensitivity studies on the samples of a campaign; nothing is written to its database.
+
+    Parameters
+    ----------
+    database
+        SQLite file or database URL of a campaign whose packing is stored.
+    names
+        Studies, "frequency" and "damping".
+    contents
+        Percent; by default those of the study.
+    campaign_name
+        Which campaign, where the database has several.
+    check
+        Called every fraction of a second; may raise to end the study.
+
+    Returns
+    -------
+    dict
+        Result of each study, as `calcidem.app.report.write_report` takes them.
+
+    Raises
+    ------
+    ValueError
+        If a study is unknown, or the campaign cannot be computed again from what is stored.
+    """
+    unknown = sorted(set(names) - set(STUDIES))
+    if unknown:
+        raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(STUDIES)}")
+    with open_stored_campaign(database, campaign_name) as campaign:
+        experiment = Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
+    chosen = {} if contents is None else {"contents": tuple(contents)}
+    return {name: STUDIES[name](experiment, check=check, **chosen) for name in names}

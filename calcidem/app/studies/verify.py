@@ -31,7 +31,7 @@ COMPARED_TO_THE_BIT = (
 )
 
 
-class Verdict(StrEnum):
+class Agreement(StrEnum):
     """What came out of the comparison; the value is the sentence for the user."""
 
     IDENTICAL = "the same to the last bit"
@@ -41,7 +41,7 @@ class Verdict(StrEnum):
     @property
     def good(self) -> bool:
         """Whether the database is confirmed."""
-        return self is not Verdict.DIFFERENT
+        return self is not Agreement.DIFFERENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Verification:
         Both outcomes.
     same_cpu
         Whether the kind of CPU is the one that the stored outcome was computed on.
-    verdict
+    agreement
         What follows.
     differences
         Names of the quantities that are not the same to the last bit.
@@ -63,7 +63,7 @@ class Verification:
     stored: CellResult
     computed: CellResult
     same_cpu: bool
-    verdict: Verdict
+    agreement: Agreement
     differences: tuple[str, ...]
 
     @property
@@ -138,7 +138,7 @@ def verify_batch(
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
         computed = cell_result(measurement, experiment.packing.pairs, store_signals=stored.signal is not None)
-        yield compared(stored, computed, same_cpu=cpu_of(campaign, stored) == cpu_model())
+        yield compare_outcomes(stored, computed, same_cpu=cpu_of(campaign, stored) == cpu_model())
 
 
 def cpu_of(campaign: StoredCampaign, stored: CellResult) -> str | None:
@@ -151,14 +151,14 @@ def cpu_of(campaign: StoredCampaign, stored: CellResult) -> str | None:
     return next((run.cpu for run_id, run in campaign.runs() if run_id == number), None)
 
 
-def compared(stored: CellResult, computed: CellResult, *, same_cpu: bool) -> Verification:
+def compare_outcomes(stored: CellResult, computed: CellResult, *, same_cpu: bool) -> Verification:
     """Compare two outcomes of one cell: to the last bit on the same kind of CPU, else within the error estimate."""
     differences = tuple(different_quantities(stored, computed))
-    verdict = Verdict.IDENTICAL
+    agreement = Agreement.IDENTICAL
     if differences:
         tolerated = not same_cpu and within_error(stored, computed)
-        verdict = Verdict.WITHIN_ERROR if tolerated else Verdict.DIFFERENT
-    return Verification(stored, computed, same_cpu, verdict, differences)
+        agreement = Agreement.WITHIN_ERROR if tolerated else Agreement.DIFFERENT
+    return Verification(stored, computed, same_cpu, agreement, differences)
 
 
 def different_quantities(stored: CellResult, computed: CellResult) -> Iterator[str]:

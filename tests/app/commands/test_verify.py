@@ -11,7 +11,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.schema import CampaignPlan, Configuration
-from calcidem.app.studies.verify import Verdict, compared, random_cells, verify
+from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import WaveRule
@@ -78,10 +78,10 @@ def test_another_kind_of_cpu_may_differ_within_the_error(small: Path) -> None:
     assert stored.error_estimate is not None
     near = dataclasses.replace(stored, vs=stored.vs * (1.0 + 0.5 * stored.error_estimate))
     far = dataclasses.replace(stored, vs=stored.vs * (1.0 + 2.0 * stored.error_estimate))
-    assert compared(stored, stored, same_cpu=False).verdict is Verdict.IDENTICAL
-    assert compared(stored, near, same_cpu=False).verdict is Verdict.WITHIN_ERROR
-    assert compared(stored, far, same_cpu=False).verdict is Verdict.DIFFERENT
-    assert compared(stored, near, same_cpu=True).verdict is Verdict.DIFFERENT
+    assert compare_outcomes(stored, stored, same_cpu=False).agreement is Agreement.IDENTICAL
+    assert compare_outcomes(stored, near, same_cpu=False).agreement is Agreement.WITHIN_ERROR
+    assert compare_outcomes(stored, far, same_cpu=False).agreement is Agreement.DIFFERENT
+    assert compare_outcomes(stored, near, same_cpu=True).agreement is Agreement.DIFFERENT
 
 
 def test_choice_of_cells(small: Path) -> None:

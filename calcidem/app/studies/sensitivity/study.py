@@ -1,17 +1,19 @@
-"""Computing the variants, or what is left of them, and reading what is there."""
+"""Computing the variants or what is left of them, and comparing what is there in a table in Markdown."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 import xarray as xr
 
 from calcidem.analysis.sensitivity import Change, compare
 from calcidem.app.campaign.run import run
-from calcidem.app.studies.sensitivity.plan import Variant
+from calcidem.app.report.wording import ABSENT
+from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCampaignError
 
 
-def compute(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
+def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
     """Compute all cells that the database lacks, variant by variant; the same call goes on after a stop.
 
     Parameters
@@ -31,7 +33,7 @@ def compute(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
         run(variant.configuration).close()
 
 
-def velocities(variant: Variant) -> xr.DataArray | None:
+def variant_velocities(variant: Variant) -> xr.DataArray | None:
     """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
     plan = variant.configuration.campaign
     try:
@@ -42,12 +44,49 @@ def velocities(variant: Variant) -> xr.DataArray | None:
         return None
 
 
-def changes(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
+def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
     """Compare every computed variant with what it is an alternative to, by its name."""
-    found = {variant.name: velocities(variant) for variant in variants}
+    found = {variant.name: variant_velocities(variant) for variant in variants}
     compared = {}
     for variant in variants:
         own, other = found[variant.name], found[variant.against]
         if own is not None and other is not None:
             compared[variant.name] = compare(own, other)
     return compared
+
+
+def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequence[Change]]) -> str:
+    """Table with a row for each variant and a column for each content of the reference.
+
+    An entry has mean and standard deviation in m/s; below them the change of the mean, and the ratio of standard
+    deviations with its 95 % interval, in bold where the interval excludes 1.
+    """
+    contents = [change.content for change in changes.get(REFERENCE, ())]
+    header = ["choice", "value", *(f"{content:g} %" for content in contents)]
+    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    former = ""
+    for variant in variants:
+        found = {change.content: change for change in changes.get(variant.name, ())}
+        if not found:
+            continue
+        choice = variant.choice if variant.choice != former else ""
+        former = variant.choice
+        entries = [table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
+        value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
+        lines.append(f"| {' | '.join([choice, value, *entries])} |")
+    return "\n".join(lines) + "\n"
+
+
+def table_entry(change: Change | None, *, is_reference: bool) -> str:
+    """One entry of the table."""
+    if change is None or not change.measured:
+        return ABSENT if change is None else f"none of {change.planned} read"
+    text = f"{change.mean:.0f} ± {change.standard_deviation:.0f}"
+    if not is_reference and math.isfinite(change.deviation_ratio):
+        interval = change.deviation_ratio_interval
+        scatter = f"x {change.deviation_ratio:.2f} ({interval.low:.2f} to {interval.high:.2f})"
+        scatter = scatter if interval.contains(1.0) else f"**{scatter}**"
+        text += f"<br>{100.0 * (change.mean_ratio - 1.0):+.1f} %, {scatter}"
+    if change.measured < change.planned:
+        text += f"<br>{change.measured} of {change.planned} read"
+    return text
