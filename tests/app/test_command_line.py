@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 import xarray as xr
+from typer.testing import CliRunner
 
 import calcidem
+from calcidem.app.cli.main import COMMANDS, build_application, command_description
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -20,9 +22,27 @@ CHECKOUT = Path(__file__).parents[2]
 
 def test_help_does_not_wait_for_numerical_libraries() -> None:
     """`calcidem --help` loads neither NumPy nor Numba, which take seconds."""
-    program = "import sys, calcidem.app.cli.main; sys.exit('numpy' in sys.modules or 'numba' in sys.modules)"
+    program = """
+import atexit, os, sys
+from calcidem.app.cli.main import main
+atexit.register(lambda: os._exit(7) if {"numpy", "numba"} & set(sys.modules) else None)
+main()
+"""
     environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
-    assert subprocess.run([sys.executable, "-c", program], check=False, env=environment).returncode == 0
+    command = [sys.executable, "-c", program, "--help"]
+    done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert all(f" {name} " in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_says_how_it_is_used(name: str) -> None:
+    """Each command is found under its name, and its help begins as the list of all commands has it."""
+    shown = CliRunner().invoke(build_application([name]), [name, "--help"])
+    assert shown.exit_code == 0, shown.output
+    summary = command_description(name).partition("\n\n")[0]
+    assert summary
+    assert "".join(summary.split()) in "".join(shown.output.split())
 
 
 def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop") -> None:
@@ -91,6 +111,14 @@ def test_wrong_arguments_are_refused_without_a_traceback(
     assert refused.code == code
     assert words in refused.errors
     assert "Traceback" not in refused.errors
+
+
+def test_a_former_key_is_warned_of_in_one_line(workshop: "Workshop") -> None:
+    """The warning comes first, without a place in the sources, and whatever follows does."""
+    (workshop.folder / "c.toml").write_text("[packing]\nbalance = 1e-6\nporosity = 0.9\n", encoding="utf-8")
+    warning, error, *_ = workshop.run("packing", "c.toml").errors.splitlines()
+    assert warning.startswith("Warning: packing.balance is now called packing.unbalanced_force_ratio")
+    assert error.startswith("Error: c.toml: 1 problem")
 
 
 def test_a_content_over_the_maximum_leaves_no_database(workshop: "Workshop") -> None:

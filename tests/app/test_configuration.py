@@ -17,6 +17,32 @@ from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+CHECKOUT = Path(__file__).parents[2]
+
+# File, and the hashes of its campaign and of its packing.
+IDENTITIES = {
+    "examples/quick.toml": (
+        "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
+        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
+    ),
+    "examples/paper.toml": (
+        "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
+        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
+    ),
+    "examples/paper-literal.toml": (
+        "cf8fd0138012374a519b4761619d3c70e6ab0d1293264804b78a5bebc8f6a26d",
+        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
+    ),
+    "examples/paper-locked.toml": (
+        "68633b10f4754b902913a1046dbaaa2e057454b6b0248f15290e4f1715781888",
+        "4257a5b0f6ded8c16a5a27c601667a82bc86d622ed563c9c9de74f4270fc3bdf",
+    ),
+    "docs/tutorial/quick.toml": (
+        "86e20367f5cdabb623b5079e8401e29eca648cbb5af5bf852e8df918b11e0b9f",
+        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
+    ),
+}
+
 # (text of the file, what the message must name: field and value, problem or cure)
 WRONG = {
     "empty file": ("", ("the file is empty", "calcidem init")),
@@ -215,6 +241,35 @@ def test_presets_are_good(name: str, tmp_path: Path) -> None:
     seeds, contents = {"quick": (4, 6), "paper": (116, 17)}.get(name, (8, 17))
     assert len(configuration.campaign.seed_numbers) == seeds
     assert len(configuration.campaign.contents) == contents
+
+
+def test_examples_are_the_presets() -> None:
+    """The files in examples are the presets."""
+    examples = {path.stem: path.read_text(encoding="utf-8") for path in (CHECKOUT / "examples").glob("*.toml")}
+    assert examples == {name: preset_text(name) for name in ("quick", "paper", "paper-literal", "paper-locked")}
+
+
+@pytest.mark.parametrize("name", IDENTITIES)
+def test_campaigns_keep_their_identity(name: str) -> None:
+    """The hashes of campaign and packing are those with which databases and cached packings were made."""
+    configuration = load_configuration(CHECKOUT / name)
+    assert (configuration.hash, configuration.packing_hash) == IDENTITIES[name]
+
+
+@pytest.mark.parametrize("section", ["packing", "wave"])
+def test_a_former_key_is_read_with_a_warning(section: str) -> None:
+    """`balance` still means the unbalanced-force ratio, to be reached by the same campaign."""
+    with pytest.warns(FutureWarning, match=f"{section}.balance is now called {section}.unbalanced_force_ratio"):
+        former = read_configuration({section: {"balance": 2e-6}})
+    present = read_configuration({section: {"unbalanced_force_ratio": 2e-6}})
+    assert former == present
+    assert former.hash == present.hash != Configuration().hash
+
+
+def test_a_former_key_beside_the_present_one_is_refused() -> None:
+    """Nothing says which of the two would count; the message names both."""
+    with pytest.raises(ConfigurationError, match=r"packing\.balance = 0\.0001: .*packing\.unbalanced_force_ratio"):
+        read_configuration({"packing": {"balance": 1e-4, "unbalanced_force_ratio": 1e-6}})
 
 
 def other(value: Any) -> Any:  # noqa: ANN401 - any field of a configuration

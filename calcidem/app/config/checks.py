@@ -12,8 +12,8 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import wave_scene
 from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import parse_address
 

@@ -9,7 +9,7 @@ CURE_BY_ERROR_TYPE = {
     "float_type": "is not a number; write for example 0.5",
     "int_type": "is not a whole number; write for example 4",
     "bool_type": "is neither true nor false; write one of the two, without quotes",
-    "string_type": 'is not a text; put it in quotes "..."',
+    "string_type": 'is not a string; put it in quotes "..."',
     "tuple_type": "is not a list; write for example [1.0, 2.0]",
     "finite_number": "is not finite; give a number",
 }
@@ -35,7 +35,7 @@ class Problem:
 class ConfigurationError(ValueError):
     """A configuration that cannot be computed; says everything that is wrong with it at once.
 
-    Parameters
+    Attributes
     ----------
     source
         Where the configuration is from: a file name.
@@ -65,7 +65,7 @@ def quote(value: object) -> str:
 
 
 def phrase(error: ErrorDetails) -> str:
-    """Problem and cure of one error of pydantic.
+    """Put one error of pydantic into words: problem and cure.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from calcidem.app.config.schema import (
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import PackingRule
-from calcidem.dem.wave.arrival import PickRule
+from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.rule import WaveRule
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.arrival import PickRule
 from calcidem.dem.wave.experiment import Experiment, Method, ReceivedSignal
+from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
@@ -141,14 +141,28 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Bonding:
-    """The rest of section ``[cement]``: how bonds start on loaded contacts, see `calcidem.dem.Bonds`."""
+    """The rest of section ``[cement]``.
+
+    Attributes
+    ----------
+    installation
+        How bonds start on loaded contacts, see `calcidem.dem.Bonds`.
+    """
 
     installation: Installation = "preserve"
 
 
 @dataclass(frozen=True, slots=True)
 class FrequencyTable:
-    """Section ``[wave.frequency]``: excitation frequencies, Hz, at contents, percent; linear between them."""
+    """Section ``[wave.frequency]``: excitation frequencies, linear between the contents given.
+
+    Attributes
+    ----------
+    content
+        Increasing contents, percent.
+    frequency
+        One for each content, Hz.
+    """
 
     content: tuple[float, ...]
     frequency: tuple[float, ...]
@@ -205,7 +219,15 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class VelocityChoice:
-    """The rest of section ``[pick]``: which reading becomes Vs, see `calcidem.dem.wave.experiment.Experiment`."""
+    """The rest of section ``[pick]``: which reading becomes Vs, see `calcidem.dem.wave.experiment.Experiment`.
+
+    Attributes
+    ----------
+    method, signal
+        How the travel time is read, and of which signal.
+    least_quality
+        Quality below which a reading does not count, in [0, 1).
+    """
 
     method: Method = "peak"
     signal: ReceivedSignal = "velocity"
@@ -251,7 +273,23 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class Configuration:
-    """A campaign, checked as a whole; see `calcidem.app.config.reader` for how it is read."""
+    """A campaign, checked as a whole; see `calcidem.app.config.reader` for how it is read.
+
+    Attributes
+    ----------
+    campaign, run
+        What is planned, and how it is computed and stored: neither changes what a cell gives.
+    packing, packing_draw
+        How the packing is made, and which one.
+    sand, calibration, cement, bonding
+        Materials, and how bonds between grains begin.
+    pattern
+        Where cement goes.
+    wave, excitation
+        The wave that is sent, and its frequency.
+    pick, velocity_choice
+        How its arrival is read, and what becomes Vs.
+    """
 
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     packing: PackingRule = field(default_factory=PackingRule)
