@@ -9,7 +9,7 @@ with Session() as session:
 from calcidem.sweep.attempt import Compute, SweepInterrupted, TimeLimitReached
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 from calcidem.sweep.context import Sink
-from calcidem.sweep.environment import LaunchEnvironment, describe_environment, refuse_singletons
+from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.progress import BarProgress, LineProgress, Progress, SilentProgress, progress_for
@@ -39,7 +39,6 @@ __all__ = [
     "Compute",
     "Failure",
     "FailureKind",
-    "LaunchEnvironment",
     "LaunchError",
     "LineProgress",
     "MasterLostError",
@@ -57,7 +56,6 @@ __all__ = [
     "SweepState",
     "Tally",
     "TimeLimitReached",
-    "describe_environment",
     "plan_batches",
     "progress_for",
     "refuse_singletons",

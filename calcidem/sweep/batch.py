@@ -15,7 +15,7 @@ Cell: TypeAlias = tuple[int, float]
 class Batch(Generic[CellT]):
     """Cells that one worker computes in one go.
 
-    Parameters
+    Attributes
     ----------
     identifier
         Number of the batch, unique within a sweep.

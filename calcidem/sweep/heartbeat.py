@@ -1,4 +1,4 @@
-"""Signs of life of rank 0 for the program that started the launcher: MPI itself does not notice a stopped process."""
+"""Heartbeat of rank 0 for the program that started the launcher: MPI itself does not notice a stopped process."""
 
 import os
 import platform
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
 
-HEARTBEAT_SUFFIX = ".alive"
-"""Ends the name of the file whose time of change is the sign; the file is there only while signs are to be expected."""
+HEARTBEAT_SUFFIX = ".heartbeat"
+"""Ends the name of the file whose time of change is the heartbeat; it is there only while beats are to be expected."""
 
 
 class Heartbeat:
-    """A file beside the one of the exit code; without that there is nobody to give signs to."""
+    """Rank 0's end: a file beside the one of the exit code; without that there is nobody to beat for."""
 
     def __init__(self) -> None:
         beside = os.environ.get(EXIT_CODE_FILE_VARIABLE)
@@ -20,7 +20,7 @@ class Heartbeat:
         self._begun = False
 
     def beat(self) -> None:
-        """Give a sign, the first one with host and process."""
+        """Beat once, the first time with host and process."""
         if self._path is None:
             return
         if self._begun:
@@ -30,36 +30,41 @@ class Heartbeat:
             self._begun = True
 
     def end(self) -> None:
-        """Give none any more."""
+        """Let nobody expect any more beats."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
 
 class HeartbeatMonitor:
-    """Hears the signs of life.
+    """The end of the program that started the launcher.
 
     Parameters
     ----------
     exit_code_file
         The file of the exit code, as named to the ranks.
+
+    Attributes
+    ----------
+    sender
+        Process and host of rank 0, once it has beaten.
     """
 
     def __init__(self, exit_code_file: Path) -> None:
         self._path = Path(f"{exit_code_file}{HEARTBEAT_SUFFIX}")
         self._last = 0
-        self._heard = time.monotonic()
-        self.who = ""
+        self._changed = time.monotonic()
+        self.sender = ""
 
-    def silence(self) -> float:
-        """Seconds since the last sign that was heard; 0 while none are to be expected.
+    def seconds_since_last(self) -> float:
+        """Seconds since the last beat that was seen; 0 while none are to be expected.
 
         The clock is one that stands still while the machine sleeps.
         """
         try:
-            sign, self.who = self._path.stat().st_mtime_ns, self._path.read_text(encoding="ascii").strip()
+            beat, self.sender = self._path.stat().st_mtime_ns, self._path.read_text(encoding="ascii").strip()
         except FileNotFoundError:
-            sign = 0
-        if sign != self._last or sign == 0:
-            self._last, self._heard = sign, time.monotonic()
+            beat = 0
+        if beat != self._last or beat == 0:
+            self._last, self._changed = beat, time.monotonic()
             return 0.0
-        return time.monotonic() - self._heard
+        return time.monotonic() - self._changed

@@ -11,7 +11,7 @@ class SweepOptions:
     batch only. Past `hard_limit` the kernel kills the worker, which works in compiled code too. Past
     `watchdog_limit` the master gives the worker up, which works even if it is stopped or its node is gone.
 
-    Parameters
+    Attributes
     ----------
     time_limit
         Seconds that a batch may take, including compilation, or None for no limit and no guards.

@@ -39,7 +39,7 @@ class Place:
 class Failure:
     """Why a batch has no results.
 
-    Parameters
+    Attributes
     ----------
     kind
         Class of the failure.
@@ -67,7 +67,7 @@ class Failure:
 class BatchOutcome(Generic[CellT, ResultT]):
     """What became of a batch.
 
-    Parameters
+    Attributes
     ----------
     batch
         The batch.

@@ -26,7 +26,7 @@ class Progress(Protocol):
         """Take note that a worker is lost."""
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Take note, twice a second, that rank 0 is at work, with so many workers left and so many of them computing."""
+        """Take note, twice a second, that rank 0 is at work, with so many workers left, some of them computing."""
 
     def on_end(self, end: SweepEnd) -> None:
         """Take note that the sweep has ended."""

@@ -40,7 +40,7 @@ class Schedule(Generic[CellT]):
       left to harm; after `LOSSES_BEFORE_SPLIT` losses as single cells.
     - A single cell with `LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
 
-    Parameters
+    Attributes
     ----------
     batches
         What to compute, in this order; the identifiers must differ.

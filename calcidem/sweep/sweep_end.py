@@ -52,7 +52,7 @@ EXIT_CODES = {
 class SweepEnd:
     """How a sweep ended, the same on all ranks.
 
-    Parameters
+    Attributes
     ----------
     state
         Why it ended.

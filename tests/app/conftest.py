@@ -37,12 +37,12 @@ wave_stiffness_factor = 4.7
 [wave]
 receiver_half_width = 0.01
 boundary_thickness = 0.01
-step_fraction = 0.2
+step_fraction = 0.05
 {wave}
 [run]
 lanes = 2
 """
-"""About 280 disks, packed in seconds; a batch takes about a second, long enough to be interrupted."""
+"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way."""
 
 SEEDS = 4
 CONTENTS = (0.0, 0.66, 5.0)
@@ -136,7 +136,7 @@ class Workshop:
         while self._settled() < count:
             if time.monotonic() > end:
                 pytest.fail(f"there are still not {count} cells")
-            time.sleep(0.1)
+            time.sleep(0.02)
 
     def _settled(self) -> int:
         """Count the settled cells; cheap, since the ranks that compute them need the cores."""

@@ -146,7 +146,7 @@ def test_a_time_limit_is_an_outcome(workshop: "Workshop") -> None:
         assert "time limit" in next(campaign.select()).reason
 
 
-def test_a_launcher_that_is_missing_is_said(workshop: "Workshop") -> None:
+def test_a_missing_launcher_is_reported(workshop: "Workshop") -> None:
     """With MPIRUN naming no program, the exit code is 2 and the message says what to do."""
     workshop.configure()
     workshop.variables["MPIRUN"] = "no-such-launcher"
@@ -194,10 +194,13 @@ def test_restarts_come_to_an_end(workshop: "Workshop") -> None:
     assert "Restart 1 of 1" in ended.errors
 
 
-def test_a_silent_master_is_said(workshop: "Workshop") -> None:
-    """A stopped rank 0 is told on stderr with its process, nothing is killed, and once continued the run completes."""
+def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
+    """A stopped rank 0 is reported on stderr with its process, nothing is killed, and continued it completes the run."""
     workshop.configure(contents=(0.66, 5.0))
-    program = "from calcidem.app import command_line, launch; launch.SILENCE = 1.0; command_line.main()"
+    program = (
+        "from calcidem.app.campaign import launch; from calcidem.app.cli.main import main;"
+        " launch.HEARTBEAT_TIMEOUT = 1.0; main()"
+    )
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)
     workshop.wait_for_cells(1)
     master = workshop.processes("OMPI_COMM_WORLD_RANK=0")[0]
@@ -206,7 +209,7 @@ def test_a_silent_master_is_said(workshop: "Workshop") -> None:
     os.kill(master, signal.SIGCONT)
     done = workshop.wait(process)
     assert done.code == 0, done.errors
-    assert f"No sign of life of rank 0 (process {master}" in done.errors
+    assert f"No heartbeat from rank 0 (process {master}" in done.errors
 
 
 def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> None:

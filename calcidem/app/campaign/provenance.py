@@ -1,5 +1,6 @@
 """Where results come from: versions, machine and launch of a run."""
 
+import os
 import platform
 import shutil
 import subprocess
@@ -9,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from calcidem.storage.records import RunRecord
-from calcidem.sweep import describe_environment
+from calcidem.sweep.environment import mpi_library_version
 
 LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
 """What the numbers and the files depend on."""
@@ -17,19 +18,18 @@ LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlal
 
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of the run that begins now, on rank 0 of so many."""
-    environment = describe_environment(ranks)
     commit, dirty = source_tree_state()
     return RunRecord(
         versions={"python": platform.python_version()} | {name: version_of(name) for name in LIBRARIES},
-        host=environment.host,
+        host=platform.node(),
         cpu=cpu_model(),
         ranks=ranks,
         launch_line=" ".join(sys.argv),
         started=datetime.now(UTC),
-        mpi_library=environment.mpi_library if ranks > 1 else None,
+        mpi_library=mpi_library_version() if ranks > 1 else None,
         git_commit=commit,
         git_dirty=dirty,
-        slurm_job_id=environment.slurm.get("SLURM_JOB_ID"),
+        slurm_job_id=os.environ.get("SLURM_JOB_ID"),
     )
 
 

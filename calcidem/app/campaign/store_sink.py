@@ -10,8 +10,8 @@ from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 from calcidem.sweep.heartbeat import Heartbeat
 
-PAUSE = 30.0
-"""Seconds between two signs of life of the master; half of what the store asks for."""
+RENEWAL_INTERVAL = 30.0
+"""Seconds between two renewals of the lease; half of what the store asks for."""
 
 
 class StoreSink:
@@ -66,30 +66,37 @@ class StoreSink:
 
 
 class LeaseKeeper:
-    """Signs of life of the master, for other machines that might want to take the campaign over.
+    """Renews the lease of the master, for other machines that might want to take the campaign over.
 
     Parameters
     ----------
     store
-        Of which this process is the master.
+        Whose lease this process holds.
     """
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._next = time.monotonic() + PAUSE
+        self._next = time.monotonic() + RENEWAL_INTERVAL
 
     def __call__(self) -> None:
-        """Give one if it is time to."""
+        """Renew the lease if it is time to."""
         if time.monotonic() > self._next:
-            self._next = time.monotonic() + PAUSE
+            self._next = time.monotonic() + RENEWAL_INTERVAL
             self._store.renew_lease()
 
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatProgress:
-    """Progress display that gives signs of life at every tick, and otherwise is the one it wraps.
+    """Progress display that keeps heartbeat and lease alive, and otherwise is the one it wraps.
 
-    The heartbeat is for other machines, the sign of life for the command that started the ranks.
+    The heartbeat is for the command that started the ranks, the lease for other machines.
+
+    Attributes
+    ----------
+    shown
+        The display that it wraps.
+    lease_keeper, heartbeat
+        What is kept alive.
     """
 
     shown: Progress
@@ -109,7 +116,7 @@ class HeartbeatProgress:
         self.shown.on_loss(place, reason)
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Give a sign of life and pass it on."""
+        """Beat, and pass it on."""
         self.lease_keeper()
         self.heartbeat.beat()
         self.shown.on_heartbeat(workers, running)

@@ -7,10 +7,10 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.app.doctor.checkup import findings
-from calcidem.app.doctor.finding import Finding, Verdict
 
-STYLES = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.PROBLEM: "bold red"}
+STYLES = {FindingLevel.OK: "green", FindingLevel.WARNING: "yellow", FindingLevel.PROBLEM: "bold red"}
 
 
 def doctor_command(
@@ -28,19 +28,19 @@ def doctor_command(
         console.print(finding_line(finding), soft_wrap=True)
         found.append(finding)
     console.print(findings_summary(found))
-    if any(finding.verdict is Verdict.PROBLEM for finding in found):
+    if any(finding.level is FindingLevel.PROBLEM for finding in found):
         raise typer.Exit(1)
 
 
 def finding_line(finding: Finding) -> Text:
     """One line about a finding, the cure on one of its own."""
-    line = Text(f"{finding.verdict:<8}", STYLES[finding.verdict]).append(f" {finding.subject}: {finding.fact}", "")
+    line = Text(f"{finding.level:<8}", STYLES[finding.level]).append(f" {finding.subject}: {finding.fact}", "")
     return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line
 
 
 def findings_summary(found: list[Finding]) -> str:
     """The last line."""
-    numbers = {verdict: sum(finding.verdict is verdict for finding in found) for verdict in Verdict}
-    if not numbers[Verdict.PROBLEM] and not numbers[Verdict.WARNING]:
+    numbers = {level: sum(finding.level is level for finding in found) for level in FindingLevel}
+    if not numbers[FindingLevel.PROBLEM] and not numbers[FindingLevel.WARNING]:
         return "All is well."
-    return ", ".join(f"{number} {verdict}" for verdict, number in numbers.items())
+    return ", ".join(f"{number} {level}" for level, number in numbers.items())

