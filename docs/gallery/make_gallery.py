@@ -15,7 +15,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
-from calcidem.app.report.provenance import CHOSEN, flatten, value_text
+from calcidem.app.report.provenance import CHOSEN, flat_parameters, value_text
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 
@@ -33,7 +33,7 @@ def main() -> None:
     with open_stored_campaign(database) as campaign:
         analysis = CampaignAnalysis(campaign)
         shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
-        facts, config = key_facts(analysis), flatten(campaign.config)
+        facts, config = key_facts(analysis), flat_parameters(campaign.config)
     shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
     pictorial = {entry.name for entry in CAMPAIGN_FIGURES if entry.pictorial}
     for name, _, _, figure in shown:

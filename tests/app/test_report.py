@@ -10,11 +10,11 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.app.report import analyse, show_cell, write_report
+from calcidem.app.report import show_cell, write_report
 from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import outcome_table, velocity_table
-from calcidem.app.report.wording import number, probability, significant, time_span
+from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCellError
@@ -118,17 +118,19 @@ def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path) -> N
         run_studies(small_database, ["colour"])
 
 
-def test_analyse_writes_figures_tables_and_numbers(small_database: Path, tmp_path: Path) -> None:
+def test_analyse_writes_figures_tables_and_numbers(
+    small_database: Path, small_folder: tuple[Path, dict[str, str]]
+) -> None:
     """The folder has three files for each figure, tables that can be read, and the exact numbers."""
-    left_out = analyse(small_database, tmp_path / "out")
+    folder, left_out = small_folder
     for entry in CAMPAIGN_FIGURES:
-        written = {file.suffix for file in (tmp_path / "out").glob(f"{entry.name}.*")}
+        written = {file.suffix for file in folder.glob(f"{entry.name}.*")}
         assert written == (set() if entry.name in left_out else {".png", ".svg", ".pdf"})
-    with (tmp_path / "out" / "table_velocities.csv").open(encoding="utf-8") as stream:
+    with (folder / "table_velocities.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["content (%)"] for row in rows] == ["0", "0.34", "0.66", "2.55", "5", "9"]
     with (
-        xr.open_dataset(tmp_path / "out" / "distributions.nc") as numbers,
+        xr.open_dataset(folder / "distributions.nc") as numbers,
         open_stored_campaign(small_database) as campaign,
     ):
         assert float(numbers["mean"].sel(content=0.66)) == pytest.approx(
@@ -173,7 +175,7 @@ def test_numbers_are_written_with_significant_digits(value: float | None, text: 
 
 def test_words_for_numbers() -> None:
     """Missing numbers are dashes, times have the unit that suits them."""
-    assert number(float("nan")) == "\N{EN DASH}"
-    assert number(-3.14159, 2) == "\N{MINUS SIGN}3.14"
+    assert decimal(float("nan")) == "\N{EN DASH}"
+    assert decimal(-3.14159, 2) == "\N{MINUS SIGN}3.14"
     assert (time_span(5.0), time_span(90.0), time_span(7200.0)) == ("5 s", "1.5 min", "2.0 h")
     assert (probability(1e-9), probability(0.0471)) == ("< 0.001", "0.047")

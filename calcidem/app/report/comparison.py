@@ -8,10 +8,8 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
 from calcidem.analysis.published import PublishedVelocity, published_study
-from calcidem.analysis.published_check import check_study, check_verdicts
-from calcidem.app.report.wording import ABSENT, Table, number, probability, with_bounds
-
-SIGNIFICANCE = 0.05
+from calcidem.analysis.published_check import SIGNIFICANCE, check_study, check_verdicts
+from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
 
 
 def published_table(analysis: CampaignAnalysis) -> Table | None:
@@ -32,10 +30,10 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
             (
                 f"{content:g}",
                 with_bounds(vs.mean, vs.mean_interval),
-                number(row.mean),
-                f"{number(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
+                decimal(row.mean),
+                f"{decimal(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
                 with_bounds(vs.standard_deviation, vs.standard_deviation_interval_bootstrap),
-                number(row.standard_deviation),
+                decimal(row.standard_deviation),
                 _normal(None if math.isnan(p_value) else p_value >= SIGNIFICANCE),
                 _normal(row.normal),
                 f"{_normal(verdict.computed_normal)} (p {probability(verdict.test.p_asymptotic)})",

@@ -1,7 +1,8 @@
 """The report: one HTML page that needs nothing else."""
 
 import os
-from collections.abc import Callable, Mapping
+from base64 import b64encode
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,10 +10,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
+from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+from calcidem.analysis.figures.style import render
 from calcidem.app.report.comparison import disagreement_table, published_table
-from calcidem.app.report.pictures import Picture, campaign_pictures, study_pictures
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
 from calcidem.app.report.results import (
     cost_table,
@@ -22,19 +26,46 @@ from calcidem.app.report.results import (
     outcome_table,
     velocity_table,
 )
-from calcidem.app.report.wording import Table, number, significant, time_span
+from calcidem.app.report.wording import Table, decimal, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.files import write_atomically
 
-FEW_SEEDS = 30
+FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
+
+
+MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure in a page.
+
+    Attributes
+    ----------
+    name, title, caption
+        As in the registry.
+    source
+        The picture itself as a data URI; empty where there is none.
+    inches
+        Width for which its letters were chosen.
+    reason
+        Why there is none.
+    """
+
+    name: str
+    title: str
+    caption: str
+    source: str = ""
+    inches: float = 0.0
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
     """A part of the page.
 
-    Parameters
+    Attributes
     ----------
     anchor, title
         Name in links, and heading.
@@ -98,13 +129,13 @@ def render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -
     """Give the page as text."""
     pictures = {picture.name: picture for picture in campaign_pictures(analysis)}
     sections = (
-        _velocities(analysis, pictures),
-        _samples(pictures),
-        _paths(analysis, pictures),
-        _errors(analysis, pictures),
-        _sensitivity(studies),
-        _comparison(analysis),
-        _provenance(analysis),
+        _velocity_section(analysis, pictures),
+        _sample_section(pictures),
+        _path_section(analysis, pictures),
+        _error_section(analysis, pictures),
+        _sensitivity_section(studies),
+        _published_section(analysis),
+        _provenance_section(analysis),
     )
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
@@ -132,7 +163,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     errors = cells["error_estimate"].to_numpy()
     seconds = float(np.nansum(cells["seconds"].to_numpy()))
     error = f"{significant(100 * float(np.nanmax(errors)), 2)} %" if np.isfinite(errors).any() else "unknown"
-    span = f"{number(min(means))} to {number(max(means))} m/s" if means else "none"
+    span = f"{decimal(min(means))} to {decimal(max(means))} m/s" if means else "none"
     return (
         ("samples measured", f"{done} of {done + failed + missing}"),
         ("without velocity", str(failed)),
@@ -144,11 +175,11 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _velocities(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
     tables = [velocity_table(analysis), outcome_table(analysis), growth_table(analysis)]
     text = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
-    if measured and min(measured) < FEW_SEEDS:
+    if measured and min(measured) < FEW_SAMPLES:
         text.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
             "that does not reject normality proves little."
@@ -164,17 +195,17 @@ def _velocities(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> 
     )
 
 
-def _samples(pictures: Mapping[str, Picture]) -> Section:
+def _sample_section(pictures: Mapping[str, Picture]) -> Section:
     shown = ("samples", "measurement", "signals", "methods")
     return Section("samples", "Samples and measurement", pictures=tuple(pictures[name] for name in shown))
 
 
-def _paths(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
     tables: list[Table] = []
     reasons: list[str] = []
     makers: tuple[Callable[[], Table], ...] = (
         lambda: feature_table(analysis),
-        lambda: law_table(_laws(analysis)),
+        lambda: law_table([analysis.physical_law, analysis.scanned_law]),
     )
     for make in makers:
         try:
@@ -191,20 +222,16 @@ def _paths(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Secti
     )
 
 
-def _laws(analysis: CampaignAnalysis) -> list[LawFit]:
-    return [analysis.physical_law, analysis.scanned_law]
-
-
-def _errors(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+def _error_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
     return Section("errors", "Errors and run time", tables=(cost_table(analysis),), pictures=(pictures["narrowing"],))
 
 
-def _sensitivity(studies: Mapping[str, xr.Dataset]) -> Section | None:
+def _sensitivity_section(studies: Mapping[str, xr.Dataset]) -> Section | None:
     pictures = tuple(study_pictures(studies))
     return Section("sensitivity", "Sensitivity", pictures=pictures) if pictures else None
 
 
-def _comparison(analysis: CampaignAnalysis) -> Section:
+def _published_section(analysis: CampaignAnalysis) -> Section:
     table = published_table(analysis)
     text = () if table else ("The contents of this campaign are not those of the published tables.",)
     return Section(
@@ -216,7 +243,7 @@ def _comparison(analysis: CampaignAnalysis) -> Section:
     )
 
 
-def _provenance(analysis: CampaignAnalysis) -> Section:
+def _provenance_section(analysis: CampaignAnalysis) -> Section:
     campaign = analysis.campaign
     tables = [parameter_table(campaign.config)]
     text = []
@@ -231,3 +258,33 @@ def _provenance(analysis: CampaignAnalysis) -> Section:
         tables=(*tables, run_table(campaign.runs())),
         folded=(configuration_table(campaign.config),),
     )
+
+
+def campaign_pictures(analysis: CampaignAnalysis) -> Iterator[Picture]:
+    """Draw every figure that the campaign allows, in the registry's order."""
+    for entry in CAMPAIGN_FIGURES:
+        yield draw_picture(entry, analysis)
+
+
+def draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> Picture:
+    """Draw one figure, or say why it can't be drawn."""
+    try:
+        figure = entry.draw(analysis)
+    except UnavailableError as error:
+        return Picture(entry.name, entry.title, entry.caption, reason=str(error))
+    source = data_uri(figure, "png" if entry.pictorial else "svg")
+    return Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+
+
+def study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[Picture]:
+    """Draw the figures of the studies given, named "frequency" and "damping"."""
+    for entry in STUDY_FIGURES:
+        if entry.study in studies:
+            figure = entry.draw(studies[entry.study])
+            source = data_uri(figure, "svg")
+            yield Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+
+
+def data_uri(figure: Figure, file_format: str) -> str:
+    """Give a figure as a data URI, so that a page needs no other file."""
+    return f"data:{MEDIA_TYPES[file_format]};base64,{b64encode(render(figure, file_format)).decode()}"

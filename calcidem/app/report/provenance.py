@@ -6,7 +6,7 @@ from typing import Any
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
-from calcidem.app.report.wording import ABSENT, Table, number, significant, time_span
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
 
 PUBLISHED_AS = {
@@ -48,7 +48,7 @@ CHOSEN = {
 
 def parameter_table(config: Mapping[str, Any]) -> Table:
     """Calibrated and chosen parameters, and those that differ from the published ones (marked)."""
-    flat = flatten(config)
+    flat = flat_parameters(config)
     rows: list[tuple[str, ...]] = []
     marked: set[int] = set()
     for key, (literal, meaning) in CHOSEN.items():
@@ -77,16 +77,16 @@ def parameter_table(config: Mapping[str, Any]) -> Table:
 
 def configuration_table(config: Mapping[str, Any]) -> Table:
     """The whole physical configuration."""
-    rows = tuple((key, value_text(value)) for key, value in flatten(config).items())
+    rows = tuple((key, value_text(value)) for key, value in flat_parameters(config).items())
     return Table("The whole physical configuration, SI units.", ("parameter", "value"), rows)
 
 
-def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat_parameters(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Give nested keys as one level, joined by points."""
     flat: dict[str, Any] = {}
     for key, value in config.items():
         if isinstance(value, dict):
-            flat |= flatten(value, f"{prefix}{key}.")
+            flat |= flat_parameters(value, f"{prefix}{key}.")
         else:
             flat[f"{prefix}{key}"] = value
     return flat
@@ -143,18 +143,18 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
         for name, text, note in (
             ("grains", lambda g: str(g.graph.grain_count), ""),
             ("contacts", lambda g: str(g.graph.contact_count), ""),
-            ("porosity", lambda g: number(g.packing.porosity, 4), f"published {value_text(published['porosity'])}"),
-            ("coordination number", lambda g: number(g.packing.coordination_number, 3), "published weights: 3.05"),
+            ("porosity", lambda g: decimal(g.packing.porosity, 4), f"published {value_text(published['porosity'])}"),
+            ("coordination number", lambda g: decimal(g.packing.coordination_number, 3), "published weights: 3.05"),
             (
                 "coordination number without rattlers",
-                lambda g: number(g.packing.coordination_number_without_rattlers, 3),
+                lambda g: decimal(g.packing.coordination_number_without_rattlers, 3),
                 "",
             ),
             ("width and height (mm)", _size, "the lid has moved"),
-            ("median diameter (mm)", lambda g: number(1e3 * g.scale.median_diameter, 3), ""),
+            ("median diameter (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), ""),
             *_stresses(graphs[0]),
-            ("mean overlap / diameter", lambda g: significant(g.packing.mean_overlap), ""),
-            ("largest overlap / diameter", lambda g: significant(g.packing.largest_overlap), ""),
+            ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
+            ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
             ("unbalanced force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
             ("grains at transmitter, receiver", _ends, "ends of the paths"),
             ("time to make", lambda g: time_span(g.packing.seconds), ""),
@@ -174,6 +174,6 @@ def _ends(graph: PackingGraph) -> str:
 
 def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:
     def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the table's functions of a graph
-        return lambda graph: number(graph.packing.wall_stress[wall] / 1e3, 3)
+        return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
 
     return [(f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in first.packing.wall_stress]

@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.features import FEATURES
@@ -12,7 +13,7 @@ from calcidem.analysis.published import published_study
 from calcidem.app.report.wording import (
     Table,
     bounds,
-    number,
+    decimal,
     probability,
     significant,
     time_span,
@@ -31,8 +32,8 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
             with_bounds(row.vs.mean, row.vs.mean_interval),
             with_bounds(row.vs.standard_deviation, row.vs.standard_deviation_interval_bootstrap, 1),
             bounds(row.vs.prediction_interval),
-            number(row.vs.skewness, 2),
-            number(row.vs.kurtosis, 2),
+            decimal(row.vs.skewness, 2),
+            decimal(row.vs.kurtosis, 2),
             probability(row.vs.normality.p_small_sample),
             str(row.missing),
             str(row.failed),
@@ -88,9 +89,9 @@ def growth_table(analysis: CampaignAnalysis) -> Table | None:
         (
             growth.stage.name,
             f"{growth.contents[0]:g} to {growth.contents[-1]:g}",
-            number(growth.end_point_slope, 1),
-            number(growth.least_squares_slope, 1),
-            number(published[growth.stage.name], 1),
+            decimal(growth.end_point_slope, 1),
+            decimal(growth.least_squares_slope, 1),
+            decimal(published[growth.stage.name], 1),
         )
         for growth in analysis.stages
         if len(growth.contents) > 1
@@ -113,15 +114,15 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
         cell = matrix.sel(variable=name, other="vs")
         low, high = float(cell["pearson_low"]), float(cell["pearson_high"])
         if not math.isfinite(float(cell["pearson"])):
-            return number(math.nan)
-        return f"{number(float(cell['pearson']), 2)} ({number(low, 2)} to {number(high, 2)})"
+            return decimal(math.nan)
+        return f"{decimal(float(cell['pearson']), 2)} ({decimal(low, 2)} to {decimal(high, 2)})"
 
     rows = tuple(
         (
             feature.symbol,
             feature.definition,
             coefficient(matrices.overall, feature.name),
-            number(float(matrices.overall["spearman"].sel(variable=feature.name, other="vs")), 2),
+            decimal(float(matrices.overall["spearman"].sel(variable=feature.name, other="vs")), 2),
             coefficient(matrices.within, feature.name),
         )
         for feature in FEATURES
@@ -148,19 +149,19 @@ def law_table(laws: list[LawFit]) -> Table:
                 with_bounds(fit.a, fit.a_interval),
                 with_bounds(fit.b, fit.b_interval, 2),
                 with_bounds(fit.c, fit.c_interval),
-                number(fit.residual_standard_deviation),
-                number(check.root_mean_square_error),
+                decimal(fit.residual_standard_deviation),
+                decimal(check.root_mean_square_error),
                 f"{100 * check.coverage:.0f} %",
             ),
             (
                 f"{law.name}, published",
                 f"{other.weights.hertz:.3f} / {other.weights.bond:.3f}",
-                number(other.a),
-                number(other.conclusions_b, 2),
-                number(other.c),
-                number(math.nan),
-                number(math.nan),
-                number(math.nan),
+                decimal(other.a),
+                decimal(other.conclusions_b, 2),
+                decimal(other.c),
+                decimal(math.nan),
+                decimal(math.nan),
+                decimal(math.nan),
             ),
         ]
     return Table(
@@ -191,13 +192,13 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
         rows.append(
             (
                 f"{row.content:g}",
-                number(_typical(column["frequency"]) / 1e3, 1),
-                significant(1e9 * _typical(column["time_step"])),
-                number(_typical(column["time_step"] / column["stability_limit"]), 2),
-                number(_typical(column["steps"])),
-                significant(100 * _largest(column["error_estimate"]), 2),
-                number(relative, 2),
-                time_span(_typical(column["seconds"])),
+                decimal(_median_known(column["frequency"]) / 1e3, 1),
+                significant(1e9 * _median_known(column["time_step"])),
+                decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
+                decimal(_median_known(column["steps"])),
+                significant(100 * _largest_known(column["error_estimate"]), 2),
+                decimal(relative, 2),
+                time_span(_median_known(column["seconds"])),
             )
         )
     return Table(
@@ -218,13 +219,16 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def _typical(values: xr.DataArray) -> float:
-    known = values.to_numpy()
-    known = known[np.isfinite(known)]
+def _median_known(values: xr.DataArray) -> float:
+    known = _known(values)
     return float(np.median(known)) if known.size else math.nan
 
 
-def _largest(values: xr.DataArray) -> float:
-    known = values.to_numpy()
-    known = known[np.isfinite(known)]
+def _largest_known(values: xr.DataArray) -> float:
+    known = _known(values)
     return float(known.max()) if known.size else math.nan
+
+
+def _known(values: xr.DataArray) -> NDArray[np.float64]:
+    found = values.to_numpy()
+    return np.asarray(found[np.isfinite(found)])

@@ -15,7 +15,7 @@ MINUTE, HOUR = 60.0, 3600.0
 class Table:
     """A table of a report.
 
-    Parameters
+    Attributes
     ----------
     caption
         What it shows, and how to read it.
@@ -33,7 +33,7 @@ class Table:
     marked: frozenset[int] = frozenset()
 
 
-def number(value: float | None, decimals: int = 0) -> str:
+def decimal(value: float | None, decimals: int = 0) -> str:
     """Give a number with a fixed number of decimals, and a dash for what is missing."""
     if value is None or not math.isfinite(value):
         return ABSENT
@@ -63,12 +63,12 @@ def bounds(interval: Interval, decimals: int = 0) -> str:
     """Give both ends of an interval, or a dash for an undefined one."""
     if not math.isfinite(interval.low):
         return ABSENT
-    return f"{number(interval.low, decimals)} to {number(interval.high, decimals)}"
+    return f"{decimal(interval.low, decimals)} to {decimal(interval.high, decimals)}"
 
 
 def with_bounds(value: float, interval: Interval, decimals: int = 0) -> str:
     """Give a value with its interval in brackets."""
-    return f"{number(value, decimals)} ({bounds(interval, decimals)})"
+    return f"{decimal(value, decimals)} ({bounds(interval, decimals)})"
 
 
 def probability(value: float) -> str:
