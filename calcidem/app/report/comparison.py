@@ -8,8 +8,10 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
 from calcidem.analysis.published import PublishedVelocity, published_study
-from calcidem.analysis.published_check import SIGNIFICANCE, check_study, check_verdicts
+from calcidem.analysis.published_check import check_study, check_verdicts
 from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
+
+SIGNIFICANCE = 0.05
 
 
 def published_table(analysis: CampaignAnalysis) -> Table | None:
