@@ -30,7 +30,7 @@ RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
 class Selection:
     """Which cells a query is about; None means no restriction.
 
-    Parameters
+    Attributes
     ----------
     seeds : collection of int, optional
     contents : collection of float, optional
@@ -63,7 +63,7 @@ ALL_CELLS = Selection()
 class VsMatrix:
     """Shear-wave velocities of a campaign.
 
-    Parameters
+    Attributes
     ----------
     seeds : (s,) int64 array
         Ascending.
@@ -82,7 +82,7 @@ class VsMatrix:
 class LeaseGrant:
     """The right to write a campaign.
 
-    Parameters
+    Attributes
     ----------
     token : str
         Identity of this master.

@@ -51,7 +51,7 @@ def readings(signal: Signal) -> dict[str, float]:
     for rule, share in SHARES.items():
         high = peaks[received[peaks] >= share * received[largest]]
         places[rule] = int(high[0]) if high.size else largest
-    return {rule: (place + 1) * signal.time_step for rule, place in places.items()}
+    return {rule: (place + 1) * signal.sampling_interval for rule, place in places.items()}
 
 
 if __name__ == "__main__":

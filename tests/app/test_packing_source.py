@@ -61,7 +61,7 @@ def test_a_record_gives_the_same_bits_back(packing: Packing) -> None:
     assert same_bits(stored_packing(record), packing)
     assert record.wall_stress["lid"] == packing.report.wall_stress[3]
     # The store's overlaps are relative to the mean diameter.
-    assert record.mean_overlap == pytest.approx(packing.report.mean_overlap / (2.0 * packing.radius.mean()))
+    assert record.mean_relative_overlap == pytest.approx(packing.report.mean_overlap / (2.0 * packing.radius.mean()))
 
 
 @given(st.data())

@@ -113,7 +113,8 @@ class Records:
             normalized_connectivity=None if seed == 0 else 1.1,
             path=(4, 8, 15, 16),
         )
-        signal = Signal(1e-6, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
+        start = (13 - 0.5) * 8e-8  # the interval is 12.5 steps, which former files are taken to mean 13 by
+        signal = Signal(1e-6, start, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
         graph = GraphSummary(
@@ -143,8 +144,8 @@ class Records:
             coordination_number=3.05,
             coordination_number_without_rattlers=3.6,
             wall_stress={"lid": 5.0e3, "floor": 5.1e3, "left": 3.3e3, "right": 3.4e3},
-            mean_overlap=4.6e-4,
-            largest_overlap=2.0e-3,
+            mean_relative_overlap=4.6e-4,
+            largest_relative_overlap=2.0e-3,
             unbalanced_ratio=9.0e-5,
             seconds=31.4,
             state=bytes(range(256)),

@@ -262,7 +262,7 @@ def test_quoted_text_stays_data(store: SqlStore, records: "Records") -> None:
         "DELETE FROM attempt",
         "INSERT INTO cell (campaign_id, seed, content) SELECT campaign_id, seed, content FROM cell",
         "UPDATE path_features SET contacts = 99",
-        "UPDATE signal SET time_step = 0",
+        "UPDATE signal SET sampling_interval = 0",
     ],
 )
 def test_schema_refuses_nonsense(store: SqlStore, records: "Records", statement: str) -> None:

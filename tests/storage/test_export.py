@@ -30,6 +30,9 @@ from calcidem.storage.sql.store import SqlStore, open_store
 if TYPE_CHECKING:
     from conftest import Records
 
+# Also one file that calcidem exported of schema_0003.db when layout 1 was the current one.
+ASSETS = Path(__file__).parent / "assets"
+
 Filled = tuple[SqlStore, CampaignRecord]
 
 
@@ -67,6 +70,18 @@ def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_
         assert list(copy.history()) == list(original.history())
         assert copy.statuses() == original.statuses()
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
+
+
+def test_a_file_of_the_first_layout_is_imported(tmp_path: Path) -> None:
+    """What an earlier calcidem exported of a database is what that database holds once it is upgraded."""
+    shutil.copy(ASSETS / "schema_0003.db", tmp_path / "upgraded.db")
+    with open_store(tmp_path / "upgraded.db") as upgraded, open_store(tmp_path / "imported.db") as imported:
+        assert import_netcdf(ASSETS / "layout_1.nc", imported) == upgraded.use_campaign()
+        found = list(imported.results(with_arrays=True))
+        assert found == list(upgraded.results(with_arrays=True))
+        assert any(result.signal is not None for result in found)
+        assert imported.load_packing() == upgraded.load_packing()
+        assert imported.statuses() == upgraded.statuses()
 
 
 def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> None:

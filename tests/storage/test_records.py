@@ -82,9 +82,9 @@ def test_negative_seed_is_refused() -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Signal(1e-6, [1.0, 2.0], [1.0], [1.0, 2.0]), "received_force has shape"),
-        (lambda: Signal(0.0, [1.0], [1.0], [1.0]), "time_step"),
-        (lambda: Signal(1e-6, [np.nan], [1.0], [1.0]), "sent_velocity holds NaN"),
+        (lambda: Signal(1e-6, 0.0, [1.0, 2.0], [1.0], [1.0, 2.0]), "received_force has shape"),
+        (lambda: Signal(0.0, 0.0, [1.0], [1.0], [1.0]), "sampling_interval"),
+        (lambda: Signal(1e-6, 0.0, [np.nan], [1.0], [1.0]), "sent_velocity holds NaN"),
         (lambda: CementPattern([[1, 2]], [3], np.zeros((0, 2))), "kind"),
         (lambda: CementPattern([1, 2], [1], np.zeros((0, 2))), "contacts has shape"),
         (lambda: CementPattern([[1, 2.5]], [1], np.zeros((0, 2))), "can't represent"),
@@ -109,12 +109,12 @@ def test_records_with_arrays_compare_by_value(records: "Records") -> None:
 def test_arrays_of_records_are_frozen_copies() -> None:
     """Changing the caller's array doesn't change a record, and a record's array can't be written."""
     samples = np.array([1.0, 2.0])
-    signal = Signal(1e-6, samples, samples, samples)
+    signal = Signal(1e-6, 4e-7, samples, samples, samples)
     samples[0] = 9.0
     assert signal.sent_velocity[0] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         signal.sent_velocity[0] = 9.0
-    np.testing.assert_array_equal(signal.time, [0.0, 1e-6])
+    np.testing.assert_array_equal(signal.time, [4e-7, 4e-7 + 1e-6])
 
 
 def test_results_travel_between_processes(records: "Records") -> None:

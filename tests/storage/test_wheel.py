@@ -18,5 +18,5 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
     needed = {str(path.relative_to(ROOT)) for path in folder.rglob("*.py")} | {
         "calcidem/storage/sql/migrations/script.py.mako"
     }
-    assert {"calcidem/storage/sql/migrations/versions/v0003_retry.py"} < needed <= names
+    assert {"calcidem/storage/sql/migrations/versions/v0004_sample_times.py"} < needed <= names
     assert "calcidem/app/config/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"

@@ -18,10 +18,10 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
-from calcidem.dem.wave.arrival import Reading
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.propagation import WaveRecord
+from calcidem.dem.wave.pick import Reading
+from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, GraphSummary, Signal
 from calcidem.sweep import Batch, Cell, Compute
 
@@ -104,7 +104,7 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         retry=record.retry,
         seconds=measurement.seconds,
         signal=signal_of(record) if store_signals else None,
-        cement=CementPattern(pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres),
+        cement=CementPattern(pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)),
     )
 
 
@@ -113,7 +113,8 @@ def signal_of(record: WaveRecord) -> Signal | None:
     if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
         return None
     return Signal(
-        time_step=record.interval,
+        sampling_interval=record.sampling_interval,
+        start_time=record.start_time,
         sent_velocity=record.sent.astype(float),
         received_force=record.force.astype(float),
         received_velocity=record.velocity.astype(float),

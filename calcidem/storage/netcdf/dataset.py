@@ -15,7 +15,7 @@ from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, 
 from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Version of the layout of exported files."""
 
 INDEX_NAMES = ("seed", "content")

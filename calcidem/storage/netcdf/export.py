@@ -10,15 +10,16 @@ import numpy as np
 import xarray as xr
 
 from calcidem.storage.files import write_atomically
-from calcidem.storage.netcdf.campaign_groups import append_attempts, append_packing
 from calcidem.storage.netcdf.dataset import campaign_dataset
-from calcidem.storage.netcdf.sample_groups import SAMPLE_GROUPS, append_samples
+from calcidem.storage.netcdf.groups import SAMPLE_GROUPS, append_attempts, append_packing, append_samples
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.store import Store
 
-BLOCK = 1000  # cells in memory at a time while arrays are copied
+CELLS_COPIED_AT_ONCE = 1000
+"""Cells whose arrays are in memory at a time."""
+
 WHOLE_NUMBER_FILL = -1
 
 
@@ -64,9 +65,9 @@ def export_netcdf(
                 packing = store.load_packing(index)
                 if packing is not None:
                     append_packing(file, packing)
-            for attempts in chunks(store.history(), BLOCK):
+            for attempts in chunks(store.history(), CELLS_COPIED_AT_ONCE):
                 append_attempts(file, attempts)
-            for results in chunks(store.results(with_arrays=bool(wanted)), BLOCK):
+            for results in chunks(store.results(with_arrays=bool(wanted)), CELLS_COPIED_AT_ONCE):
                 append_samples(file, results, wanted)
     return Path(path).absolute()
 

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
-from calcidem.storage.netcdf.campaign_groups import read_attempts, read_packings
 from calcidem.storage.netcdf.dataset import FORMAT_VERSION
-from calcidem.storage.netcdf.groups import Group
-from calcidem.storage.netcdf.sample_groups import cement_reader, path_reader, signal_reader
+from calcidem.storage.netcdf.groups import Group, open_cement, open_paths, open_signals, read_attempts, read_packings
 from calcidem.storage.records import (
     NOT_PLANNED,
     STATUS_CODES,
@@ -30,6 +28,9 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
+
+LAYOUTS = (1, FORMAT_VERSION)
+"""That can be read: the first has other names (`calcidem.storage.netcdf.groups`)."""
 
 SEEDS_IN_MEMORY = 500
 VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
@@ -75,8 +76,10 @@ def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
             created=datetime.fromisoformat(file.calcidem_created),
         )
         store.begin_campaign(campaign)
-        status = _plan(file, store)
-        run_numbers = {run.pop("number"): store.begin_run(_run(run)) for run in json.loads(file.calcidem_runs)}
+        status = _plan_cells(file, store)
+        run_numbers = {
+            run.pop("number"): store.begin_run(_run_from_json(run)) for run in json.loads(file.calcidem_runs)
+        }
         for packing in read_packings(file):
             store.save_packing(packing)
         store.restore_attempts(read_attempts(file, run_numbers))
@@ -91,18 +94,18 @@ def _open(path: Path) -> Group:
         raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
     layout = getattr(file, "calcidem_format", None)
-    if layout == FORMAT_VERSION:
+    if layout in LAYOUTS:
         return file
     file.close()
     if layout is None:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
     raise NewerSchemaError(
-        f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION}.",
+        f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION} and before.",
         "Use the calcidem that wrote it, or a later one.",
     )
 
 
-def _plan(file: Group, store: Store) -> NDArray[np.int8]:
+def _plan_cells(file: Group, store: Store) -> NDArray[np.int8]:
     """Plan the file's cells, which need not be all of seeds x contents; return the status flags."""
     status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
@@ -114,7 +117,7 @@ def _plan(file: Group, store: Store) -> NDArray[np.int8]:
     return status
 
 
-def _run(values: dict[str, Any]) -> RunRecord:
+def _run_from_json(values: dict[str, Any]) -> RunRecord:
     for name in ("started", "ended"):
         if values[name] is not None:
             values[name] = datetime.fromisoformat(values[name])
@@ -123,13 +126,13 @@ def _run(values: dict[str, Any]) -> RunRecord:
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
-    paths, signals, cement = path_reader(file), signal_reader(file), cement_reader(file)
+    paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
     without_outcome = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
     for start in range(0, len(seeds), SEEDS_IN_MEMORY):
         rows = slice(start, start + SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
-        columns = {name: _plain(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
+        columns = {name: _python_values(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
         for i, j in np.argwhere(~np.isin(status[rows], without_outcome)).tolist():
             key = CellKey(seeds[start + i], contents[j])
             values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
@@ -150,7 +153,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
             )
 
 
-def _plain(name: str, values: NDArray[Any]) -> NDArray[np.object_]:
+def _python_values(name: str, values: NDArray[Any]) -> NDArray[np.object_]:
     """Values of a quantity as Python's own int, float or str, None where missing."""
     kind = QUANTITY_BY_NAME[name].kind
     plain = values.astype(object)

@@ -40,7 +40,7 @@ def _same(first: object, second: object) -> bool:
     return bool(first == second)
 
 
-def frozen_array(owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
+def freeze_array(owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
     """Return `values` as a contiguous read-only copy, checked.
 
     Parameters
@@ -71,7 +71,7 @@ def frozen_array(owner: str, name: str, values: object, dtype: DTypeLike, shape:
     return array
 
 
-def plain_finite_numbers(record: object) -> None:
+def normalize_numbers(record: object) -> None:
     """Turn NumPy scalars in a record's fields into Python numbers and refuse NaN and infinity.
 
     Database drivers don't know NumPy's scalars, and a missing number is None.

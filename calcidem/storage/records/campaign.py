@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records.arrays import ComparedByValue, frozen_array, plain_finite_numbers
+from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.cell import canonical_content
 
 
@@ -16,7 +16,7 @@ from calcidem.storage.records.cell import canonical_content
 class PackingRecord(ComparedByValue):
     """A packing with the report on its quality.
 
-    Parameters
+    Attributes
     ----------
     index : int
         0 to k - 1 when a campaign has k packings.
@@ -32,8 +32,8 @@ class PackingRecord(ComparedByValue):
         2 N_contacts / N with and without the grains that carry nothing.
     wall_stress : mapping of str to float
         Normal stress on each wall [Pa], by the wall's name.
-    mean_overlap, largest_overlap : float
-        Overlap of contacts relative to the mean diameter.
+    mean_relative_overlap, largest_relative_overlap : float
+        Overlap of contacts over the mean diameter of the disks.
     unbalanced_ratio : float
         Mean unbalanced force over mean contact force at rest.
     seconds : float
@@ -53,21 +53,21 @@ class PackingRecord(ComparedByValue):
     coordination_number: float
     coordination_number_without_rattlers: float
     wall_stress: Mapping[str, float]
-    mean_overlap: float
-    largest_overlap: float
+    mean_relative_overlap: float
+    largest_relative_overlap: float
     unbalanced_ratio: float
     seconds: float
     state: bytes = b""
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        plain_finite_numbers(self)
+        normalize_numbers(self)
         if self.index < 0:
             raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
         grains = np.shape(self.radius)[0] if np.ndim(self.radius) else 0
         for name in ("x", "y", "radius"):
             object.__setattr__(
-                self, name, frozen_array("PackingRecord", name, getattr(self, name), np.float64, (grains,))
+                self, name, freeze_array("PackingRecord", name, getattr(self, name), np.float64, (grains,))
             )
         if grains == 0 or not (self.radius > 0.0).all():
             raise ValueError("PackingRecord.radius must hold positive radii of at least one grain.")
@@ -80,7 +80,7 @@ class PackingRecord(ComparedByValue):
 class CampaignRecord:
     """What a campaign computes.
 
-    Parameters
+    Attributes
     ----------
     hash : str
         Hash of everything that changes the physics (`calcidem.storage.records.canonical.content_hash`).
@@ -117,7 +117,7 @@ class CampaignRecord:
 class RunRecord:
     """Provenance of one run of the program on a campaign.
 
-    Parameters
+    Attributes
     ----------
     versions : mapping of str to str
         Versions of Python, calcidem and the libraries its numbers depend on.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
-from calcidem.storage.records.arrays import plain_finite_numbers
+from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
 
 CONTENT_DECIMALS = 9
@@ -59,7 +59,7 @@ def canonical_content(content: float) -> float:
 class CellKey:
     """Identity of a cell within its campaign.
 
-    Parameters
+    Attributes
     ----------
     seed : int
         Number of the random cement pattern, 0 or more.
@@ -82,7 +82,7 @@ class CellKey:
 class CellResult:
     """Outcome of one cell with the numbers that say how far it can be trusted.
 
-    Parameters
+    Attributes
     ----------
     key : CellKey
         Which cell.
@@ -167,7 +167,7 @@ class CellResult:
         """Check and normalise the fields."""
         object.__setattr__(self, "status", CellStatus(self.status))
         object.__setattr__(self, "retry", self.retry or None)
-        plain_finite_numbers(self)
+        normalize_numbers(self)
         if self.status not in STORED_STATUSES:
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
         if self.attempt < 1 or self.packing_index < 0:
@@ -230,7 +230,7 @@ NUMERICS_OF_DONE = ("vs", "frequency", "time_step", "stability_limit", "steps")
 class AttemptCount:
     """How often a cell was tried.
 
-    Parameters
+    Attributes
     ----------
     attempts : int
         Attempts so far, over all runs; the next one has the number ``attempts + 1``.
@@ -246,7 +246,7 @@ class AttemptCount:
 class AttemptRecord:
     """One attempt at a cell.
 
-    Parameters
+    Attributes
     ----------
     key : CellKey
     number : int

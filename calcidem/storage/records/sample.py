@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records.arrays import ComparedByValue, frozen_array, plain_finite_numbers
+from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 
 P_CONTACT = 1
 C_CONTACT = 2
@@ -14,12 +14,14 @@ C_CONTACT = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal(ComparedByValue):
-    """Sent and received signals of a cell, sampled at equal intervals from t = 0.
+    """Sent and received signals of a cell, sampled at equal intervals.
 
-    Parameters
+    Attributes
     ----------
-    time_step : float
-        Interval between samples [s].
+    sampling_interval : float
+        Time between two samples [s], a multiple of the cell's time step.
+    start_time : float
+        Time of the first sample after the pulse began [s].
     sent_velocity : (samples,) array
         Velocity of the transmitter [m/s].
     received_force : (samples,) array
@@ -28,32 +30,34 @@ class Signal(ComparedByValue):
         Mean velocity of the grains at the receiver [m/s].
     """
 
-    time_step: float
+    sampling_interval: float
+    start_time: float
     sent_velocity: NDArray[np.float64]
     received_force: NDArray[np.float64]
     received_velocity: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        plain_finite_numbers(self)
-        if self.time_step <= 0.0:
-            raise ValueError(f"Signal.time_step is {self.time_step} s; give a positive time.")
+        normalize_numbers(self)
+        if self.sampling_interval <= 0.0:
+            raise ValueError(f"Signal.sampling_interval is {self.sampling_interval} s; give a positive time.")
         samples = np.shape(self.sent_velocity)[0] if np.ndim(self.sent_velocity) else 0
         for name in ("sent_velocity", "received_force", "received_velocity"):
-            array = frozen_array("Signal", name, getattr(self, name), np.float64, (samples,))
+            array = freeze_array("Signal", name, getattr(self, name), np.float64, (samples,))
             object.__setattr__(self, name, array)
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Times of the samples [s], shape (samples,)."""
-        return np.arange(self.sent_velocity.size, dtype=np.float64) * np.float64(self.time_step)
+        """Times of the samples after the pulse began [s], shape (samples,)."""
+        samples = np.arange(self.sent_velocity.size, dtype=np.float64)
+        return np.float64(self.start_time) + samples * np.float64(self.sampling_interval)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CementPattern(ComparedByValue):
     """Which contacts of the packing are bonded: enough to rebuild the sample exactly.
 
-    Parameters
+    Attributes
     ----------
     contacts : (m, 2) int32 array
         Grain indices of the bonded contacts, in the order in which they were bonded.
@@ -69,9 +73,9 @@ class CementPattern(ComparedByValue):
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        contacts = frozen_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
-        kind = frozen_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
-        centres = frozen_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
+        contacts = freeze_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
+        kind = freeze_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
+        centres = freeze_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
         if not np.isin(kind, (P_CONTACT, C_CONTACT)).all():
             raise ValueError("CementPattern.kind holds other values than 1 (P) and 2 (C); use these two.")
         object.__setattr__(self, "contacts", contacts)
@@ -83,7 +87,7 @@ class CementPattern(ComparedByValue):
 class PathFeatures:
     """Features of a cell's preferential path from the transmitter to the receiver.
 
-    Parameters
+    Attributes
     ----------
     contacts : int
         Contacts on the path, N.
@@ -117,7 +121,7 @@ class PathFeatures:
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        plain_finite_numbers(self)
+        normalize_numbers(self)
         if self.hertz_contacts + self.bonded_contacts != self.contacts:
             raise ValueError(
                 f"PathFeatures: {self.hertz_contacts} uncemented + {self.bonded_contacts} cemented contacts "
@@ -130,7 +134,7 @@ class PathFeatures:
 class GraphSummary:
     """What the contact graph of a cell is like as a whole.
 
-    Parameters
+    Attributes
     ----------
     contacts, bonded_contacts : int
         All contacts between grains, and the cemented ones among them.
@@ -159,7 +163,7 @@ class GraphSummary:
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        plain_finite_numbers(self)
+        normalize_numbers(self)
         for field in fields(self):
             value = getattr(self, field.name)
             if value is not None and value < 0:

@@ -22,7 +22,7 @@ WRITES = "calcidem_writes"
 class Address:
     """Where a store is.
 
-    Parameters
+    Attributes
     ----------
     url : URL
         SQLAlchemy's form.

@@ -1,9 +1,8 @@
 """Database schema as SQLAlchemy 2 typed models; rules that can be stated as constraints are.
 
-One row of `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the `ResultRow` of
-the same id, with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `AttemptRow` keeps the history. The absence
-of a `ResultRow` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes
-(`calcidem.storage.records.arrays`).
+One `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the `ResultRow` of the same id,
+with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `AttemptRow` keeps the history. The absence of a
+`ResultRow` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes (`calcidem.storage.records.arrays`).
 """
 
 from datetime import UTC, datetime
@@ -151,7 +150,10 @@ class PackingRow(Base):
         positive("width"),
         positive("height"),
         *(not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
-        *(not_negative(c) for c in ("mean_overlap", "largest_overlap", "unbalanced_ratio", "seconds")),
+        *(
+            not_negative(c)
+            for c in ("mean_relative_overlap", "largest_relative_overlap", "unbalanced_ratio", "seconds")
+        ),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -165,8 +167,8 @@ class PackingRow(Base):
     coordination_number: Mapped[float]
     coordination_number_without_rattlers: Mapped[float]
     wall_stress: Mapped[dict[str, Any]]
-    mean_overlap: Mapped[float]
-    largest_overlap: Mapped[float]
+    mean_relative_overlap: Mapped[float]
+    largest_relative_overlap: Mapped[float]
     unbalanced_ratio: Mapped[float]
     seconds: Mapped[float]
     state: Mapped[bytes] = mapped_column(LargeBinary)
@@ -259,10 +261,11 @@ class SignalRow(Base):
     """Signals of a cell (`Signal`): one blob with the three arrays."""
 
     __tablename__ = "signal"
-    __table_args__ = (positive("time_step"),)
+    __table_args__ = (positive("sampling_interval"), finite("start_time"))
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
-    time_step: Mapped[float]
+    sampling_interval: Mapped[float]
+    start_time: Mapped[float]
     samples: Mapped[bytes] = mapped_column(LargeBinary)
 
 

@@ -19,7 +19,7 @@ GRAPH_PREFIX = "graph_"
 class Quantity:
     """A scalar that each cell has, or lacks.
 
-    Parameters
+    Attributes
     ----------
     name : str
     kind : {"real", "whole", "text"}

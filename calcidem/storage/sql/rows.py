@@ -104,12 +104,13 @@ def graph_values(cell_id: int, graph: GraphSummary) -> dict[str, Any]:
 def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:
     """Columns of a `SignalRow`."""
     samples = pack_arrays({name: getattr(signal, name) for name in SIGNAL_ARRAYS})
-    return {"cell_id": cell_id, "time_step": signal.time_step, "samples": samples}
+    times = {"sampling_interval": signal.sampling_interval, "start_time": signal.start_time}
+    return {"cell_id": cell_id, **times, "samples": samples}
 
 
 def signal(row: SignalRow) -> Signal:
     """Inverse of `signal_values`."""
-    return Signal(row.time_step, **unpack_arrays(row.samples))
+    return Signal(row.sampling_interval, row.start_time, **unpack_arrays(row.samples))
 
 
 def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:

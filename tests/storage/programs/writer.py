@@ -32,7 +32,7 @@ def main(database: str, seeds: int) -> None:
                 time_step=1e-7,
                 stability_limit=2e-7,
                 steps=100,
-                signal=Signal(1e-6, *noise),
+                signal=Signal(1e-6, 0.5e-6, *noise),
             )
             store.record_results([result])
             sys.stdout.write(f"{key.seed} {key.content}\n")
