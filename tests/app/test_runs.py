@@ -195,7 +195,7 @@ def test_restarts_come_to_an_end(workshop: "Workshop") -> None:
 
 
 def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
-    """A stopped rank 0 is reported on stderr with its process, nothing is killed, and continued it completes the run."""
+    """A stopped rank 0 is reported with its process, nothing is killed, and the run completes once it goes on."""
     workshop.configure(contents=(0.66, 5.0))
     program = (
         "from calcidem.app.campaign import launch; from calcidem.app.cli.main import main;"

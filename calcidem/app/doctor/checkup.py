@@ -154,7 +154,7 @@ def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Fi
         FindingLevel.WARNING,
         "file system",
         f"{where} is on {kind}, shared between machines; {locked}",
-        "works, but commits are slower; a folder on a local disk is faster, if the results can be copied back afterwards",
+        "works, but commits are slower; a folder on a local disk is faster, if results can be copied back afterwards",
     )
 
 

