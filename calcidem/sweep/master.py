@@ -18,7 +18,7 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepState
 from calcidem.sweep.worker_pool import Loss, WorkerPool
 
 HEARTBEAT_INTERVAL = 0.5
-"""Seconds between the signs of life that the progress display gets."""
+"""Seconds between two heartbeats, which the progress display passes on."""
 
 
 def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: bool) -> SweepEnd:
