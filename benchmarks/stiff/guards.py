@@ -12,7 +12,7 @@ from time import process_time
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.state import State
-from calcidem.dem.wave import propagation as wave
+from calcidem.dem.wave import recorder
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import problems_of
 from calcidem.dem.wave.measurement import measure
@@ -58,11 +58,11 @@ def main() -> None:
         seconds(experiment, content)
         ratios, shares, times = [], [], []
         for _ in range(rounds):
-            wave.problems_of = clock.guarded
+            recorder.problems_of = clock.guarded
             clock.spent = 0.0
             guarded = seconds(experiment, content)
             shares.append(clock.spent / guarded)
-            wave.problems_of = clock.blind
+            recorder.problems_of = clock.blind
             ratios.append(guarded / seconds(experiment, content))
             times.append(guarded)
         low, high = sorted(ratios)[rounds // 4], sorted(ratios)[-1 - rounds // 4]

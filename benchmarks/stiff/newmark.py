@@ -19,7 +19,6 @@ from scipy.sparse.linalg import splu
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.accuracy.reference import sample_times
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.engine.state import State, choose_features, start
@@ -27,8 +26,9 @@ from calcidem.dem.wave.arrival import record_duration
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.propagation import TRANSMITTER, WaveRecord, lane_bonds, wave_scene
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.scene import TRANSMITTER, lane_bonds, wave_scene
 
 SEEDS = range(1, 9)
 SAMPLES = 400  # in a period of the pulse
@@ -121,8 +121,8 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for content in (5.0, 9.0):
         exact = measure(with_wave(bare, step_fraction=0.025, samples_per_period=SAMPLES), content, SEEDS[:1])[0]
-        true = CubicSpline(sample_times(exact.record), exact.record.velocity)
-        end = sample_times(exact.record)[-1]
+        true = CubicSpline(exact.record.times, exact.record.velocity)
+        end = exact.record.times[-1]
 
         def distance(
             at: np.ndarray, signal: np.ndarray, true: CubicSpline = true, end: float = end, first: float = SETTLED
@@ -132,9 +132,9 @@ def main() -> None:
 
         for fraction in (0.8, 0.4, 0.2):
             record, seconds = explicit(bare, content, fraction)
-            error = distance(sample_times(record), record.velocity)
+            error = distance(record.times, record.velocity)
             print(f"| {content:g} | explicit, 8 lanes | {fraction:g} | {seconds:.2f} | {error:.1e} |", flush=True)
-        stiffened, sand = bare.stiffened()
+        stiffened, sand = bare.stiffen()
         bonds = lane_bonds(stiffened, bare.cement, [exact.cement.bonded], 1, "preserve")
         scene = wave_scene(stiffened, sand, wave, bonds)
         state = start(scene, features=choose_features(scene, "linear"), preload=stiffened.preload)

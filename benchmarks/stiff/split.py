@@ -27,8 +27,8 @@ from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import State, choose_features, start
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.propagation import lane_bonds, wave_scene
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 CONTENTS = (0.66, 2.55, 5.0, 9.0)
 LANES = 8
@@ -155,7 +155,7 @@ def main() -> None:
     """Print a table for each content."""
     configuration = load_configuration(Path(sys.argv[1]))
     experiment = configuration.experiment(provide_packing(configuration, None, print))
-    packing, sand = experiment.stiffened()
+    packing, sand = experiment.stiffen()
     wave = replace(experiment.wave, damping=0.0, boundary_damping=0.0)
     print("| content % | method | step over its limit | run time over the plain one | signal error (L2) |")
     print("|---|---|---|---|---|")

@@ -18,7 +18,7 @@ from calcidem.app.studies.stability.scenes import (
 from calcidem.app.studies.stability.verdict import StabilityVerdict, judge_packing, judge_scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
-from calcidem.dem.wave.propagation import wave_scene
+from calcidem.dem.wave.scene import wave_scene
 
 SCENES = 512
 

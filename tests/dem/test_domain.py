@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave.domain import domain_of
-from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, WaveRule, prepared
-from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 
 RULE = WaveRule(
     transmitter_half_width=0.006,
@@ -44,16 +46,12 @@ def bonded(packing: Packing, content: float) -> Integers:
 
 def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> Floats:
     """(S,) velocity before the receiver, with one step for all domains."""
-    cement = [bonded(packing, content)]
-    recorder = prepared(
-        packing, SAND, Cement(), cement, FREQUENCY, rule,
-        heard_enough=lambda record: len(record.sent) >= 8 * SAMPLES_PER_CHUNK,
-        lanes=1, installation="preserve", check=lambda: None,
-    )  # fmt: skip
+    experiment = Experiment(packing, sand=SAND, wave=rule)
+    recorder = prepare_recorder(experiment, [bonded(packing, content)], FREQUENCY, 1, check=lambda: None)
     assert time_step <= SAFETY * recorder.state.limit[0]
-    recorder.stride, recorder.steps_per_look = STRIDE, STRIDE * SAMPLES_PER_CHUNK
+    recorder.stride = STRIDE
     recorder.state = replace(recorder.state, time_step=np.array([time_step]))
-    return recorder.run(packing.width, lambda: None)[0].velocity
+    return recorder.run(lambda record: len(record.sent) >= 8 * SAMPLES_PER_CHUNK, lambda: None)[0].velocity
 
 
 @pytest.mark.parametrize(

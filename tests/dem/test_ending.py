@@ -9,7 +9,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.state import start
 from calcidem.dem.sample.packing import Packing, PackingRule, box_walls, make_packing
-from calcidem.dem.sample.settling import SettlingError, settled
+from calcidem.dem.sample.settling import SettlingError, settle
 
 RULE = PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3)
 
@@ -52,6 +52,6 @@ def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
     scene = Scene(packing.x, packing.y, packing.radius, Sand(), walls, damping=RULE.damping)
     state = start(scene, preload=packing.preload)
     with pytest.raises(SettlingError):
-        settled(state, unbalanced_force_ratio=1e-15, most_steps=1000)
+        settle(state, unbalanced_force_ratio=1e-15, most_steps=1000)
     with pytest.raises(EndedError):
-        settled(state, unbalanced_force_ratio=1e-15, most_steps=1000, check=Check(2))
+        settle(state, unbalanced_force_ratio=1e-15, most_steps=1000, check=Check(2))

@@ -138,7 +138,7 @@ def test_a_box_without_room_is_refused() -> None:
 
 def test_a_packing_that_does_not_come_to_rest_is_given_up() -> None:
     """Beyond the allowed steps the error says how unbalanced it is and what to raise."""
-    with pytest.raises(PackingError, match=r"not at rest after \d+ steps .* raise packing.most_steps"):
+    with pytest.raises(PackingError, match=r"not at rest after \d+ steps .* raise most_steps"):
         make_packing(replace(SMALL, most_steps=800), SAND, generator())
 
 

@@ -25,7 +25,7 @@ from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import wave_scene
+from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import DamagedStoreError, StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -180,7 +180,7 @@ class OpenedCampaign(StoredCampaign):
         """
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
-        packing, sand = experiment.stiffened()
+        packing, sand = experiment.stiffen()
         kind = contact_kinds(packing, cement)
         cemented = packing.pairs[kind != CementKind.NONE]
         bonds = Bonds(cemented, experiment.cement, installation=experiment.installation) if len(cemented) else None

@@ -104,7 +104,9 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         retry=record.retry,
         seconds=measurement.seconds,
         signal=signal_of(record) if store_signals else None,
-        cement=CementPattern(pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)),
+        cement=CementPattern(
+            pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
+        ),
     )
 
 

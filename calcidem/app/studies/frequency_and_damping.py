@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.arrival import read_travel_times
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure, signals_of
@@ -154,7 +154,7 @@ def readings(experiment: Experiment, measurement: Measurement) -> dict[str, floa
     return found
 
 
-def pulse_frequency(signal: NDArray[np.float64], sampling_interval: float, moment: float, reach: float) -> float:
+def pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
     """Give the frequency of the pulse that peaks at a moment: one over twice its width at half height.
 
     For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum would not do: a pulse of one sign has its largest

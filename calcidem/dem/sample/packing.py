@@ -15,9 +15,9 @@ from calcidem.dem.kernels.layout import Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
-CHUNK = 400  # steps between two looks at the step limit and the balance
+RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
 STEP_FRACTION = 0.8  # of the stability limit at the present overlaps
-FILLING_BALANCE = 1e-2  # unbalanced ratio, and
+FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
 FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
 STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
 
@@ -200,7 +200,7 @@ def make_packing(
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
     state = relax(scene, preload, rule, cost, check, filling=False)
-    return finished(state, rule, cost)
+    return packing_at_rest(state, rule, cost)
 
 
 def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
@@ -269,16 +269,16 @@ def relax(
     while True:
         check()
         limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
-        state = advance(replace(state, time_step=STEP_FRACTION * limit), CHUNK)
-        cost.steps += CHUNK
+        state = advance(replace(state, time_step=STEP_FRACTION * limit), RELAXATION_CHUNK)
+        cost.steps += RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
         if not np.isfinite(ratio) or cost.steps > rule.most_steps:
             raise PackingError(
-                f"the packing is not at rest after {cost.steps} steps (unbalanced ratio {ratio:.2g}): "
-                "raise packing.most_steps, packing.damping or packing.unbalanced_force_ratio"
+                f"the packing is not at rest after {cost.steps} steps (unbalanced-force ratio {ratio:.2g}): "
+                "raise most_steps, damping or unbalanced_force_ratio"
             )
         if filling:
-            if ratio < FILLING_BALANCE or overlaps(state).max(initial=0.0) < FILLING_OVERLAP * scene.radius.min():
+            if ratio < FILLING_RATIO or overlaps(state).max(initial=0.0) < FILLING_OVERLAP * scene.radius.min():
                 return state
         elif (
             ratio < rule.unbalanced_force_ratio and abs(lid_stress(state, rule) / rule.stress - 1.0) < STRESS_TOLERANCE
@@ -297,12 +297,12 @@ def preload_of(state: State) -> Preload:
     return Preload(contacts.pairs, contacts.shear)
 
 
-def finished(state: State, rule: PackingRule, cost: Cost) -> Packing:
+def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
     """Packing and report of a state at rest."""
     height = rule.height - float(state.assembly.walls.motion[LID, 0, 0])
     position = state.position()
     contacts = contact_forces(state)
-    backbone = without_rattlers(contacts.pairs, state)
+    backbone = coordination_without_rattlers(contacts.pairs, state)
     reactions = wall_reactions(state)[:, 0]
     lengths = np.array([height, height, rule.width, rule.width])
     report = PackingReport(
@@ -328,7 +328,7 @@ def finished(state: State, rule: PackingRule, cost: Cost) -> Packing:
     )
 
 
-def without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
+def coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
     """Coordination number of the disks that carry load, and the number of the others.
 
     A disk with fewer than two contacts (walls included) carries nothing; taking it away may leave others so.

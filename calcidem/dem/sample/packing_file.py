@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import Cost, Packing, PackingError, PackingRule, box_walls, finished, relax
+from calcidem.dem.sample.packing import Cost, Packing, PackingError, PackingRule, box_walls, packing_at_rest, relax
 
-COLUMNS = ("x", "y", "radius")
+CSV_COLUMNS = ("x", "y", "radius")
 LARGEST_OVERLAP = 0.1
 """Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
 FEWEST_DISKS = 10
@@ -27,7 +27,7 @@ def write_packing_csv(packing: Packing, file: Path) -> None:
     """Write the disks of a packing: a head line, then x, y and radius of each in m, in digits that lose nothing."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(COLUMNS)
+        writer.writerow(CSV_COLUMNS)
         writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
 
 
@@ -64,7 +64,7 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[
     walls = box_walls(rule.width, height, rule.stress * rule.width)
     cost = Cost()
     scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
-    return finished(relax(scene, None, boxed, cost, check, filling=False), boxed, cost)
+    return packing_at_rest(relax(scene, None, boxed, cost, check, filling=False), boxed, cost)
 
 
 def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
@@ -106,9 +106,9 @@ def numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[flo
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     table = csv.reader(line for _, line in kept)
     head = [name.strip() for name in next(table, [])]
-    if missing := [name for name in COLUMNS if name not in head]:
+    if missing := [name for name in CSV_COLUMNS if name not in head]:
         raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
-    places = [head.index(name) for name in COLUMNS]
+    places = [head.index(name) for name in CSV_COLUMNS]
     for (number, line), row in zip(kept[1:], table, strict=True):
         try:
             x, y, radius = (float(row[place]) for place in places)
@@ -128,7 +128,7 @@ def check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floa
             beyond = radius[disk] - gap[disk]
             raise PackingFileError(
                 f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
-                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change packing.width"
+                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
             )
 
 

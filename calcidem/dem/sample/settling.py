@@ -8,18 +8,18 @@ import numpy as np
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import State, duplicate, no_recording, run_in_place
 
-CHUNK = 500  # steps between two looks
-DAMPING = 0.7  # local damping factor while settling
+SETTLING_CHUNK = 500  # steps between two looks
+SETTLING_DAMPING = 0.7  # local damping factor
 
 
 class SettlingError(RuntimeError):
     """A cemented sample did not come to rest."""
 
 
-def settled(
+def settle(
     state: State, unbalanced_force_ratio: float, most_steps: int, check: Callable[[], None] = lambda: None
 ) -> State:
-    """State in which every lane is at rest under the lid's servo; steps are counted from zero again.
+    """Return the state in which every lane is at rest under the lid's servo; steps are counted from zero again.
 
     A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
     alone.
@@ -43,22 +43,18 @@ def settled(
     lanes = state.features.lanes
     open_lanes = np.ones(lanes, dtype=bool)
     grains = state.assembly.grains
-    damped = grains._replace(damping=np.full_like(grains.damping, DAMPING))
-    current = replace(
-        duplicate(state),
-        assembly=replace(state.assembly, grains=damped),
-        features=replace(state.features, servo=True, damping=True, recording=False),
-    )
-    current = duplicate(current)
+    damped = grains._replace(damping=np.full_like(grains.damping, SETTLING_DAMPING))
+    features = replace(state.features, servo=True, damping=True, recording=False)
+    current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
     while open_lanes.any():
         check()
         if current.steps >= most_steps:
             raise SettlingError(
                 f"a cemented sample is not at rest after {most_steps} steps: "
-                "raise wave.most_settling_steps or wave.unbalanced_force_ratio"
+                "raise most_settling_steps or unbalanced_force_ratio"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
-        current = run_in_place(current, CHUNK, no_recording(current))
+        current = run_in_place(current, SETTLING_CHUNK, no_recording(current))
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio

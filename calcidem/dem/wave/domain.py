@@ -8,15 +8,12 @@ time. So do disks without a contact, as long as no contact can form.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.engine.state import Preload
-from calcidem.dem.kernels.layout import Integers
+from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
-
-Flags = npt.NDArray[np.bool_]
 
 DEPTH = 6.0  # mean diameters of a damping layer that are kept
 

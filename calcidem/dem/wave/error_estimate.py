@@ -6,15 +6,15 @@ The factors were measured against converged runs of the same cells (docs/accurac
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import WaveRecord
+from calcidem.dem.wave.recorder import WaveRecord
 
 TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
 STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
 SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
-CLOSING = 0.5  # error of contacts that may not close over `WaveRecord.closing`
+CLOSING = 0.5  # error of contacts that may not close over `WaveRecord.closing_gaps`
 CHATTER = 7.5e-3  # error of strong local damping, see `chatter_error`
 SAMPLING = 0.2  # error of an arrival over the interval between samples; 0.13 was the largest found
-IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unrest`
+IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unbalanced_speed`
 SINGLE_PRECISION = 1.0e-3  # error of single precision
 
 
@@ -42,14 +42,14 @@ def numerical_error(
     wave = experiment.wave
     omega = 2.0 * np.pi * frequency
     step = 0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0
-    sampling = SAMPLING * record.interval / travel_time
+    sampling = SAMPLING * record.sampling_interval / travel_time
     precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
     # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
     noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
-    geometry = geometry_error(experiment, frequency) + CLOSING * record.closing
+    geometry = geometry_error(experiment, frequency) + CLOSING * record.closing_gaps
     regime = shape * geometry + slip_error(experiment, frequency, travel_time)
-    rest = shape * precision, noise, chatter_error(experiment, record), IMBALANCE * record.unrest
+    rest = shape * precision, noise, chatter_error(experiment, record), IMBALANCE * record.unbalanced_speed
     return float(np.linalg.norm([step, sampling, regime, *rest]))
 
 

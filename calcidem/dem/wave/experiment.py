@@ -9,7 +9,7 @@ from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.arrival import PickRule
+from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import excitation_frequency
 from calcidem.dem.wave.rule import WaveRule
 
@@ -89,7 +89,7 @@ class Experiment:
             root_seed=self.root_seed,
         )
 
-    def stiffened(self) -> tuple[Packing, Sand]:
+    def stiffen(self) -> tuple[Packing, Sand]:
         """Packing and sand of the wave stage."""
         factor = self.stiffness_factor
         preload = replace(self.packing.preload, shear=self.packing.preload.shear * factor)

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
@@ -17,7 +16,7 @@ from calcidem.dem.engine.state import State
 from calcidem.dem.kernels.layout import Floats
 
 BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
-RESTLESS = 1e-3  # velocity that unbalanced forces make over the amplitude of the pulse
+LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
 NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 
 
@@ -35,28 +34,28 @@ def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
     """
     problems = [""] * state.features.lanes
     # NaN compares with nothing, so it is asked for by what it is not.
-    for lane in lanes_where(~(largest(state.motion.velocity) <= BLOW_UP * amplitude)):
+    for lane in np.flatnonzero(~(largest_translation(state.motion.velocity) <= BLOW_UP * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
-        problems[lane] = f"{named(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
+        problems[lane] = f"{name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
     if state.features.linear:
         return problems
-    motion = largest(state.motion.displacement)
-    for find in (out_of_reach, broken_bonds, too_stiff):
+    motion = largest_translation(state.motion.displacement)
+    for find in (find_unlisted_neighbours, find_broken_bonds, find_steps_above_limit):
         for lane, problem in find(state, motion, overlap):
             problems[lane] = problems[lane] or problem
     return problems
 
 
-def out_of_reach(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+def find_unlisted_neighbours(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes in which a disk may have met one that is not in the list of pairs."""
     if state.features.search or not state.features.finite:
         return
-    for lane in lanes_where(motion > 0.5 * state.skin):
+    for lane in np.flatnonzero(motion > 0.5 * state.skin).tolist():
         moved = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
-        yield lane, f"{named(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
+        yield lane, f"{name_disk(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
 
 
-def broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+def find_broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes in which bonds broke."""
     broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
     if not broken.any():
@@ -64,27 +63,24 @@ def broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tup
     for lane in range(state.features.lanes):
         count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))
         if count:
-            yield (
-                lane,
-                f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower wave.amplitude",
-            )
+            yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
 
 
-def too_stiff(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
+def find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes whose step is above the limit of the contacts as they are pressed now."""
     noticed = motion > NOTICEABLE * overlap
     if not noticed.any():
         return
     limit = present_limit(state)
-    for lane in lanes_where(noticed & (state.time_step > limit)):
+    for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
         problem = (
             f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
-            f"after {state.steps} steps, {limit[lane]:.3g} s: lower wave.step_fraction or wave.amplitude"
+            f"after {state.steps} steps, {limit[lane]:.3g} s: lower step_fraction or amplitude"
         )
         yield lane, problem
 
 
-def largest(field: Floats) -> Floats:
+def largest_translation(field: Floats) -> Floats:
     """(L,) largest absolute value of the translations in each lane; not a number if one of them is none."""
     # All components of a disk at once, rotation too: a long contiguous row is reduced much faster.
     translations: Floats = np.abs(field).max(axis=0)[:2]
@@ -92,13 +88,7 @@ def largest(field: Floats) -> Floats:
     return both
 
 
-def lanes_where(flags: npt.NDArray[np.bool_]) -> list[int]:
-    """Lanes in which something is true."""
-    found: list[int] = np.flatnonzero(flags).tolist()
-    return found
-
-
-def unrest(state: State, amplitude: float) -> Floats:
+def unbalanced_speed(state: State, amplitude: float) -> Floats:
     """(L,) speed at which unbalanced forces alone move the disks of a sample, rms, over the amplitude of the pulse.
 
     A disk with the net force F swings with about ``F / (m omega)``. Omega is that of the pressed contacts, from their
@@ -108,7 +98,7 @@ def unrest(state: State, amplitude: float) -> Floats:
     Raises
     ------
     ValueError
-        If that is more than `RESTLESS`.
+        If that is more than `LARGEST_UNBALANCED_SPEED`.
     """
     lanes = state.features.lanes
     if state.features.linear:
@@ -120,16 +110,17 @@ def unrest(state: State, amplitude: float) -> Floats:
         force = np.hypot(*net_forces(state, lane)[:, :2].T)
         speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(swing[lane])
     require(
-        bool(np.all(speed <= RESTLESS * amplitude)),
+        bool(np.all(speed <= LARGEST_UNBALANCED_SPEED * amplitude)),
         "amplitude",
         amplitude,
-        f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than {RESTLESS:g} of "
-        'the pulse: choose a stronger pulse, regime = "linear", or a smaller packing.unbalanced_force_ratio',
+        f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than "
+        f'{LARGEST_UNBALANCED_SPEED:g} of the pulse: choose a stronger pulse, regime = "linear", or a packing with a '
+        "smaller unbalanced_force_ratio",
     )
     return speed / amplitude
 
 
-def named(state: State, values: Floats) -> str:
+def name_disk(state: State, values: Floats) -> str:
     """Say which disk has the largest value; the first that is not a number, if there is one.
 
     By its place, since disks that the wave cannot reach are left out and the others numbered anew.

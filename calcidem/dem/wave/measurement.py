@@ -6,15 +6,17 @@ from enum import StrEnum
 from time import perf_counter
 
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.arrival import PickFailure, Picks, Signals, arrived, read_arrival
+from calcidem.dem.wave.arrival import has_arrived, read_travel_times
 from calcidem.dem.wave.error_estimate import numerical_error
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import WaveRecord, send_waves
+from calcidem.dem.wave.pick import PickFailure, Picks, Signals
+from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.recorder import WaveRecord
 
 LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
-INEXACT = "the estimated numerical error is above 5 %: lower wave.amplitude, or choose regime = finite"
-NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower wave.amplitude or the frequency"
-SILENCE = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
+INEXACT = "the estimated numerical error is above 5 %: lower amplitude, or choose regime = 'finite'"
+NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower amplitude or the frequency"
+SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
 MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
 
@@ -100,27 +102,16 @@ def measure(
     began = perf_counter()
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
     frequency = experiment.frequency(content)
-    packing, sand = experiment.stiffened()
 
-    def heard_enough(record: WaveRecord) -> bool:
-        sent_all = len(record.sent) * record.interval > 1.0 / frequency
-        return experiment.early_stop and sent_all and arrived(signals_of(record, experiment), experiment.pick)
+    def stop_when(record: WaveRecord) -> bool:
+        sent_all = record.duration > 1.0 / frequency
+        return experiment.early_stop and sent_all and has_arrived(signals_of(record, experiment), experiment.pick)
 
-    records = send_waves(
-        packing,
-        sand,
-        experiment.cement,
-        [cement.bonded for cement in placed],
-        frequency,
-        experiment.wave,
-        heard_enough=heard_enough,
-        lanes=lanes,
-        installation=experiment.installation,
-        check=check,
-    )
+    bonded = [cement.bonded for cement in placed]
+    records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     seconds = (perf_counter() - began) / len(seeds)
     return tuple(
-        judged(experiment, seed, content, frequency, cement, record, seconds)
+        interpret_record(experiment, seed, content, frequency, cement, record, seconds)
         for seed, cement, record in zip(seeds, placed, records, strict=True)
     )
 
@@ -147,14 +138,14 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     of the slowest velocity that is looked for, ``rho V v`` times the length of the receiver.
     """
     wave = experiment.wave
-    floor = (MUTED if wave.damping > MUTING else SILENCE) * wave.amplitude
+    floor = (MUTED if wave.damping > MUTING else SILENT) * wave.amplitude
     if experiment.signal == "velocity":
-        return Signals(record.interval, record.sent, record.velocity, experiment.packing.width, floor)
+        return Signals(record.sampling_interval, record.sent, record.velocity, experiment.packing.width, floor)
     floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
-    return Signals(record.interval, record.sent, record.force, experiment.packing.width, floor)
+    return Signals(record.sampling_interval, record.sent, record.force, experiment.packing.width, floor)
 
 
-def judged(
+def interpret_record(
     experiment: Experiment,
     seed: int,
     content: float,
@@ -166,7 +157,7 @@ def judged(
     """Read a record; whatever cannot be trusted becomes an outcome with its reason, never a number."""
     outcome, reason, vs, picks, error = Outcome.UNSTABLE, record.problem, None, None, None
     if not record.problem:
-        picks = read_arrival(signals_of(record, experiment), experiment.pick)
+        picks = read_travel_times(signals_of(record, experiment), experiment.pick)
         reading = getattr(picks, experiment.method)
         if reading.velocity is None or reading.travel_time is None:
             outcome, reason = Outcome.NO_ARRIVAL, str(reading.failure)

@@ -108,8 +108,8 @@ def cutoff_frequency(stiffness: float, mass: float) -> float:
 
     Notes
     -----
-    A chain of masses ends at ``omega = 2 sqrt(k / m)`` (L. Brillouin, Wave Propagation in Periodic Structures, 1946), so
-    ``f = sqrt(k / m) / pi``. Its long waves run at ``V = d sqrt(k / m)`` for a spacing d, hence also ``f = V / (pi d)``.
+    A chain of masses ends at ``omega = 2 sqrt(k / m)`` (L. Brillouin, Wave Propagation in Periodic Structures, 1946),
+    so ``f = sqrt(k / m) / pi``. Its long waves run at ``V = d sqrt(k / m)`` for a spacing d, so ``f = V / (pi d)``.
     """
     if not (stiffness > 0.0 and mass > 0.0):
         raise ValueError(f"stiffness = {stiffness} N/m, mass = {mass} kg: give positive numbers")

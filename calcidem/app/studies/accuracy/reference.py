@@ -12,7 +12,7 @@ from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, reference_
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
-from calcidem.dem.wave.propagation import WaveRecord
+from calcidem.dem.wave.recorder import WaveRecord
 
 HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
 COARSEST = 0.4  # step over the limit that is tried first
@@ -189,7 +189,7 @@ def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exac
 
     ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
     """
-    times = [sample_times(record) for record in (found, exact)]
+    times = [record.times for record in (found, exact)]
     coarser = max(times, key=lambda time: float(time[1] - time[0]))
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = coarser[(coarser >= begin) & (coarser <= end)]
@@ -203,11 +203,6 @@ def at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
     if not np.all(np.isfinite(values)):
         return np.full(len(wanted), np.nan)
     return np.asarray(CubicSpline(time, values)(wanted))
-
-
-def sample_times(record: WaveRecord) -> Floats:
-    """Times of the samples of a record, s: velocities belong to half a step before."""
-    return (np.arange(len(record.velocity)) + 1.0) * record.interval - 0.5 * record.time_step
 
 
 def measure_convergence(
@@ -247,7 +242,7 @@ def measure_convergence(
 
 def signal_changes(records: Sequence[WaveRecord]) -> Floats:
     """Change from each record to the next, at the times of the first."""
-    times = [sample_times(record) for record in records]
+    times = [record.times for record in records]
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = times[0][(times[0] >= begin) & (times[0] <= end)]
     signals = [at_times(common, time, record.velocity) for time, record in zip(times, records, strict=True)]

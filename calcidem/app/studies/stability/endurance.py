@@ -11,7 +11,7 @@ from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, 
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime, Scene
 from calcidem.dem.engine.state import State, advance, choose_features, duplicate, start
-from calcidem.dem.wave.propagation import lane_bonds, wave_scene
+from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 LONG = 100_000  # steps
 LOOKS = 20  # at the energy during them

@@ -12,7 +12,8 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import lane_bonds, prepared, wave_scene
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
@@ -131,20 +132,8 @@ def force_step(factor: float, regime: Regime) -> Detection:
 def run_with_step(experiment: Experiment, content: float, seed: int, factor: float, step: float) -> Detection:
     """Send a pulse through one sample of an experiment with any step, s."""
     bonded = experiment.ordering(seed).at(content).bonded
-    packing, sand = experiment.stiffened()
-    recorder = prepared(
-        packing,
-        sand,
-        experiment.cement,
-        [bonded],
-        experiment.frequency(content),
-        experiment.wave,
-        heard_enough=lambda _: False,
-        lanes=1,
-        installation=experiment.installation,
-        check=lambda: None,
-    )
+    recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
     recorder.state = replace(recorder.state, time_step=recorder.state.time_step * 0.0 + step)
-    record = recorder.run(packing.width, lambda: None)[0]
+    record = recorder.run(lambda _: False, lambda: None)[0]
     steps = record.steps if record.problem else None
     return Detection(factor, experiment.wave.regime, steps, record.problem, recorder.steps_per_look)

@@ -1,0 +1,172 @@
+"""What a pick of an arrival is: its rule, the signals it reads, its readings, and the reasons why there is none."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats
+
+PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
+
+
+class PickFailure(StrEnum):
+    """Why a travel time cannot be trusted, in words for the user."""
+
+    NOT_FINITE = "the received signal has values that are not finite"
+    SILENT = "nothing above the noise was received"
+    TOO_SHORT = "the record ends before the main peak is certain: record for longer"
+    NO_PEAK = "no peak stands out of the received signal"
+    PRECURSOR = "an earlier swing is nearly as large as the main peak"
+    UNSURE = "two tops are of nearly the same height, either may be the peak: use the cross-correlation"
+    NOISE = "noise hides the first arrival"
+    OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
+    UNLIKE = "the received signal does not resemble the sent pulse"
+
+
+@dataclass(frozen=True, slots=True)
+class PickRule:
+    """What counts as an arrival.
+
+    Attributes
+    ----------
+    slowest, fastest
+        Window of possible velocities, m/s. What is recorded before the fastest wave is there tells the zero
+        line and the noise, so it pays not to set the latter higher than needed.
+    significance
+        Smallest height of the main peak, relative to the largest value up to the horizon.
+    prominence
+        Smallest prominence of the main peak, relative to the same.
+    width
+        Smallest width of the main peak at half its prominence, relative to the sent pulse's: grains widen a
+        pulse, and what is much narrower is noise.
+    precursor
+        Earlier swings of this size, relative to the main peak, make it doubtful.
+    horizon
+        How far the record is judged, as a multiple of the travel time of a peak, but at least one period
+        behind it. P waves are 1.4 to 1.5 times as fast as S waves in packings with k_s / k_n of 1 to 0.86 (in a
+        hexagonal lattice ``sqrt((3 k_n + k_s) / (k_n + k_s))`` times), so a P wave is not taken for the S wave that is
+        still to come.
+    onset
+        Level of the first arrival, relative to the peak.
+    signal_to_noise
+        Smallest ratio of the main peak to the noise.
+    correlation
+        Smallest normalised correlation that is still a resemblance.
+    smoothing
+        Width of the cubic smoothing (Savitzky-Golay, without delay) before peaks are searched for, as a part
+        of the sent period.
+    """
+
+    slowest: float = 20.0
+    fastest: float = 5000.0
+    significance: float = 0.5
+    prominence: float = 0.5
+    width: float = 0.4
+    precursor: float = 0.8
+    horizon: float = 1.5
+    onset: float = 0.1
+    signal_to_noise: float = 3.0
+    correlation: float = 0.5
+    smoothing: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Refuse rules that pick nothing or anything."""
+        if not 0.0 < self.slowest < self.fastest < np.inf:
+            raise ValueError(f"slowest = {self.slowest}, fastest = {self.fastest} m/s: give 0 < slowest < fastest")
+        for name in ("significance", "prominence", "width", "precursor", "correlation", "smoothing"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
+        if not PULSE_START <= self.onset < 1.0:
+            raise ValueError(f"onset = {self.onset}: give a part of the peak in [{PULSE_START:g}, 1)")
+        for name in ("horizon", "signal_to_noise"):
+            if not 1.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a finite number of 1 or more")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """What was sent and what was received.
+
+    Attributes
+    ----------
+    sampling_interval
+        Time between two samples, s. A hundred samples in a period are plenty: picks lie between samples.
+    sent
+        (S,) velocity of the transmitter, m/s: one positive pulse, from rest to rest.
+    received
+        (T,) signal of the receiver from the same time on, of any length and in any unit, positive where it
+        follows the sent pulse.
+    distance
+        Between transmitter and receiver, m.
+    floor
+        Peaks up to this value count as silence, in the unit of ``received``. Give what the receiver does
+        without a pulse, or about a thousandth of what is sent: a ripple long before the pulse looks like an
+        arrival until the pulse is there, and a simulation also passes on what no instrument would see.
+    """
+
+    sampling_interval: float
+    sent: Floats
+    received: Floats
+    distance: float
+    floor: float
+
+    def __post_init__(self) -> None:
+        """Refuse signals that do not match or hold no pulse."""
+        if not (self.sampling_interval > 0.0 and self.distance > 0.0 and self.floor >= 0.0):
+            raise ValueError(
+                f"sampling_interval = {self.sampling_interval} s, distance = {self.distance} m, floor = {self.floor}: "
+                "give a positive interval and distance, and a floor of 0 or more"
+            )
+        if np.ndim(self.received) != 1 or np.size(self.received) == 0:
+            raise ValueError(f"received {np.shape(self.received)}: give a one-dimensional array of samples")
+        if np.ndim(self.sent) != 1 or np.size(self.sent) == 0:
+            raise ValueError(f"sent {np.shape(self.sent)}: give a one-dimensional array of samples")
+        if not max(self.sent[0], self.sent[-1]) < PULSE_START * np.max(self.sent):
+            raise ValueError("sent: give one whole positive pulse, which starts and ends at rest")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Travel time by one method, or why there is none.
+
+    Attributes
+    ----------
+    travel_time
+        s; None if it cannot be trusted.
+    velocity
+        Distance over travel time, m/s; None with it.
+    quality
+        From 0 (no pick) to 1 (beyond doubt); what it measures depends on the method, see `Picks`.
+    failure
+        None for a trusted pick.
+    """
+
+    travel_time: float | None = None
+    velocity: float | None = None
+    quality: float = 0.0
+    failure: PickFailure | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Picks:
+    """Travel time by three methods.
+
+    Attributes
+    ----------
+    peak
+        From the peak sent to the main peak received, unless a slightly different signal would have another one.
+        Quality: how far that peak stands out (its prominence, not counting what lies below zero, over the largest
+        absolute value up to the horizon), times how little came before (one less the largest earlier swing over
+        the peak).
+    first_arrival
+        From the sent to the received signal's last rise through the onset level before their peaks. Using
+        the same level on both takes out the delay that a level has. Quality: how little came before.
+    cross_correlation
+        Lag of the largest correlation of both signals. Quality: the correlation coefficient there, between
+        the sent pulse and the part of the record under it.
+    """
+
+    peak: Reading
+    first_arrival: Reading
+    cross_correlation: Reading

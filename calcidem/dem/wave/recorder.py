@@ -1,0 +1,178 @@
+"""Recording a wave under way: the signals of each sample of a batch, until they are long enough or a guard steps in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calcidem.dem.engine.readout import overlaps
+from calcidem.dem.engine.state import State, run_in_place
+from calcidem.dem.kernels.layout import Floats, Integers, Recording
+from calcidem.dem.wave.guards import problems_of
+from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
+
+SAMPLES_PER_CHUNK = 50  # between two looks at the signal
+
+
+@dataclass(frozen=True, slots=True)
+class WaveRecord:
+    """What one sample recorded; all signals are (S,), sampled at `times`.
+
+    Attributes
+    ----------
+    time_step
+        Of the integration, s.
+    stride
+        Time steps between two samples.
+    sent
+        Velocity of the transmitter, m/s.
+    force
+        Shear force on the receiver, positive upwards, half a time step before the velocities, N/m.
+    velocity
+        Mean velocity along y of the disks before the receiver, m/s.
+    stability_limit
+        Critical time step at the start, s.
+    steps
+        Time steps done for this sample.
+    unbalanced_speed
+        See `guards.unbalanced_speed`.
+    closing_gaps
+        Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts; zero
+        in the finite regime, where they may touch.
+    problem
+        Empty, or why the run cannot be trusted.
+    retry
+        Empty, or the problem for which the sample was sent a second time, with half the step.
+    """
+
+    time_step: float
+    stride: int
+    sent: Floats
+    force: Floats
+    velocity: Floats
+    stability_limit: float
+    steps: int
+    unbalanced_speed: float = 0.0
+    closing_gaps: float = 0.0
+    problem: str = ""
+    retry: str = ""
+
+    @property
+    def sampling_interval(self) -> float:
+        """Time between two samples, s."""
+        return self.stride * self.time_step
+
+    @property
+    def start_time(self) -> float:
+        """Time of the first sample, s: half a time step before `sampling_interval`."""
+        return float(sample_times(1, self.stride, self.time_step)[0])
+
+    @property
+    def times(self) -> Floats:
+        """(S,) times of the samples, s."""
+        return sample_times(len(self.sent), self.stride, self.time_step)
+
+    @property
+    def duration(self) -> float:
+        """Time that has been recorded, s."""
+        return len(self.sent) * self.sampling_interval
+
+
+def sample_times(count: int, stride: int, time_step: float) -> Floats:
+    """(count,) times of samples, s.
+
+    A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
+    """
+    return ((np.arange(count) + 1) * stride - 0.5) * time_step
+
+
+@dataclass(slots=True)
+class Recorder:
+    """A batch of samples that a pulse is sent through, advanced chunk by chunk.
+
+    Attributes
+    ----------
+    state
+        Just started; each sample has a lane.
+    pulse
+        What the transmitter does.
+    stride
+        Time steps between two samples of the signals.
+    listeners
+        Disks whose velocity is recorded, in memory order.
+    samples
+        Number of samples; further lanes are not looked at.
+    longest
+        Time after which a record ends in any case, s.
+    unbalanced_speed
+        (L,) see `WaveRecord`.
+    closing_gaps
+        See `WaveRecord`.
+    chunks
+        (`SAMPLES_PER_CHUNK`, 2, L) shear force and velocity of each chunk so far.
+    """
+
+    state: State
+    pulse: Pulse
+    stride: int
+    listeners: Integers
+    samples: int
+    longest: float
+    unbalanced_speed: Floats
+    closing_gaps: float
+    chunks: list[Floats] = field(default_factory=list, init=False)
+
+    @property
+    def steps_per_look(self) -> int:
+        """Time steps between two looks at the signals."""
+        return SAMPLES_PER_CHUNK * self.stride
+
+    def run(self, stop_when: Callable[[WaveRecord], bool], check: Callable[[], None]) -> list[WaveRecord]:
+        """Records of all samples, in their order; see `propagation.send_waves`."""
+        overlap = float(np.mean(np.maximum(overlaps(self.state), 0.0)))
+        records: dict[int, WaveRecord] = {}
+        while len(records) < self.samples:
+            check()
+            self.chunks.append(self.record_chunk())
+            problems = problems_of(self.state, self.pulse.amplitude, overlap)
+            for lane in sorted(set(range(self.samples)) - set(records)):
+                record = self.record_of(lane, problems[lane])
+                if record.problem or record.duration >= self.longest or stop_when(record):
+                    records[lane] = record
+        return [records[lane] for lane in sorted(records)]
+
+    def record_chunk(self) -> Floats:
+        """Advance by one chunk; (samples, 2, L) shear force and velocity."""
+        steps = self.steps_per_look
+        dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
+        middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
+        recording = Recording(
+            drive=self.pulse.velocity(middle).astype(dtype),
+            driven=TRANSMITTER,
+            offset=0,
+            stride=self.stride,
+            receiver=RECEIVER,
+            listeners=self.listeners,
+            samples=np.zeros((SAMPLES_PER_CHUNK, 2, lanes), dtype),
+        )
+        self.state = run_in_place(self.state, steps, recording)
+        return recording.samples
+
+    def record_of(self, lane: int, problem: str) -> WaveRecord:
+        """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
+        signals = np.concatenate([chunk[:, :, lane] for chunk in self.chunks]).astype(float)
+        step = float(self.state.time_step[lane])
+        return WaveRecord(
+            time_step=step,
+            stride=self.stride,
+            sent=self.pulse.velocity(sample_times(len(signals), self.stride, step)),
+            # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
+            force=-signals[:, 0],
+            velocity=signals[:, 1],
+            stability_limit=float(self.state.limit[lane]),
+            steps=self.state.steps,
+            unbalanced_speed=float(self.unbalanced_speed[lane]),
+            closing_gaps=self.closing_gaps,
+            problem=problem,
+        )
