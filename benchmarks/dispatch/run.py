@@ -1,10 +1,10 @@
-"""What the scheduler costs: dispatch rate on 2, 4 and 8 ranks, what the master uses, and wall time against ideal.
+"""What the scheduler costs: dispatch rate on 2, 4 and 8 ranks, CPU time of the master, and wall time against the ideal.
 
     python benchmarks/dispatch/run.py      # about a minute; docs/scaling.md says what follows from the numbers
 
 Empty batches measure the messages alone. Stored batches carry eight real outcomes each, with signals and cement, which
-the master writes into a database as in a campaign. A batch that sleeps stands for one that computes, so that the
-machine's other users do not matter.
+the master writes into a database as in a campaign. A batch that sleeps stands in for one that computes, so that other
+users of the machine do not matter.
 """
 
 import argparse
@@ -104,8 +104,8 @@ def measure(ranks: int, batches: int, sleep: float = 0.0, *, stored: bool = Fals
 
 def main() -> None:
     """Measure and print."""
-    print(f"{len(os.sched_getaffinity(0))} cores, {os.getloadavg()[0]:.1f} processes wanted to run in the last minute")
-    print("ranks  batches of 8 cells  batches/s  master's CPU, us a batch")
+    print(f"{len(os.sched_getaffinity(0))} cores, {os.getloadavg()[0]:.1f} processes ready to run in the last minute")
+    print("ranks  batches of 8 cells  batches/s  master's CPU, us per batch")
     for ranks in (2, 4, 8):
         for stored, batches in ((False, 2000), (True, 200)):
             found = measure(ranks, batches, stored=stored)

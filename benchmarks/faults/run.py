@@ -4,7 +4,7 @@
     python benchmarks/faults/run.py --only kill  # the cases whose name contains a word
     python benchmarks/faults/run.py --kills 100  # kills of a random process at random moments, about half an hour
 
-Every case is a small real campaign under the real mpirun. Exit code 1 if anything is not as it has to be.
+Every case is a small real campaign under the real mpirun. Exit code 1 if anything is not as it should be.
 """
 
 import argparse
@@ -41,7 +41,7 @@ STARTUP = 20.0
 
 
 def run_matrix(top: Path, cache: Path, word: str) -> bool:
-    """Print a line for each case; tell whether all are as they have to be."""
+    """Print a line for each case; tell whether all are as they should be."""
     (top / "reference").mkdir()
     expected = reference(top / "reference", cache)
     cases = [case for case in all_cases() if word.lower() in str(case).lower()]
@@ -56,7 +56,7 @@ def run_matrix(top: Path, cache: Path, word: str) -> bool:
         for complaint in verdict.complaints:
             print(f"    WRONG: {complaint}", flush=True)
         bad += bool(verdict.complaints)
-    print(f"{len(cases)} cases, {bad} not as they have to be; resumed twice each, all values equal to the last bit")
+    print(f"{len(cases)} cases, {bad} not as they should be; each continued twice, all values equal to the last bit")
     return not bad
 
 
@@ -129,7 +129,7 @@ def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--kills", type=int, help="instead of the matrix, so many kills at random moments")
+    parser.add_argument("--kills", type=int, help="instead of the matrix, this many kills at random moments")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="calcidem-faults-") as name:
         top = Path(name)

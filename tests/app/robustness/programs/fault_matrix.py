@@ -125,7 +125,7 @@ def all_cases() -> list[Case]:
 
 
 @dataclass(frozen=True)
-class Ended:
+class RunEnd:
     """A command that has ended."""
 
     code: int
@@ -182,7 +182,7 @@ class Trial:
                 command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
             )
 
-    def wait(self, process: subprocess.Popen[str]) -> Ended:
+    def wait(self, process: subprocess.Popen[str]) -> RunEnd:
         """Wait for a run to end; one that hangs is killed and has the exit code -9."""
         begin = time.monotonic()
         try:
@@ -190,9 +190,9 @@ class Trial:
         except subprocess.TimeoutExpired:
             self.kill_all()
             process.wait()
-        return Ended(process.returncode, (self.folder / "output").read_text(), time.monotonic() - begin)
+        return RunEnd(process.returncode, (self.folder / "output").read_text(), time.monotonic() - begin)
 
-    def run(self, *options: str, case: Case | None = None, ranks: int = 3) -> Ended:
+    def run(self, *options: str, case: Case | None = None, ranks: int = 3) -> RunEnd:
         """Run the campaign, or go on with it."""
         return self.wait(self.start(*options, case=case, ranks=ranks))
 
@@ -301,7 +301,7 @@ def judge(case: Case, trial: Trial, expected: Cells) -> Verdict:
         if not fact:
             complaints.append(complaint)
 
-    def demand_order(moment: str, ended: Ended, codes: set[int]) -> None:
+    def demand_order(moment: str, ended: RunEnd, codes: set[int]) -> None:
         text = f"exit code {ended.code} {moment}, not {' or '.join(map(str, sorted(codes)))}:\n{ended.output}"
         demand(ended.code in codes, text)
         demand(trial.leaves_no_process(), f"processes left {moment}")
