@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    __version__: str
     from calcidem.app.campaign.opened import OpenedCampaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.run import run
 
@@ -23,6 +24,8 @@ HOMES = {
 
 def __getattr__(name: str) -> object:
     """Import on first use: whoever needs the kernels alone does not wait for the database."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("calcidem")
     if name not in HOMES:
         raise AttributeError(f"module 'calcidem' has no attribute '{name}'")
     return getattr(import_module(HOMES[name]), name)

@@ -1,6 +1,5 @@
 """``calcidem calibrate``: fit named parameters to measured Vs against content."""
 
-import csv
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +7,7 @@ import typer
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, text_with_values
+from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, read_targets, text_with_values
 
 
 def calibrate_command(
@@ -30,28 +29,6 @@ def calibrate_command(
         typer.echo(line)
     out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
     typer.echo(f"Wrote {out}")
-
-
-def read_targets(file: Path) -> dict[float, float]:
-    """Mean Vs by content from a CSV file.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing or an entry is no positive number.
-    """
-    with file.open(encoding="utf-8", newline="") as source:
-        rows = list(csv.DictReader(source))
-    missing = sorted({"content", "vs"} - set(rows[0] if rows else ()))
-    if missing:
-        raise ValueError(f"{file}: no column {' and no column '.join(missing)}; give a header line 'content,vs'")
-    try:
-        targets = {float(row["content"]): float(row["vs"]) for row in rows}
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}; give percent and m/s as numbers") from error
-    if not all(vs > 0.0 for vs in targets.values()):
-        raise ValueError(f"{file}: vs has to be positive, in m/s")
-    return targets
 
 
 def calibration_lines(fitted: FittedParameters) -> list[str]:

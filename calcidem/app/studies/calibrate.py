@@ -1,8 +1,10 @@
 """Fitting what the paper leaves open to measured Vs: named parameters, few seeds, common random numbers."""
 
+import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -179,3 +181,25 @@ def text_with_values(text: str, values: Mapping[str, float]) -> str:
             inside = f"{inside.rstrip()}\n{line}\n\n"
         text = text[: found.start(1)] + inside + text[found.end(1) :]
     return text
+
+
+def read_targets(file: Path) -> dict[float, float]:
+    """Mean Vs by content from a CSV file.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or an entry is no positive number.
+    """
+    with file.open(encoding="utf-8", newline="") as source:
+        rows = list(csv.DictReader(source))
+    missing = sorted({"content", "vs"} - set(rows[0] if rows else ()))
+    if missing:
+        raise ValueError(f"{file}: no column {' and no column '.join(missing)}; give a header line 'content,vs'")
+    try:
+        targets = {float(row["content"]): float(row["vs"]) for row in rows}
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}; give percent and m/s as numbers") from error
+    if not all(vs > 0.0 for vs in targets.values()):
+        raise ValueError(f"{file}: vs has to be positive, in m/s")
+    return targets
