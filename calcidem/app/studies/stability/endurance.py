@@ -1,4 +1,4 @@
-"""Long runs: energy without damping, rest, and runs that were stopped, stored and gone on with."""
+"""Long runs: energy without damping, rest, and runs that were stopped, stored and continued."""
 
 import pickle
 from collections.abc import Callable

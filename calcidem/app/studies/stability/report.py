@@ -97,7 +97,7 @@ def endurance_table(rows: Iterable[Endurance]) -> list[str]:
     lines = [
         (
             "| regime | steps | energy without damping, largest change over kinetic | left alone, motion over overlap "
-            "| stored and gone on with |"
+            "| stored and continued |"
         ),
         "|---|---|---|---|---|",
     ]
