@@ -8,7 +8,7 @@ import pytest
 from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration
-from calcidem.app.report import write_report
+from calcidem.app.report import analyse, write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
@@ -93,3 +93,10 @@ def small_database(
 def small_report(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give the report of the small campaign."""
     return write_report(small_database, tmp_path_factory.mktemp("report") / "report.html")
+
+
+@pytest.fixture(scope="session")
+def small_folder(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """Give the folder of figures, tables and numbers of the small campaign, and what could not be made."""
+    folder = tmp_path_factory.mktemp("analysis") / "out"
+    return folder, analyse(small_database, folder)

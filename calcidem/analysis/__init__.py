@@ -1,11 +1,12 @@
 """What the velocities of a campaign say, from distribution to prediction.
 
-Everything here takes plain arrays or xarray and returns frozen records or xarray; nothing reads a database,
-so the same code serves a campaign, a table from a paper and somebody else's data. Import from the modules:
+Everything here takes records, plain arrays or xarray and gives frozen records or xarray; nothing reads a database or
+simulates, so the same code serves a campaign, a table from a paper and somebody else's data. Import from the modules:
 
 - `distribution`: moments, normality, intervals of Vs at each content; `outcomes` counts the cells without Vs;
 - `stages`: growth rates of the four stages;
 - `contact_graph`, `connectivity`, `features`: preferential path, C_d, C_d,n and the eight path features;
+- `packing_graph`: the contact graph of a stored packing; `campaign_analysis`: all products of a campaign;
 - `correlation`: Pearson and Spearman, over all contents and within one;
 - `path_envelope`, `weights`: the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error and prediction;

@@ -40,24 +40,33 @@ class CampaignReader(Protocol):
     """What an analysis and its report read of a campaign, as `calcidem.storage.campaign.StoredCampaign` gives it."""
 
     @property
-    def record(self) -> CampaignRecord: ...  # noqa: D102 - said where they are implemented
+    def record(self) -> CampaignRecord:
+        """Name, hash and plan."""
 
     @property
-    def config(self) -> dict[str, Any]: ...  # noqa: D102
+    def config(self) -> dict[str, Any]:
+        """The physical configuration."""
 
-    def to_xarray(self) -> xr.Dataset: ...  # noqa: D102
+    def to_xarray(self) -> xr.Dataset:
+        """All scalar quantities along (seed, content)."""
 
-    def select(self, *, with_arrays: bool) -> Iterator[CellResult]: ...  # noqa: D102
+    def select(self, *, with_arrays: bool) -> Iterator[CellResult]:
+        """All outcomes by seed, then content."""
 
-    def cell(self, *, seed: int, content: float) -> CellResult: ...  # noqa: D102
+    def cell(self, *, seed: int, content: float) -> CellResult:
+        """One outcome with its arrays; `UnknownCellError` if there is none."""
 
-    def signal(self, *, seed: int, content: float) -> Signal: ...  # noqa: D102
+    def signal(self, *, seed: int, content: float) -> Signal:
+        """The signals of a cell; `UnknownCellError` if none were kept."""
 
-    def packing(self, index: int = 0) -> PackingRecord: ...  # noqa: D102
+    def packing(self, index: int = 0) -> PackingRecord:
+        """A stored packing."""
 
-    def packing_indices(self) -> tuple[int, ...]: ...  # noqa: D102
+    def packing_indices(self) -> tuple[int, ...]:
+        """Indices of the stored packings, ascending."""
 
-    def runs(self) -> tuple[tuple[int, RunRecord], ...]: ...  # noqa: D102
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """Provenance of all runs with their numbers."""
 
 
 class UnavailableError(Exception):

@@ -17,7 +17,13 @@ from calcidem.analysis.contact_graph import ContactGraph, preferential_path
 
 
 class PathLine(NamedTuple):
-    """Numbers of contacts on a path, which make the line N_h + r N_LPB over the ratio r."""
+    """Numbers of contacts on a path, which make the line N_h + r N_LPB over the ratio r.
+
+    Attributes
+    ----------
+    hertz_contacts, bonded_contacts
+        Sand contacts N_h and cemented contacts N_LPB.
+    """
 
     hertz_contacts: int
     bonded_contacts: int

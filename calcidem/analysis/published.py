@@ -19,7 +19,19 @@ from calcidem.analysis.intervals import Interval
 
 @dataclass(frozen=True, slots=True)
 class PublishedVelocity:
-    """One row of Table 3: mean and standard deviation in m/s, moments, and whether it is marked normal."""
+    """One row of Table 3.
+
+    Attributes
+    ----------
+    stage
+        Roman numeral of the stage it belongs to.
+    mean, standard_deviation
+        m/s.
+    skewness, kurtosis
+        Moments (0 and 3 for a normal distribution).
+    normal
+        Whether it is marked normal.
+    """
 
     stage: str
     mean: float
@@ -31,7 +43,17 @@ class PublishedVelocity:
 
 @dataclass(frozen=True, slots=True)
 class PublishedContent:
-    """One calcite content (percent), its excitation frequency in Hz, and its row of Table 3 if any."""
+    """One calcite content of Tables 2 and 3.
+
+    Attributes
+    ----------
+    content
+        Percent of sand mass.
+    frequency
+        Excitation frequency in Hz.
+    vs
+        Its row of Table 3, if any.
+    """
 
     content: float
     frequency: float

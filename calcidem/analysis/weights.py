@@ -15,10 +15,10 @@ SMALLEST_SAMPLE = 3
 CORRELATION_TIE = 1e-6
 """Correlations closer than this are taken for equal."""
 
-RATIOS = np.linspace(0.01, 0.99, 99)
+WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
 """The ratios of the scan. The value 1 is left out: there cement makes no difference and C_d,n is
 undefined."""
-RATIOS.flags.writeable = False
+WEIGHT_RATIOS.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ def scan_ratio(
     vs: ArrayLike,
     seed: ArrayLike,
     *,
-    ratios: ArrayLike = RATIOS,
+    ratios: ArrayLike = WEIGHT_RATIOS,
     level: float = 0.95,
     replicates: int = 2000,
 ) -> RatioScan:

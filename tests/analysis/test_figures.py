@@ -28,10 +28,12 @@ def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
 
 
 @pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
-def test_every_figure_is_drawn_and_written(entry: CampaignFigure, analysis: CampaignAnalysis, tmp_path: Path) -> None:
+def test_every_figure_is_drawn_and_written(
+    entry: CampaignFigure, analysis: CampaignAnalysis, small_folder: tuple[Path, dict[str, str]]
+) -> None:
     """Each figure of the registry has labelled scales, and becomes a PNG of 150 dpi, an SVG and a PDF."""
     figure = entry.draw(analysis)
-    png, svg, pdf = style.save(figure, tmp_path, entry.name)
+    png, svg, pdf = (small_folder[0] / f"{entry.name}.{ending}" for ending in ("png", "svg", "pdf"))
     width, height = struct.unpack(">II", png.read_bytes()[16:24])
     assert np.allclose([width, height], figure.get_size_inches() * 150, atol=1)
     assert ET.parse(svg).getroot().tag.endswith("svg")  # noqa: S314 - written just above
