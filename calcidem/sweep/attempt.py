@@ -52,7 +52,7 @@ class Deadline:
         elapsed = time.monotonic() - self._start
         if self._time_limit is not None and elapsed > self._time_limit:
             raise TimeLimitReached(
-                f"not finished after {elapsed:.1f} s, the time limit of a batch is {self._time_limit:g} s"
+                f"not finished after {elapsed:.1f} s; the time limit of a batch is {self._time_limit:g} s"
             )
 
 

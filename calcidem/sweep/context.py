@@ -32,7 +32,19 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SweepContext(Generic[CellT]):
-    """The parts of a sweep that rank 0 holds."""
+    """The parts of a sweep that rank 0 holds.
+
+    Attributes
+    ----------
+    schedule
+        Batches still to be handed out.
+    sink, progress
+        Where outcomes are stored, and shown.
+    stop_request
+        Signals noted so far.
+    options
+        Limits of a batch.
+    """
 
     schedule: Schedule[CellT]
     sink: Sink
@@ -41,7 +53,7 @@ class SweepContext(Generic[CellT]):
     options: SweepOptions
 
     def store(self, outcomes: list[BatchOutcome[CellT, Any]]) -> None:
-        """Store final outcomes together, so that a fast sweep pays for few transactions, and tell of them."""
+        """Store final outcomes together, so that a fast sweep pays for few transactions, and show them."""
         if not outcomes:
             return
         self.sink.store(outcomes)

@@ -42,7 +42,7 @@ class SweepOptions:
             raise ValueError(f"time_limit is {self.time_limit} s: give more than 0 s, or None for no limit")
         if not self.hard_limit_factor > 1.0:
             raise ValueError(
-                f"hard_limit_factor is {self.hard_limit_factor}: give more than 1, the batch must have time"
+                f"hard_limit_factor is {self.hard_limit_factor}: give more than 1; the batch must have time"
                 " to notice its own limit first"
             )
         for name in ("watchdog_margin", "stop_grace", "hurry_grace"):

@@ -24,7 +24,13 @@ class FailureKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something was computed."""
+    """Where something was computed.
+
+    Attributes
+    ----------
+    rank, host
+        Number of the rank and name of its machine.
+    """
 
     rank: int
     host: str

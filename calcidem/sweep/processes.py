@@ -40,8 +40,15 @@ def die_with_parent() -> None:
 class ProcessIdentity:
     """What names a process for others on the same machine.
 
-    `machine` is equal for two processes exactly if their process numbers mean the same: same boot of the
-    same kernel, same namespace (containers).
+    Attributes
+    ----------
+    process
+        Its number.
+    machine
+        Equal for two processes exactly if their numbers mean the same: same boot of the same kernel, same
+        namespace (containers).
+    host
+        Name of the machine.
     """
 
     process: int
@@ -82,7 +89,7 @@ class ProcessWatch:
 
     They are held by file descriptors, so that their numbers can't come to mean other processes, and asked for
     all at once. Processes on other machines, or on a kernel without such descriptors (before Linux 5.3),
-    can't be watched: they are never among the `ended`, and `kill` returns False.
+    can't be watched: they are never found to have ended, and `kill` returns False.
     """
 
     def __init__(self) -> None:

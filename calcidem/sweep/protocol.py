@@ -82,7 +82,13 @@ def start_send(comm: MPI.Comm, value: Any, destination: int, tag: Tag) -> MPI.Re
 
 @dataclass(slots=True)
 class Incoming:
-    """A message on its way in."""
+    """A message on its way in.
+
+    Attributes
+    ----------
+    source, tag
+        Rank of the sender, and meaning.
+    """
 
     source: int
     tag: Tag

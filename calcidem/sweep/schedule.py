@@ -17,7 +17,17 @@ LOSSES_BEFORE_QUARANTINE = 3
 
 @dataclass(slots=True)
 class Tally:
-    """What has happened so far, in cells unless said otherwise."""
+    """What has happened so far.
+
+    Attributes
+    ----------
+    settled
+        Number of cells with a final outcome, of whatever kind.
+    failed, timed_out, quarantined
+        Those of them that have no result.
+    lost_workers
+        Number of workers lost.
+    """
 
     settled: int = 0
     failed: int = 0

@@ -39,6 +39,13 @@ class StopRequest:
     ----------
     end_at_once
         Called for the second urgent signal, before the process ends by itself with `EXIT_RESUMABLE`.
+
+    Attributes
+    ----------
+    level
+        How urgently the sweep is to end.
+    reason
+        Name of the signal that asked for it, empty if none did.
     """
 
     def __init__(self, end_at_once: Callable[[], object] | None = None) -> None:
