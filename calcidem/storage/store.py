@@ -1,9 +1,11 @@
 """The contract that every store keeps."""
 
+import os
+import socket
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from types import TracebackType
 from typing import Any, Self
 
@@ -24,6 +26,9 @@ from calcidem.storage.records import (
 )
 
 RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
+
+STALE_AFTER = timedelta(minutes=5)
+"""A master on another machine without a heartbeat for this long counts as dead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +98,41 @@ class LeaseGrant:
 
     token: str
     taken_over_from: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseHolder:
+    """The process that holds the lease of a campaign, or held it when it died.
+
+    Attributes
+    ----------
+    host : str
+    pid : int
+        Its number there.
+    acquired : datetime
+        When it became the master (UTC).
+    heartbeat : datetime
+        When it was last heard of (UTC).
+    """
+
+    host: str
+    pid: int
+    acquired: datetime
+    heartbeat: datetime
+
+    def may_live(self) -> bool:
+        """Whether it may be alive, as far as can be told from this machine: on another one its heartbeat decides."""
+        if datetime.now(UTC) - self.heartbeat > STALE_AFTER:
+            return False
+        if self.host != socket.gethostname():
+            return True
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            return True
+        return True
 
 
 class Store(ABC):
@@ -195,6 +235,10 @@ class Store(ABC):
         LeaseLostError
             If another process took over.
         """
+
+    @abstractmethod
+    def lease_holder(self) -> LeaseHolder | None:
+        """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
 
     @abstractmethod
     def release_lease(self) -> None:

@@ -1,6 +1,8 @@
 """The contract of `Store`, run on every implementation."""
 
 import dataclasses
+import os
+import socket
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -293,6 +295,23 @@ def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> No
     again = store.acquire_lease()
     assert again.token != grant.token
     assert again.taken_over_from is None
+
+
+def test_lease_holder_is_known_to_readers(store: SqlStore, open_here: Callable[..., SqlStore]) -> None:
+    """Whoever reads sees which process holds the lease, whether it may be alive, and nobody after its release."""
+    reader = open_here(read_only=True)
+    reader.use_campaign()
+    assert reader.lease_holder() is None
+    store.acquire_lease()
+    holder = reader.lease_holder()
+    assert holder is not None
+    assert (holder.host, holder.pid) == (socket.gethostname(), os.getpid())
+    assert holder.may_live()
+    assert not dataclasses.replace(holder, heartbeat=holder.heartbeat - timedelta(minutes=6)).may_live()
+    assert not dataclasses.replace(holder, pid=2**22 + 1).may_live()
+    assert dataclasses.replace(holder, host="elsewhere", pid=2**22 + 1).may_live()
+    store.release_lease()
+    assert reader.lease_holder() is None
 
 
 def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: "Records") -> None:

@@ -13,7 +13,7 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.models import AttemptRow, CellRow
 from calcidem.storage.sql.quantities import QUANTITIES
-from calcidem.storage.sql.reading import cell_in, conditions, with_results
+from calcidem.storage.sql.reading import cell_in, conditions, join_results
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.sql.writing import _attempt_in
 from calcidem.storage.store import Selection
@@ -85,7 +85,7 @@ def test_queries_use_indices(large: tuple[Path, Stopwatch], selection: Selection
     with open_store(path) as store, store._reading() as session:
         columns = [quantity.expression for quantity in QUANTITIES]
         statement = (
-            with_results(select(*columns)).where(*conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
+            join_results(select(*columns)).where(*conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
         )
         compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
         plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]

@@ -1,23 +1,16 @@
 """How far a campaign is: states of its cells, running statistics, time left, what was retried or given up."""
 
 import os
-import socket
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import select
 
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
-from calcidem.storage.sql.engine import make_engine, parse_address
-from calcidem.storage.sql.lease import STALE_AFTER
-from calcidem.storage.sql.models import CampaignRow, LeaseRow
-from calcidem.storage.sql.transaction import transaction
 from calcidem.storage.store import Selection
 
 TROUBLES = (CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL)
@@ -131,7 +124,7 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
         If the database can't be read or has no such campaign.
     """
     with open_stored_campaign(database, campaign_name) as campaign:
-        return campaign_status(campaign, running=is_being_written(database, campaign.record.name))
+        return campaign_status(campaign, running=is_being_written(campaign))
 
 
 def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatus:
@@ -244,22 +237,13 @@ def urgency(status: CellStatus) -> int:
     return TROUBLES.index(status) if status in TROUBLES else len(TROUBLES)
 
 
-def is_being_written(database: str | os.PathLike[str], campaign_name: str) -> bool:
+def is_being_written(campaign: StoredCampaign) -> bool:
     """Whether a living process holds the lease of a campaign, as far as can be told from this machine.
 
     On another machine a process counts as living until its heartbeat is five minutes old.
     """
-    address = parse_address(database)
-    engine = make_engine(address, read_only=True)
-    try:
-        with transaction(engine, address, write=False) as session:
-            statement = select(LeaseRow).join(CampaignRow, CampaignRow.id == LeaseRow.campaign_id)
-            holder = session.scalar(statement.where(CampaignRow.name == campaign_name))
-    finally:
-        engine.dispose()
-    if holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER:
-        return False
-    return holder.host != socket.gethostname() or os.path.exists(f"/proc/{holder.pid}")  # noqa: PTH110 - a pid, no path
+    holder = campaign.store.lease_holder()
+    return holder is not None and holder.may_live()
 
 
 def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:

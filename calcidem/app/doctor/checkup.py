@@ -5,18 +5,15 @@ import os
 import platform
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-
-from sqlalchemy import text
-from sqlalchemy.exc import SQLAlchemyError
 
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.app.doctor.mpi import mpi_findings
-from calcidem.storage.sql.engine import WRITES, make_engine, parse_address
+from calcidem.storage.errors import StoreError
+from calcidem.storage.sql.engine import measure_commits
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.lease import FileLock
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher
@@ -126,11 +123,11 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
     kind = filesystem_type(where) or "unknown"
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
-            journal, rate = try_database(Path(trial) / "trial.db")
+            journal, rate = measure_commits(Path(trial) / "trial.db", COMMITS)
             lock = FileLock(Path(trial) / "trial.db")
             locks = lock.acquire() and lock.held
             lock.release()
-    except (OSError, SQLAlchemyError) as error:
+    except (OSError, StoreError) as error:
         cure = "free some space, change the permissions, or choose another folder"
         yield Finding(FindingLevel.PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
@@ -164,23 +161,6 @@ def database_finding(journal: str, rate: float) -> Finding:
     if rate < SLOW_COMMITS:
         return Finding(FindingLevel.WARNING, "SQLite", fact, "use a faster disk, or --db with the URL of a server")
     return Finding(FindingLevel.OK, "SQLite", fact)
-
-
-def try_database(path: Path) -> tuple[str, float]:
-    """Make a database as a campaign does; return its journal mode and how many commits it does a second."""
-    engine = make_engine(parse_address(path), read_only=False)
-    try:
-        with engine.execution_options(**{WRITES: True}).connect() as connection:
-            journal = str(connection.execute(text("PRAGMA journal_mode")).scalar())
-            connection.execute(text("CREATE TABLE trial (value BLOB)"))
-            connection.commit()
-            begin = time.perf_counter()
-            for _ in range(COMMITS):
-                connection.execute(text("INSERT INTO trial VALUES (zeroblob(8000))"))
-                connection.commit()
-            return journal, COMMITS / (time.perf_counter() - begin)
-    finally:
-        engine.dispose()
 
 
 def packing_cache_finding() -> Finding:

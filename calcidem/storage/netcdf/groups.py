@@ -361,11 +361,11 @@ def open_signals(file: Group) -> CellArrays[Signal]:
 
     signals = CellArrays(file, "signals", ("sample",), build)
     if "time_step" in signals.cells:  # a file of layout 1
-        signals.cells |= _sample_times(file, signals.cells)
+        signals.cells |= _times_of_layout_1(file, signals.cells)
     return signals
 
 
-def _sample_times(file: Group, cells: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _times_of_layout_1(file: Group, cells: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Sampling interval and start time of signals in a file that has the interval only, by the name ``time_step``.
 
     A sample is taken at the end of a step, at whose middle its velocity is (see the migration of the schema, v0004).

@@ -76,7 +76,7 @@ def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
             created=datetime.fromisoformat(file.calcidem_created),
         )
         store.begin_campaign(campaign)
-        status = _plan_cells(file, store)
+        status = _extend_plan(file, store)
         run_numbers = {
             run.pop("number"): store.begin_run(_run_from_json(run)) for run in json.loads(file.calcidem_runs)
         }
@@ -105,7 +105,7 @@ def _open(path: Path) -> Group:
     )
 
 
-def _plan_cells(file: Group, store: Store) -> NDArray[np.int8]:
+def _extend_plan(file: Group, store: Store) -> NDArray[np.int8]:
     """Plan the file's cells, which need not be all of seeds x contents; return the status flags."""
     status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()

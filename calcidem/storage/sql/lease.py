@@ -9,7 +9,7 @@ import fcntl
 import os
 import socket
 import uuid
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
@@ -18,10 +18,7 @@ from sqlalchemy.orm import Session
 
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
 from calcidem.storage.sql.models import LeaseRow
-from calcidem.storage.store import LeaseGrant
-
-STALE_AFTER = timedelta(minutes=5)
-"""A master on another machine that has been silent for this long counts as dead."""
+from calcidem.storage.store import STALE_AFTER, LeaseGrant, LeaseHolder
 
 
 class FileLock:
@@ -79,7 +76,7 @@ class FileLock:
             self._descriptor = None
 
 
-def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseGrant:
+def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseGrant:
     """Write the lease's row for this process.
 
     Parameters
@@ -97,24 +94,27 @@ def claim(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseG
     """
     now = datetime.now(UTC)
     host, taken_over_from = socket.gethostname(), None
-    former = session.get(LeaseRow, campaign_id, with_for_update=True)
-    if former is not None:
-        dead = now - former.heartbeat > STALE_AFTER
-        if former.host == host:
-            dead = dead or former_is_dead or not _is_alive(former.pid)
-        if not dead:
-            raise held_error(former)
+    row = session.get(LeaseRow, campaign_id, with_for_update=True)
+    if row is not None:
+        former = holder_from_row(row)
+        if former.may_live() and not (former.host == host and former_is_dead):
+            raise lease_held_error(former)
         taken_over_from = (
             f"{former.host}, process {former.pid}, last heard of at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
         )
-        session.delete(former)
+        session.delete(row)
         session.flush()
     token = uuid.uuid4().hex
     session.add(LeaseRow(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
     return LeaseGrant(token, taken_over_from)
 
 
-def held_error(holder: LeaseRow | None) -> LeaseHeldError:
+def holder_from_row(row: LeaseRow) -> LeaseHolder:
+    """Build the holder of a lease from its row."""
+    return LeaseHolder(row.host, row.pid, row.acquired, row.heartbeat)
+
+
+def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
     """Return the error that names the present master."""
     if holder is None:
         who, cure = "another process on this machine", "Wait until it has ended."
@@ -125,7 +125,7 @@ def held_error(holder: LeaseRow | None) -> LeaseHeldError:
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 
-def refresh(session: Session, token: str) -> None:
+def renew_lease(session: Session, token: str) -> None:
     """Move the heartbeat to now.
 
     Raises
@@ -142,16 +142,6 @@ def refresh(session: Session, token: str) -> None:
         )
 
 
-def drop(session: Session, token: str) -> None:
+def drop_lease(session: Session, token: str) -> None:
     """Remove the row if it is still this master's."""
     session.execute(delete(LeaseRow).where(LeaseRow.token == token))
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -73,22 +73,22 @@ class Base(DeclarativeBase):
     }
 
 
-def finite(column: str) -> CheckConstraint:
+def check_finite(column: str) -> CheckConstraint:
     """Constraint that a column is a finite number or NULL."""
     return CheckConstraint(f"{column} > -{LARGEST} AND {column} < {LARGEST}", name=f"{column}_finite")
 
 
-def positive(column: str) -> CheckConstraint:
+def check_positive(column: str) -> CheckConstraint:
     """Constraint that a column is a positive finite number or NULL."""
     return CheckConstraint(f"{column} > 0 AND {column} < {LARGEST}", name=f"{column}_positive")
 
 
-def not_negative(column: str) -> CheckConstraint:
+def check_not_negative(column: str) -> CheckConstraint:
     """Constraint that a column is a finite number of 0 or more, or NULL."""
     return CheckConstraint(f"{column} >= 0 AND {column} < {LARGEST}", name=f"{column}_not_negative")
 
 
-def one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
+def check_one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
     """Constraint that a text column is one of the values."""
     return CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
 
@@ -146,12 +146,12 @@ class PackingRow(Base):
     __tablename__ = "packing"
     __table_args__ = (
         UniqueConstraint("campaign_id", "number"),
-        not_negative("number"),
-        positive("width"),
-        positive("height"),
-        *(not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
+        check_not_negative("number"),
+        check_positive("width"),
+        check_positive("height"),
+        *(check_not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
         *(
-            not_negative(c)
+            check_not_negative(c)
             for c in ("mean_relative_overlap", "largest_relative_overlap", "unbalanced_ratio", "seconds")
         ),
     )
@@ -197,8 +197,8 @@ class AttemptRow(Base):
     __tablename__ = "attempt"
     __table_args__ = (
         CheckConstraint("number >= 1", name="number_positive"),
-        one_of("outcome", (*STORED_STATUSES, LOST)),
-        not_negative("seconds"),
+        check_one_of("outcome", (*STORED_STATUSES, LOST)),
+        check_not_negative("seconds"),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("cell.id"), primary_key=True)
@@ -219,16 +219,16 @@ class ResultRow(Base):
     __tablename__ = "result"
     __table_args__ = (
         ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
-        one_of("status", STORED_STATUSES),
+        check_one_of("status", STORED_STATUSES),
         CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
         CheckConstraint(
             "status <> 'done' OR (" + " AND ".join(f"{c} IS NOT NULL" for c in NUMERICS_OF_DONE) + ")",
             name="done_has_numerics",
         ),
-        *(positive(column) for column in POSITIVE_COLUMNS),
-        *(not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
-        *(finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
-        *(finite(c) for c in ("energy_error", "error_estimate")),
+        *(check_positive(column) for column in POSITIVE_COLUMNS),
+        *(check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
+        *(check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
+        *(check_finite(c) for c in ("energy_error", "error_estimate")),
         Index(None, "status", "vs"),
     )
 
@@ -261,7 +261,7 @@ class SignalRow(Base):
     """Signals of a cell (`Signal`): one blob with the three arrays."""
 
     __tablename__ = "signal"
-    __table_args__ = (positive("sampling_interval"), finite("start_time"))
+    __table_args__ = (check_positive("sampling_interval"), check_finite("start_time"))
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
     sampling_interval: Mapped[float]
@@ -284,8 +284,8 @@ class PathRow(Base):
     __tablename__ = "path_features"
     __table_args__ = (
         CheckConstraint("hertz_contacts + bonded_contacts = contacts", name="contacts_add_up"),
-        *(finite(c) for c in ("bonded_fraction", "longest_bonded_run_fraction")),
-        *(finite(c) for c in ("connectivity", "normalized_connectivity")),
+        *(check_finite(c) for c in ("bonded_fraction", "longest_bonded_run_fraction")),
+        *(check_finite(c) for c in ("connectivity", "normalized_connectivity")),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
@@ -306,7 +306,7 @@ class GraphRow(Base):
     __tablename__ = "graph_summary"
     __table_args__ = (
         CheckConstraint("bonded_contacts >= 0 AND bonded_contacts <= contacts", name="bonded_are_contacts"),
-        *(not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
+        *(check_not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)

@@ -36,7 +36,7 @@ from calcidem.storage.store import Selection
 
 T = TypeVar("T")
 
-BLOCK = 10_000
+ROWS_READ_AT_ONCE = 10_000
 """Rows that are in memory as Python objects at a time while columns are read."""
 
 KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
@@ -44,18 +44,18 @@ KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
 
-CHUNK = 500
+KEYS_PER_QUERY = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
 
 
-def chunks(items: Iterable[T], size: int = CHUNK) -> Iterator[list[T]]:
+def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
     """Cut what may be too much for the memory into pieces of at most `size`."""
     remaining = iter(items)
     while chunk := list(islice(remaining, size)):
         yield chunk
 
 
-def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
     """Join a planned cell with its outcome, the attempt it came from, its path and its graph, where there are any."""
     return (
         statement.select_from(CellRow)
@@ -67,7 +67,7 @@ def with_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]
 
 
 def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
-    """Conditions of a query over `with_results`."""
+    """Conditions of a query over `join_results`."""
     found = [CellRow.campaign_id == campaign_id]
     if selection.seeds is not None:
         found.append(_is_one_of(selection.seeds))
@@ -90,9 +90,9 @@ def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
     return CellRow.seed.in_(listed)
 
 
-def selected_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
+def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
     """Ids of the selected cells, by seed, then content."""
-    statement = with_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
+    statement = join_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
     return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
 
 
@@ -110,13 +110,13 @@ def table(
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
-    statement = with_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
+    statement = join_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
     statement = statement.where(*conditions(campaign_id, selection))
-    statement = statement.order_by(*map(_sorted_by, sort), CellRow.seed, CellRow.content).limit(limit)
+    statement = statement.order_by(*map(_order_of, sort), CellRow.seed, CellRow.content).limit(limit)
     types = [KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
-    for rows_of_block in session.execute(statement, execution_options={"yield_per": BLOCK}).partitions():
+    for rows_of_block in session.execute(statement, execution_options={"yield_per": ROWS_READ_AT_ONCE}).partitions():
         columns = zip(*rows_of_block, strict=True)
         blocks.append([np.array(column, dtype=kind) for column, kind in zip(columns, types, strict=True)])
     return {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
@@ -135,7 +135,7 @@ def check_names(names: Iterable[str]) -> None:
         raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
 
 
-def _sorted_by(name: str) -> UnaryExpression[Any]:
+def _order_of(name: str) -> UnaryExpression[Any]:
     expression = QUANTITY_BY_NAME[name.removeprefix("-")].expression
     return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
 
@@ -143,7 +143,7 @@ def _sorted_by(name: str) -> UnaryExpression[Any]:
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
     listed = CellRow.id.in_(cell_ids)
-    statement = with_results(select(CellRow.id, CellRow.seed, CellRow.content, *rows.RESULT_COLUMNS))
+    statement = join_results(select(CellRow.id, CellRow.seed, CellRow.content, *rows.RESULT_COLUMNS))
     found = session.execute(
         statement.where(listed, ResultRow.status.is_not(None)).order_by(CellRow.seed, CellRow.content)
     )
@@ -158,10 +158,10 @@ def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) 
         }
     for row in found:
         signal, cement = signals.get(row.id), cements.get(row.id)
-        yield rows.cell_result(
+        yield rows.result_from_row(
             row,
-            rows.signal(signal) if signal is not None else None,
-            rows.cement_pattern(cement) if cement is not None else None,
+            rows.signal_from_row(signal) if signal is not None else None,
+            rows.cement_from_row(cement) if cement is not None else None,
         )
 
 
@@ -171,7 +171,7 @@ def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRe
         CellRow, AttemptRow.cell_id == CellRow.id
     )
     statement = statement.where(CellRow.id.in_(cell_ids)).order_by(CellRow.seed, CellRow.content, AttemptRow.number)
-    yield from (rows.attempt_record(row) for row in session.execute(statement))
+    yield from (rows.attempt_from_row(row) for row in session.execute(statement))
 
 
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:

@@ -46,13 +46,13 @@ RESULT_COLUMNS = (
     *(getattr(PathRow, name).label(PATH_PREFIX + name) for name in PATH_FIELDS),
     *(getattr(GraphRow, name).label(GRAPH_PREFIX + name) for name in GRAPH_FIELDS),
 )
-"""Columns that `cell_result` needs besides seed and content."""
+"""Columns that `result_from_row` needs besides seed and content."""
 
 ATTEMPT_COLUMNS = tuple(getattr(AttemptRow, f.name) for f in fields(AttemptRecord) if f.name != "key")
-"""Columns that `attempt_record` needs behind seed and content, in the order of the record's fields."""
+"""Columns that `attempt_from_row` needs behind seed and content, in the order of the record's fields."""
 
 
-def cell_result(
+def result_from_row(
     row: Row[*tuple[Any, ...]], signal: Signal | None = None, cement: CementPattern | None = None
 ) -> CellResult:
     """Build the outcome of a cell from a row with its seed, content and `RESULT_COLUMNS`."""
@@ -108,7 +108,7 @@ def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:
     return {"cell_id": cell_id, **times, "samples": samples}
 
 
-def signal(row: SignalRow) -> Signal:
+def signal_from_row(row: SignalRow) -> Signal:
     """Inverse of `signal_values`."""
     return Signal(row.sampling_interval, row.start_time, **unpack_arrays(row.samples))
 
@@ -121,18 +121,18 @@ def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:
     }
 
 
-def cement_pattern(row: CementRow) -> CementPattern:
+def cement_from_row(row: CementRow) -> CementPattern:
     """Inverse of `cement_values`."""
     return CementPattern(**unpack_arrays(row.pattern))
 
 
-def attempt_record(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
+def attempt_from_row(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
     """Build an attempt from a row of seed, content and `ATTEMPT_COLUMNS`."""
     seed, content, *values = row
     return AttemptRecord(CellKey(seed, content), *values)
 
 
-def packing_row(campaign_id: int, packing: PackingRecord) -> PackingRow:
+def row_from_packing(campaign_id: int, packing: PackingRecord) -> PackingRow:
     """Row of a packing."""
     values = {name: getattr(packing, name) for name in PACKING_FIELDS}
     values["wall_stress"] = dict(packing.wall_stress)
@@ -140,18 +140,18 @@ def packing_row(campaign_id: int, packing: PackingRecord) -> PackingRow:
     return PackingRow(campaign_id=campaign_id, number=packing.index, grains=grains, **values)
 
 
-def packing_record(row: PackingRow) -> PackingRecord:
-    """Inverse of `packing_row`."""
+def packing_from_row(row: PackingRow) -> PackingRecord:
+    """Inverse of `row_from_packing`."""
     values: dict[str, Any] = {name: getattr(row, name) for name in PACKING_FIELDS}
     return PackingRecord(index=row.number, **(values | unpack_arrays(row.grains)))
 
 
-def run_row(campaign_id: int, run: RunRecord) -> RunRow:
+def row_from_run(campaign_id: int, run: RunRecord) -> RunRow:
     """Row of a run."""
     values = {name: getattr(run, name) for name in RUN_FIELDS}
     return RunRow(campaign_id=campaign_id, **(values | {"versions": dict(run.versions)}))
 
 
-def run_record(row: RunRow) -> RunRecord:
-    """Inverse of `run_row`."""
+def run_from_row(row: RunRow) -> RunRecord:
+    """Inverse of `row_from_run`."""
     return RunRecord(**{name: getattr(row, name) for name in RUN_FIELDS})

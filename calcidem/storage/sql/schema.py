@@ -30,11 +30,11 @@ def prepare_schema(connection: Connection, address: Address) -> None:
     Raises
     ------
     ForeignDatabaseError, NewerSchemaError
-        As `stored_revision`.
+        As `read_revision`.
     """
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
         connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
-    if stored_revision(connection, address) != _head():
+    if read_revision(connection, address) != _head():
         command.upgrade(_configuration(connection), "head")
 
 
@@ -44,11 +44,11 @@ def require_current_schema(connection: Connection, address: Address) -> None:
     Raises
     ------
     ForeignDatabaseError, NewerSchemaError
-        As `stored_revision`; a database without tables is foreign too.
+        As `read_revision`; a database without tables is foreign too.
     OlderSchemaError
         If it has to be upgraded first.
     """
-    revision = stored_revision(connection, address)
+    revision = read_revision(connection, address)
     if revision is None:
         raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
     if revision != _head():
@@ -66,7 +66,7 @@ def _head() -> str:
     return head
 
 
-def stored_revision(connection: Connection, address: Address) -> str | None:
+def read_revision(connection: Connection, address: Address) -> str | None:
     """Return the revision of a database, None if it has no tables.
 
     Raises

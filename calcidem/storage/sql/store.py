@@ -25,11 +25,10 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.records.campaign import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
-from calcidem.storage.sql.engine import Address, make_engine, parse_address
+from calcidem.storage.sql.engine import Address, make_engine, parse_address, transaction
 from calcidem.storage.sql.models import CampaignRow, CellRow, LeaseRow, PackingRow, RunRow, SignalRow
-from calcidem.storage.sql.schema import prepare_schema, require_current_schema, stored_revision
-from calcidem.storage.sql.transaction import transaction
-from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, Selection, Store
+from calcidem.storage.sql.schema import prepare_schema, read_revision, require_current_schema
+from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, LeaseHolder, Selection, Store
 
 NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
 
@@ -91,7 +90,7 @@ class SqlStore(Store):
         """Open a writing transaction that fails if the lease was lost."""
         with transaction(self._engine, self.address, write=True) as session:
             if self._token is not None:
-                lease.refresh(session, self._token)
+                lease.renew_lease(session, self._token)
             yield session
 
     @property
@@ -137,7 +136,7 @@ class SqlStore(Store):
     @override
     def begin_run(self, run: RunRecord) -> int:
         with self._writing() as session:
-            row = rows.run_row(self._campaign, run)
+            row = rows.row_from_run(self._campaign, run)
             session.add(row)
             session.flush()
         self._run_id = row.id
@@ -156,7 +155,7 @@ class SqlStore(Store):
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         with self._reading() as session:
             found = session.scalars(select(RunRow).where(RunRow.campaign_id == self._campaign).order_by(RunRow.id))
-            return tuple((row.id, rows.run_record(row)) for row in found)
+            return tuple((row.id, rows.run_from_row(row)) for row in found)
 
     # Lease
 
@@ -166,11 +165,11 @@ class SqlStore(Store):
             self.renew_lease()
             return LeaseGrant(self._token, None)
         if self._lock is not None and not self._lock.acquire():
-            raise lease.held_error(self._holder())
+            raise lease.lease_held_error(self.lease_holder())
         locked = self._lock is not None and self._lock.held
         try:
             with self._writing() as session:
-                grant = lease.claim(session, self._campaign, former_is_dead=locked)
+                grant = lease.claim_lease(session, self._campaign, former_is_dead=locked)
         except BaseException:
             if self._lock is not None:
                 self._lock.release()
@@ -178,9 +177,11 @@ class SqlStore(Store):
         self._token = grant.token
         return grant
 
-    def _holder(self) -> LeaseRow | None:
+    @override
+    def lease_holder(self) -> LeaseHolder | None:
         with self._reading() as session:
-            return session.get(LeaseRow, self._campaign)
+            row = session.get(LeaseRow, self._campaign)
+            return None if row is None else lease.holder_from_row(row)
 
     @override
     def renew_lease(self) -> None:
@@ -192,7 +193,7 @@ class SqlStore(Store):
         if self._token is not None:
             token, self._token = self._token, None
             with transaction(self._engine, self.address, write=True) as session:
-                lease.drop(session, token)
+                lease.drop_lease(session, token)
         if self._lock is not None:
             self._lock.release()
 
@@ -235,7 +236,7 @@ class SqlStore(Store):
         with self._reading() as session:
             statement = select(PackingRow).where(PackingRow.campaign_id == self._campaign, PackingRow.number == index)
             row = session.scalar(statement)
-            return None if row is None else rows.packing_record(row)
+            return None if row is None else rows.packing_from_row(row)
 
     @override
     def packing_indices(self) -> tuple[int, ...]:
@@ -285,7 +286,7 @@ class SqlStore(Store):
         No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
         """
         with self._reading() as session:
-            chosen = reading.selected_cells(session, self._campaign, selection)
+            chosen = reading.select_cells(session, self._campaign, selection)
         yield from reading.chunks(chosen)
 
     @override
@@ -293,7 +294,7 @@ class SqlStore(Store):
         with self._reading() as session:
             statement = select(SignalRow).join(CellRow, CellRow.id == SignalRow.cell_id)
             row = session.scalar(statement.where(CellRow.campaign_id == self._campaign, reading.cell_in([key])))
-            return None if row is None else rows.signal(row)
+            return None if row is None else rows.signal_from_row(row)
 
     @override
     def table(
@@ -337,6 +338,6 @@ def _look_before_writing(address: Address) -> None:
     engine = make_engine(address, read_only=True)
     try:
         with transaction(engine, address, write=False) as session:
-            stored_revision(session.connection(), address)
+            read_revision(session.connection(), address)
     finally:
         engine.dispose()

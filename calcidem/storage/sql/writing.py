@@ -32,7 +32,7 @@ from calcidem.storage.sql.models import (
     ResultRow,
     SignalRow,
 )
-from calcidem.storage.sql.reading import CHUNK, attempt_counts, cell_in, chunks
+from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, cell_in, chunks
 
 
 def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
@@ -82,7 +82,7 @@ def save_packing(session: Session, campaign_id: int, packing: PackingRecord) -> 
         select(PackingRow.hash).where(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
     )
     if stored is None:
-        session.add(rows.packing_row(campaign_id, packing))
+        session.add(rows.row_from_packing(campaign_id, packing))
     elif stored != packing.hash:
         raise CampaignMismatchError(
             f"Packing {packing.index} is stored with hash {stored}, the given one has {packing.hash}.",
@@ -126,7 +126,7 @@ def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult
     """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
     batch: dict[CellKey, CellResult] = {}
     for result in results:
-        if result.key in batch or len(batch) == CHUNK:
+        if result.key in batch or len(batch) == KEYS_PER_QUERY:
             yield list(batch.values())
             batch = {}
         batch[result.key] = result

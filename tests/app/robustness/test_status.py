@@ -111,7 +111,9 @@ def test_watching_ends_when_all_is_settled(complete: Path, invoke: Callable[...,
 def test_a_living_master_is_seen(complete: Path) -> None:
     """The campaign runs while a process holds its lease, and no longer."""
     with open_store(complete) as store:
-        name = store.use_campaign().name
+        store.use_campaign()
         store.acquire_lease()
-        assert is_being_written(complete, name)
-    assert not is_being_written(complete, name)
+        with open_stored_campaign(complete) as campaign:
+            assert is_being_written(campaign)
+    with open_stored_campaign(complete) as campaign:
+        assert not is_being_written(campaign)

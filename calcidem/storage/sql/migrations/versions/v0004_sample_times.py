@@ -6,15 +6,15 @@ from alembic import op
 revision = "0004"
 down_revision = "0003"
 
-LARGEST = "1e+300"
+BOUND = "1e+300"
 SIGNAL_CHECKS = {
-    "sampling_interval_positive": f"sampling_interval > 0 AND sampling_interval < {LARGEST}",
-    "start_time_finite": f"start_time > -{LARGEST} AND start_time < {LARGEST}",
+    "sampling_interval_positive": f"sampling_interval > 0 AND sampling_interval < {BOUND}",
+    "start_time_finite": f"start_time > -{BOUND} AND start_time < {BOUND}",
 }
 PACKING_CHECKS = {
-    **{f"{name}_positive": f"{name} > 0 AND {name} < {LARGEST}" for name in ("width", "height")},
+    **{f"{name}_positive": f"{name} > 0 AND {name} < {BOUND}" for name in ("width", "height")},
     **{
-        f"{name}_not_negative": f"{name} >= 0 AND {name} < {LARGEST}"
+        f"{name}_not_negative": f"{name} >= 0 AND {name} < {BOUND}"
         for name in (
             *("number", "porosity", "coordination_number", "coordination_number_without_rattlers"),
             *("mean_relative_overlap", "largest_relative_overlap", "unbalanced_ratio", "seconds"),
