@@ -7,7 +7,7 @@ import typer
 
 DEFAULT_CONFIGURATION = Path("calcidem.toml")
 
-ConfigurationFile = Annotated[Path, typer.Argument(metavar="[CONFIG]", help="TOML file of the campaign.")]
+ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[
     str | None, typer.Option("--campaign", metavar="NAME", help="Which campaign, if the database has several.")

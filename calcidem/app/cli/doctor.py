@@ -15,7 +15,7 @@ STYLES = {FindingLevel.OK: "green", FindingLevel.WARNING: "yellow", FindingLevel
 
 def doctor_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="[DIR]", help="Folder for the database; the current one by default.")
+        Path, typer.Argument(metavar="DIR", help="Folder for the database; the current one by default.")
     ] = Path(),
 ) -> None:
     """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; say what to do about what is wrong.

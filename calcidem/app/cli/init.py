@@ -20,7 +20,7 @@ class Preset(StrEnum):
 
 
 def init_command(
-    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="File to write.")] = DEFAULT_CONFIGURATION,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = DEFAULT_CONFIGURATION,
     preset: Annotated[
         Preset,
         typer.Option(

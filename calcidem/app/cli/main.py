@@ -4,7 +4,7 @@ import ast
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.resources import files
 
@@ -53,13 +53,18 @@ def build_application(arguments: Sequence[str]) -> typer.Typer:
     )
     application.callback()(lambda: None)  # without it typer takes a single command for the whole application
     asked = arguments[0] if arguments else ""
-    if asked in COMMANDS:
-        module = import_module(f"calcidem.app.cli.{module_name(asked)}")
-        application.command(asked)(getattr(module, f"{asked}_command"))
-    else:
-        for name in COMMANDS:
-            application.command(name, help=command_description(name))(lambda: None)
+    for name in [asked] if asked in COMMANDS else COMMANDS:
+        function = load_command(name) if name == asked else lambda: None
+        application.command(name, help=command_description(name))(function)
     return application
+
+
+def load_command(command: str) -> Callable[..., None]:
+    """Function of a command."""
+    function: Callable[..., None] = getattr(
+        import_module(f"calcidem.app.cli.{module_name(command)}"), f"{command}_command"
+    )
+    return function
 
 
 def module_name(command: str) -> str:
@@ -68,10 +73,11 @@ def module_name(command: str) -> str:
 
 
 def command_description(command: str) -> str:
-    """Docstring of a command, without importing its module."""
+    """Docstring of a command, a line for each paragraph, without importing its module."""
     source = files("calcidem.app.cli").joinpath(f"{module_name(command)}.py").read_text(encoding="utf-8")
     functions = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
-    return next(ast.get_docstring(node) or "" for node in functions if node.name == f"{command}_command")
+    text = next(ast.get_docstring(node) or "" for node in functions if node.name == f"{command}_command")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 def format_warning(

@@ -98,7 +98,7 @@ def column_names(text: str | None) -> Sequence[str]:
 
 def split_list(text: str) -> list[str]:
     """Parts of a list with commas."""
-    return [part.strip() for part in text.split_list(",") if part.strip()]
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def as_text(columns: Columns, layout: Format) -> str:
