@@ -88,7 +88,15 @@ class Merged:
 
 @dataclass(frozen=True, slots=True)
 class StoredOutcome:
-    """StoredOutcome of a cell in one source, as far as the choice between sources needs it."""
+    """Outcome of a cell in one source, as far as the choice between sources needs it.
+
+    Attributes
+    ----------
+    status
+        What became of the cell.
+    values
+        Its `COMPARED` quantities, NaN where there is none.
+    """
 
     status: CellStatus
     values: tuple[float, ...]
@@ -182,8 +190,8 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
         planned=len(cells),
         settled=len(choice),
         taken=tuple(sum(source == chosen for chosen in choice.values()) for source in range(len(sources))),
-        shared=sum(done_in(key, outcomes) > 1 for key in choice) - len(conflicts),
-        overruled=sum(0 < done_in(key, outcomes) < settled_in(key, outcomes) for key in choice),
+        shared=sum(count_done(key, outcomes) > 1 for key in choice) - len(conflicts),
+        overruled=sum(0 < count_done(key, outcomes) < count_settled(key, outcomes) for key in choice),
         conflicts=conflicts,
     )
     if conflicts and prefer is None:
@@ -246,12 +254,12 @@ def choose_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcom
     return prefer if prefer in candidates else next(iter(candidates), None)
 
 
-def done_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
+def count_done(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
     """Number of sources in which a cell is done."""
     return sum(key in found and found[key].status is CellStatus.DONE for found in outcomes)
 
 
-def settled_in(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
+def count_settled(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
     """Number of sources in which a cell has an outcome."""
     return sum(key in found for found in outcomes)
 

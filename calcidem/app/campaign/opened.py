@@ -20,6 +20,7 @@ from calcidem.analysis.outcomes import NOT_COMPUTED
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
@@ -229,16 +230,13 @@ def contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uin
     ValueError
         If the pattern cements two disks that do not touch.
     """
-    rows = {(min(pair), max(pair)): row for row, pair in enumerate(packing.pairs.tolist())}
-    kind = np.zeros(len(packing.pairs), dtype=np.uint8)
-    for pair, value in zip(cement.contacts.tolist(), cement.kind.tolist(), strict=True):
-        row = rows.get((min(pair), max(pair)))
-        if row is None:
-            raise ValueError(
-                f"disks {pair[0]} and {pair[1]} are cemented but do not touch: not the packing of this cell"
-            )
-        kind[row] = value
-    return kind
+    count = len(packing.radius)
+    contacts, cemented = (pair_keys(np.sort(pairs, axis=1), count) for pairs in (packing.pairs, cement.contacts))
+    kinds = dict(zip(cemented.tolist(), cement.kind.tolist(), strict=True))
+    if strange := kinds.keys() - set(contacts.tolist()):
+        first, second = divmod(min(strange), count)
+        raise ValueError(f"disks {first} and {second} are cemented but do not touch: not the packing of this cell")
+    return np.array([kinds.get(key, CementKind.NONE) for key in contacts.tolist()], dtype=np.uint8)
 
 
 def write_sample(sample: Sample, file: Path) -> Path:

@@ -20,7 +20,17 @@ PACKAGED = Path(__file__).with_name("measured.json")
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Everything that one run of the command measured, and the campaign hash that it belongs to."""
+    """Everything that one run of the command measured.
+
+    Attributes
+    ----------
+    campaign_hash
+        Identity of the campaign's physics.
+    study
+        Errors of the settings.
+    convergence, amplitudes, equilibrium, scatter
+        Rows of the other tables, empty where they were not measured.
+    """
 
     campaign_hash: str
     study: Study

@@ -45,7 +45,15 @@ class ReferenceCell:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """Reference of all cells of a content: measurements, what is said of them, and processor time of a cell, s."""
+    """Reference of all cells of a content.
+
+    Attributes
+    ----------
+    measurements, cells
+        Measurement of each cell, and what is said of it.
+    seconds
+        Processor time of a cell.
+    """
 
     measurements: tuple[Measurement, ...]
     cells: tuple[ReferenceCell, ...]

@@ -76,7 +76,17 @@ class ListedPlan(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A variant ready to be computed."""
+    """A variant ready to be computed.
+
+    Attributes
+    ----------
+    name
+        Of the variant, and of its campaign in the database.
+    choice, value, against
+        See `ListedVariant`.
+    configuration
+        What is computed.
+    """
 
     name: str
     choice: str
