@@ -18,8 +18,8 @@ COMMANDS = (
     *("sensitivity", "doctor"),
 )
 
-COMPLETED_VARIABLE = "_TYPER_COMPLETE_ARGS"
-"""Has the words typed so far when a shell asks how they could go on."""
+COMPLETION_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
+"""One of them has the words typed so far when a shell asks how they could go on."""
 
 
 def main() -> None:
@@ -27,7 +27,8 @@ def main() -> None:
     for variable in THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     warnings.formatwarning = format_warning
-    application = build_application(sys.argv[1:] or os.environ.get(COMPLETED_VARIABLE, "").split()[1:])
+    typed = " ".join(os.environ.get(variable, "") for variable in COMPLETION_VARIABLES)
+    application = build_application(sys.argv[1:] or typed.split()[1:])
     try:
         application()
     except Exception as error:

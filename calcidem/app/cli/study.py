@@ -22,7 +22,7 @@ class StudyName(StrEnum):
 def study_command(
     database: Database,
     names: Annotated[
-        list[StudyName] | None, typer.Argument(metavar="frequency|damping ...", help="By default both.")
+        list[StudyName] | None, typer.Argument(metavar="frequency|damping", help="By default both.")
     ] = None,
     content: Annotated[list[float] | None, typer.Option(help="Content, percent; may be repeated.")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figures and NetCDF files.")] = Path("studies"),
