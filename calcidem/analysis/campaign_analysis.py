@@ -17,17 +17,14 @@ from calcidem.analysis.correlation import Correlations, correlate
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
-from calcidem.analysis.outcomes import NOT_COMPUTED, count_outcomes
+from calcidem.analysis.outcomes import count_outcomes, name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
 from calcidem.storage.records import (
-    NOT_PLANNED,
-    STATUS_CODES,
     CampaignRecord,
     CellResult,
-    CellStatus,
     CementPattern,
     PackingRecord,
     PathFeatures,
@@ -151,11 +148,7 @@ class CampaignAnalysis:
     @cached_property
     def status(self) -> xr.DataArray:
         """Outcome of each cell as text along (seed, content), empty where it is not computed."""
-        not_computed = (CellStatus.PENDING, NOT_PLANNED)
-        names = {code: NOT_COMPUTED if name in not_computed else str(name) for name, code in STATUS_CODES.items()}
-        codes = self.cells["status"]
-        texts = [[names[int(code)] for code in row] for row in codes.to_numpy()]
-        return xr.DataArray(np.array(texts, dtype=object), codes.coords, codes.dims)
+        return name_outcomes(self.cells["status"])
 
     @cached_property
     def outcomes(self) -> xr.Dataset:

@@ -4,6 +4,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CellStatus
+
 DONE = "done"
 NOT_COMPUTED = ""
 
@@ -48,6 +50,15 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
         },
         coords={"content": vs["content"], "outcome": np.array(names, dtype=str)},
     )
+
+
+def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
+    """Outcome of each cell as text along (seed, content), empty where it is not computed, from its `STATUS_CODES`."""
+    names = np.full(max(STATUS_CODES.values()) + 1, NOT_COMPUTED, dtype=object)
+    for name, code in STATUS_CODES.items():
+        if name not in (CellStatus.PENDING, NOT_PLANNED):
+            names[code] = str(name)
+    return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
 
 
 def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.netcdf.dataset import campaign_dataset, vs_array
+from calcidem.storage.netcdf.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.records import (
     AttemptRecord,
     CampaignRecord,
@@ -87,10 +87,15 @@ class StoredCampaign:
         >>> campaign.vs().sel(content=5.0).values
         array([1150., 1151.,   nan,   nan])
         """
-        return vs_array(self.store)
+        return cell_matrices(self.store, ("vs",))["vs"]
 
-    def to_xarray(self) -> xr.Dataset:
-        """Return every scalar quantity of every cell (`calcidem.storage.netcdf.dataset.campaign_dataset`).
+    def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
+        """Return scalar quantities of every cell (`calcidem.storage.netcdf.dataset.campaign_dataset`).
+
+        Parameters
+        ----------
+        columns : sequence of str, optional
+            Quantities, by default all.
 
         Examples
         --------
@@ -98,7 +103,7 @@ class StoredCampaign:
         >>> float(campaign.to_xarray()["steps"].sel(seed=0, content=5.0))
         12000.0
         """
-        return campaign_dataset(self.store, self.record)
+        return campaign_dataset(self.store, self.record, columns)
 
     def to_dataframe(
         self,

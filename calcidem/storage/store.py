@@ -9,7 +9,6 @@ from datetime import UTC, datetime, timedelta
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.records import (
@@ -62,25 +61,6 @@ class Selection:
 
 
 ALL_CELLS = Selection()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VsMatrix:
-    """Shear-wave velocities of a campaign.
-
-    Attributes
-    ----------
-    seeds : (s,) int64 array
-        Ascending.
-    contents : (c,) float64 array
-        Ascending [%].
-    vs : (s, c) float64 array
-        Velocity [m/s]; NaN where the cell is not done.
-    """
-
-    seeds: NDArray[np.int64]
-    contents: NDArray[np.float64]
-    vs: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -387,15 +367,6 @@ class Store(ABC):
         QueryError
             For an unknown quantity, a filter that can't be understood, or a negative limit.
         """
-
-    def vs_matrix(self) -> VsMatrix:
-        """Return all velocities as a matrix (seeds, contents)."""
-        columns = self.table(("seed", "content", "vs"))
-        seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
-        contents, column = np.unique(columns["content"], return_inverse=True)
-        vs = np.full((seeds.size, contents.size), np.nan)
-        vs[row, column] = columns["vs"]
-        return VsMatrix(seeds, contents, vs)
 
     # Life
 

@@ -16,7 +16,7 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
-from calcidem.analysis.outcomes import NOT_COMPUTED
+from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
 from calcidem.app.config.schema import Configuration
@@ -30,7 +30,7 @@ from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import DamagedStoreError, StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import CellStatus, CementPattern
+from calcidem.storage.records import CementPattern
 from calcidem.storage.sql.store import open_store
 
 SUFFIXES = (".vtu", ".vtk", ".csv")
@@ -124,17 +124,9 @@ class OpenedCampaign(StoredCampaign):
         >>> bool(summary.mean_interval[0] < summary["mean"] < summary.mean_interval[1])
         True
         """
-        # Of a large campaign these four columns are a small part of all that `to_xarray` would read.
-        columns = self.store.table(("seed", "content", "status", "vs"))
-        seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
-        contents, column = np.unique(columns["content"], return_inverse=True)
-        vs = np.full((seeds.size, contents.size), np.nan)
-        status = np.full(vs.shape, NOT_COMPUTED, dtype=object)
-        vs[row, column] = columns["vs"]
-        status[row, column] = np.where(columns["status"] == CellStatus.PENDING, NOT_COMPUTED, columns["status"])
-        coordinates, dimensions = {"seed": seeds, "content": contents}, ("seed", "content")
-        matrices = [xr.DataArray(values, coordinates, dimensions) for values in (vs, status)]
-        return tabulate(describe_contents(matrices[0], matrices[1], level))
+        # Of a large campaign these are a small part of all that `to_xarray` would read.
+        cells = self.to_xarray(("vs", "status"))
+        return tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level))
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample.

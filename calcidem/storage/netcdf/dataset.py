@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calcidem.storage.errors import UnknownCampaignError
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, RunRecord
-from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME, Quantity
+from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
 FORMAT_VERSION = 2
@@ -21,66 +21,80 @@ FORMAT_VERSION = 2
 INDEX_NAMES = ("seed", "content")
 
 
-def vs_array(store: Store) -> xr.DataArray:
-    """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done."""
-    matrix = store.vs_matrix()
-    coordinates = {"seed": _index("seed", matrix.seeds), "content": _index("content", matrix.contents)}
-    return xr.DataArray(matrix.vs, coordinates, INDEX_NAMES, "vs", _attributes(QUANTITY_BY_NAME["vs"]))
+def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]:
+    """Arrange quantities of the store's campaign by seed and content, with CF attributes.
+
+    Parameters
+    ----------
+    store : Store
+        With a campaign chosen.
+    names : sequence of str
+        From `calcidem.storage.sql.quantities.QUANTITIES`, neither seed nor content.
+
+    Returns
+    -------
+    dict of str to DataArray
+        Dimensions (seed, content), both ascending. Numbers are float64 with NaN where missing, texts "" where missing;
+        ``status`` is int8 (`STATUS_CODES`).
+
+    Raises
+    ------
+    QueryError
+        For an unknown quantity.
+    """
+    columns = store.table((*INDEX_NAMES, *names))
+    seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
+    contents, column = np.unique(columns["content"], return_inverse=True)
+    coordinates = {
+        name: xr.Variable((name,), values, _attributes(QUANTITY_BY_NAME[name]))
+        for name, values in zip(INDEX_NAMES, (seeds, contents), strict=True)
+    }
+    matrices: dict[str, xr.DataArray] = {}
+    for name in names:
+        values, gap = _values_and_gap(QUANTITY_BY_NAME[name], columns.pop(name))
+        matrix = np.full((seeds.size, contents.size), gap, dtype=values.dtype)
+        matrix[row, column] = values
+        matrices[name] = xr.DataArray(matrix, coordinates, INDEX_NAMES, name, _attributes(QUANTITY_BY_NAME[name]))
+    return matrices
 
 
-def campaign_dataset(store: Store, campaign: CampaignRecord) -> xr.Dataset:
-    """Return every scalar quantity of every cell, self-describing.
+def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str] | None = None) -> xr.Dataset:
+    """Return scalar quantities of every cell, self-describing and with the provenance of the campaign.
 
     Parameters
     ----------
     store : Store
         With that campaign chosen.
     campaign : CampaignRecord
+    names : sequence of str, optional
+        Quantities, by default all.
 
     Returns
     -------
     Dataset
-        Dimensions (seed, content). Numbers are float64 with NaN where missing, texts "" where missing;
-        ``status`` is a CF flag variable.
+        Of `cell_matrices`; ``status`` is a CF flag variable.
 
     Raises
     ------
     UnknownCampaignError
         If no cell is planned.
+    QueryError
+        For an unknown quantity.
     """
-    columns = store.table([quantity.name for quantity in QUANTITIES])
-    if columns["seed"].size == 0:
+    wanted = QUANTITY_BY_NAME if names is None else names
+    matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])
+    if not any(matrix.size for matrix in matrices.values()):
         raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
-    seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
-    contents, column = np.unique(columns["content"], return_inverse=True)
-    variables: dict[str, tuple[Sequence[str], NDArray[Any], dict[str, Any]]] = {}
-    for quantity in QUANTITIES:
-        if quantity.name not in INDEX_NAMES:
-            matrix = _empty(quantity, (seeds.size, contents.size))
-            matrix[row, column] = _plain(quantity, columns[quantity.name])
-            variables[quantity.name] = (INDEX_NAMES, matrix, _attributes(quantity))
-    coordinates = {"seed": _index("seed", seeds), "content": _index("content", contents)}
-    return xr.Dataset(variables, coordinates, _global_attributes(campaign, store.runs()))
+    return xr.Dataset(matrices, attrs=_global_attributes(campaign, store.runs()))
 
 
-def _index(name: str, values: NDArray[Any]) -> xr.Variable:
-    return xr.Variable((name,), values, _attributes(QUANTITY_BY_NAME[name]))
-
-
-def _empty(quantity: Quantity, shape: tuple[int, int]) -> NDArray[Any]:
+def _values_and_gap(quantity: Quantity, values: NDArray[Any]) -> tuple[NDArray[Any], Any]:
+    """Values as a matrix of a Dataset has them, and what stands for a cell that isn't planned."""
     if quantity.name == "status":
-        return np.full(shape, STATUS_CODES[NOT_PLANNED], dtype=np.int8)
+        return np.array([STATUS_CODES[status] for status in values], dtype=np.int8), STATUS_CODES[NOT_PLANNED]
     if quantity.kind == "text":
-        return np.full(shape, "", dtype=object)
-    return np.full(shape, np.nan)
-
-
-def _plain(quantity: Quantity, values: NDArray[Any]) -> NDArray[Any]:
-    if quantity.name == "status":
-        return np.array([STATUS_CODES[status] for status in values], dtype=np.int8)
-    if quantity.kind == "text":
-        return np.array([text or "" for text in values], dtype=object)
-    return values
+        return np.array([text or "" for text in values], dtype=object), ""
+    return values, np.nan
 
 
 def _attributes(quantity: Quantity) -> dict[str, Any]:
