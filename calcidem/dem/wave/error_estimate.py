@@ -1,56 +1,88 @@
 """Numerical error that a velocity has to state, from its record and settings alone.
 
-The factors were measured against converged runs of the same cells (docs/accuracy.md).
+The form of each part is derived where it stands. Its factor was measured against converged runs of the same cells, so
+that it covers 95 % of those it was measured on; docs/accuracy.md has these measurements, and a check on cells that the
+factors had not seen.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.recorder import WaveRecord
 
-TURNING = 3.0  # error of a fixed geometry over (mean overlap / mean radius)
-STIFFENING = 3.0e-3  # error of constant stiffnesses over (stroke of the pulse / mean overlap)
-SLIP = 0.8  # error of contacts that do not slip over `slip_ratio` cubed
-CLOSING = 0.5  # error of contacts that may not close over `WaveRecord.closing_gaps`
-CHATTER = 7.5e-3  # error of strong local damping, see `chatter_error`
-SAMPLING = 0.2  # error of an arrival over the interval between samples; 0.13 was the largest found
-IMBALANCE = 20.0  # error of a packing that is not quite at rest over `WaveRecord.unbalanced_speed`
-SINGLE_PRECISION = 1.0e-3  # error of single precision
+SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
+TURNING = 3.0  # over mean overlap / mean radius
+STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
+CLOSING = 0.5  # over `WaveRecord.closing_gaps`
+SLIP = 0.8  # over the cube of `slip_ratio`
+SINGLE_PRECISION = 1.0e-3
+CHATTER = 7.5e-3  # see `chatter_error`
+UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
+
+
+class ErrorParts(NamedTuple):
+    """Parts of the relative error of a velocity, which have nothing to do with one another.
+
+    Attributes
+    ----------
+    step
+        Local damping looks at velocities half a step old: an error of first order, ``dt / 2`` of the travel time
+        (docs/accuracy.md, "Order of convergence in the step"). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``:
+        it shifts frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
+    sampling
+        The smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by a part
+        of an interval. The factor is half as large again as the largest shift found.
+    regime
+        See `geometry_error` and `slip_error`. Small and linear displacement also keep gaps open that a pulse closes:
+        each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Contacts that close").
+    precision
+        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob").
+    noise
+        A pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the pulse's own frequency adds
+        a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the first
+        arrival, so that n is at least the onset level: chattering contacts make it, and another step another one.
+    chatter
+        See `chatter_error`.
+    unbalanced
+        Local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced, in
+        proportion to its size over that of the wave (docs/accuracy.md, "Regime over the amplitude of the pulse").
+    """
+
+    step: float
+    sampling: float
+    regime: float
+    precision: float
+    noise: float
+    chatter: float
+    unbalanced: float
 
 
 def numerical_error(
     experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool = False
 ) -> float:
-    """Estimated relative error of a velocity by step, sampling, regime, precision, noise, damping and imbalance.
+    """Estimated relative error of a velocity: root of the sum of squares of its parts, see `ErrorParts`."""
+    return float(np.linalg.norm(error_parts(experiment, record, frequency, travel_time, noisy=noisy)))
 
-    Seven parts that have nothing to do with one another, added as such (root of the sum of squares), each so large
-    that it covers 95 % of the cells it was measured on.
 
-    - Step: local damping looks at velocities half a step old, an error of first order; leapfrog shifts frequencies by
-      ``(omega dt)^2 / 24``, and the shortest waves of a pulse have about three times its frequency.
-    - Sampling: the smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by
-      a part of an interval.
-    - Regime: see `geometry_error` and `slip_error`. Small and linear displacement keep gaps open that a pulse closes:
-      each adds a contact near the transmitter for half of the time.
-    - Precision: rounding of single precision moves broad peaks.
-    - Noise: a pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak, which noise n of the pulse's own
-      frequency moves by ``n / (pi f H)``. It counts where it hides the first arrival, so that n is at least the
-      onset level: chattering contacts make it, and another step another one.
-    - Chatter: see `chatter_error`.
-    - Imbalance: local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced.
-    """
-    wave = experiment.wave
+def error_parts(
+    experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool
+) -> ErrorParts:
+    """Parts of the estimated error of a velocity; ``noisy`` where noise hides the first arrival. Hz and s."""
     omega = 2.0 * np.pi * frequency
-    step = 0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0
-    sampling = SAMPLING * record.sampling_interval / travel_time
-    precision = SINGLE_PRECISION if wave.precision == "float32" else 0.0
-    # These change the shape of the signal and so move a peak by a part of the period, which weighs more on a short way.
+    # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
-    noise = experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0
     geometry = geometry_error(experiment, frequency) + CLOSING * record.closing_gaps
-    regime = shape * geometry + slip_error(experiment, frequency, travel_time)
-    rest = shape * precision, noise, chatter_error(experiment, record), IMBALANCE * record.unbalanced_speed
-    return float(np.linalg.norm([step, sampling, regime, *rest]))
+    return ErrorParts(
+        step=0.5 * record.time_step / travel_time + (3.0 * omega * record.time_step) ** 2 / 24.0,
+        sampling=SAMPLING * record.sampling_interval / travel_time,
+        regime=shape * geometry + slip_error(experiment, frequency, travel_time),
+        precision=shape * (SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
+        noise=experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0,
+        chatter=chatter_error(experiment, record),
+        unbalanced=UNBALANCED * record.unbalanced_speed,
+    )
 
 
 def chatter_error(experiment: Experiment, record: WaveRecord) -> float:
@@ -58,7 +90,8 @@ def chatter_error(experiment: Experiment, record: WaveRecord) -> float:
 
     Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
     limit the velocities of the stiffest contacts turn over at almost every step, and how often they do decides what is
-    left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step.
+    left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step
+    (docs/stability.md, "Drawn at random").
     """
     damping = experiment.wave.damping
     return float(CHATTER * (damping / (1.0 - damping)) ** 3 * (record.time_step / record.stability_limit) ** 4)
@@ -67,9 +100,9 @@ def chatter_error(experiment: Experiment, record: WaveRecord) -> float:
 def geometry_error(experiment: Experiment, frequency: float) -> float:
     """Estimated relative error of a velocity by geometry and stiffnesses that a regime takes for constant.
 
-    - A loaded contact that turns pushes sideways with ``F_n / (k_n R)`` of its stiffness, in proportion to overlap over
-      radius. A fixed geometry has none of that.
-    - Constant stiffnesses also miss what the stroke of the pulse, compared with the overlap, changes.
+    - A loaded contact that turns by ``u / (2 R)`` pushes sideways with ``F_n / (2 R)`` per displacement u. For Hertz,
+      ``F_n = (2/3) k_n d``, that is ``d / (3 R)`` of its stiffness at overlap d. A fixed geometry has none of it.
+    - Constant stiffnesses also miss what the stroke of the pulse changes: ``k_n`` goes with the root of the overlap.
     """
     wave, packing = experiment.wave, experiment.packing
     if wave.regime == "finite":
@@ -83,7 +116,8 @@ def slip_error(experiment: Experiment, frequency: float, travel_time: float) -> 
     """Estimated relative error of a velocity by contacts that do not slip in the linear regime.
 
     The share of contacts so weakly pressed that they slip rises with about the square of `slip_ratio`, and what each of
-    them does not pass on in proportion to it.
+    them does not pass on in proportion to it. The factor was set on the packing that slips most of four
+    (docs/accuracy.md, "Error that each cell states").
     """
     if experiment.wave.regime != "linear":
         return 0.0
