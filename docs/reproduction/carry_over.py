@@ -53,12 +53,12 @@ def print_parts(packings: list[xr.Dataset]) -> None:
 def print_carry_over(cells: dict[Variant, xr.Dataset]) -> None:
     """Predict the samples of each variant with its own law and with that of the reference."""
     reference = next(found for variant, found in cells.items() if variant.name == REFERENCE)
-    law = fitted(reference)
+    law = fit_law(reference)
     print(f"\nlaw of the reference: Vs = {law.a:.0f} C^{law.b:.2f} {law.c:+.0f}\n")
     print("| sample | own law | rms error of own law, m/s | rms error of the reference's law | its bias |")
     print("|---|---|---|---|---|")
     for variant, found in cells.items():
-        own = fitted(found)
+        own = fit_law(found)
         connectivity, vs = (found[name].to_numpy().ravel() for name in ("path_normalized_connectivity", "vs"))
         error = vs - law.predict(connectivity)
         error = error[np.isfinite(error)]
@@ -68,7 +68,7 @@ def print_carry_over(cells: dict[Variant, xr.Dataset]) -> None:
         print(f"| {row} | {np.mean(error):+.0f} |")
 
 
-def fitted(found: xr.Dataset) -> PowerLawFit:
+def fit_law(found: xr.Dataset) -> PowerLawFit:
     """Law of a campaign."""
     return fit_power_law(found["path_normalized_connectivity"].to_numpy().ravel(), found["vs"].to_numpy().ravel())
 

@@ -23,7 +23,7 @@ from calcidem.dem.wave.measurement import measure_all
 CONTENTS = (1.24, 2.55, 5.0, 9.0)
 
 
-def coated(experiment: Experiment, seed: int) -> CementOrdering:
+def coat_grains(experiment: Experiment, seed: int) -> CementOrdering:
     """Order of the cement, with the circles of the seed but all contacts of the grains inside."""
     own, packing = experiment.ordering(seed), experiment.packing
     count = len(own.centres)
@@ -49,7 +49,7 @@ def main() -> None:
     loaded = load_configuration(options.configuration)
     loaded = replace(loaded, wave=replace(loaded.wave, receiver_half_width=options.receiver))
     experiment = loaded.experiment(provide_packing(loaded, None, lambda _: None))
-    orderings = {"contacts in the circle": experiment.ordering, "coated grains": partial(coated, experiment)}
+    orderings = {"contacts in the circle": experiment.ordering, "coated grains": partial(coat_grains, experiment)}
     print(
         "| content % | clusters | mean, m/s | sd, m/s | sd / mean | skewness |", "|---|---|---|---|---|---|", sep="\n"
     )

@@ -20,7 +20,7 @@ from calcidem.dem.wave.measurement import measure_all
 HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
 
 
-def crossed(experiment: Experiment, seed: int) -> CementOrdering:
+def cross_patterns(experiment: Experiment, seed: int) -> CementOrdering:
     """Order of the cement of seed 1000 a + b: the P contacts of seed a and the clusters of seed b."""
     first, second = divmod(seed, 1000)
     own = experiment.ordering(second)
@@ -39,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     configuration = load_configuration(options.configuration)
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
-    ordering = partial(crossed, experiment)
+    ordering = partial(cross_patterns, experiment)
     numbers = range(1, options.seeds + 1)
     print(HEADER, "|---|---|---|---|---|---|", sep="\n", flush=True)
     for content in options.contents:

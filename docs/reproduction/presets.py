@@ -22,11 +22,11 @@ def main() -> None:
     print(f"| content % | paper | {' | '.join(name for name, _ in columns)} |")
     print(f"|{'---|' * (len(columns) + 2)}")
     for content in columns[0][1]["content"].to_numpy().tolist():
-        shown = [described(vs.sel(content=content).to_numpy()) for _, vs in columns]
+        shown = [mean_and_deviation(vs.sel(content=content).to_numpy()) for _, vs in columns]
         print(f"| {content:g} | {printed.get(content, '')} | {' | '.join(shown)} |")
 
 
-def described(values: np.ndarray) -> str:
+def mean_and_deviation(values: np.ndarray) -> str:
     """Mean and standard deviation, m/s."""
     found = values[np.isfinite(values)]
     return f"{found.mean():.0f} ± {found.std(ddof=1):.0f}" if found.size > 1 else ""

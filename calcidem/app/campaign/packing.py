@@ -89,7 +89,7 @@ def read_cache(path: Path, tell: Tell) -> Packing | None:
     except FileNotFoundError:
         return None
     except (OSError, DamagedPackingError) as error:
-        tell(f"Packing: the cached {path} is damaged ({error}); it is made anew.")
+        tell(f"Packing: the cached {path} is damaged ({error}); making it again.")
         return None
 
 

@@ -161,7 +161,7 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
         Alternative(
             "contact search",
             needed=False,
-            why=f"{small}: no two grains meet anew",
+            why=f"{small}, so no new contacts form",
             opposite=with_wave(finite, keep=("search",)),
         ),
     ]
