@@ -4,8 +4,10 @@ import numpy as np
 
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.state import Preload
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.sample.packing import Packing, PackingReport
 
 RADIUS = 1.0e-3
 SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see
@@ -73,3 +75,22 @@ def throw(scene: Scene, seed: int, speed: float = 0.05) -> tuple[Floats, Floats]
     generator = np.random.default_rng([seed, 1])
     velocity = speed * generator.standard_normal((scene.count, 2))
     return velocity, speed / RADIUS * generator.standard_normal(scene.count)
+
+
+def bare_packing(
+    x: Floats, y: Floats, radius: Floats, pairs: Integers, box: tuple[float, float], overlap: float = 1e-6
+) -> Packing:
+    """A packing with a report that nobody computed; its contacts have no shear force."""
+    report = PackingReport(
+        porosity=0.2,
+        coordination_number=3.0,
+        coordination_number_without_rattlers=3.0,
+        rattlers=0,
+        wall_stress=(5e3, 5e3, 5e3, 5e3),
+        mean_overlap=overlap,
+        largest_overlap=overlap,
+        unbalanced_ratio=0.0,
+        steps=0,
+        seconds=0.0,
+    )
+    return Packing(x, y, radius, *box, Preload(pairs, np.zeros(len(pairs))), report)

@@ -5,6 +5,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import bare_packing
 from scipy.spatial import cKDTree
 
 from calcidem.dem.sample.cement import (
@@ -33,13 +34,8 @@ class Sample:
 
     def draw(self, rule: CementRule | None = None, seed: int = 1, root_seed: int = 42) -> CementOrdering:
         """Draw the cement of a seed."""
-        return draw_cement(
-            *(self.x, self.y, self.radius, self.pairs),
-            box=self.box,
-            rule=rule or CementRule(),
-            seed=seed,
-            root_seed=root_seed,
-        )
+        packing = bare_packing(self.x, self.y, self.radius, self.pairs, self.box)
+        return draw_cement(packing, rule or CementRule(), seed=seed, root_seed=root_seed)
 
     @property
     def sand_area(self) -> float:

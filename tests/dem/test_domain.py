@@ -37,11 +37,7 @@ def packing() -> Packing:
 
 def bonded(packing: Packing, content: float) -> Integers:
     """Truth values (C,) of the cemented pairs."""
-    ordering = draw_cement(
-        packing.x, packing.y, packing.radius, packing.pairs,
-        box=(packing.width, packing.height), rule=CementRule(), seed=1, root_seed=0,
-    )  # fmt: skip
-    return ordering.at(content).bonded
+    return draw_cement(packing, CementRule(), seed=1, root_seed=0).at(content).bonded
 
 
 def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> Floats:

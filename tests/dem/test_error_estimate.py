@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import bare_packing
 
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.state import Preload
-from calcidem.dem.sample.packing import Packing, PackingReport
 from calcidem.dem.wave.error_estimate import ErrorParts, error_parts, numerical_error, slip_ratio
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.recorder import WaveRecord
@@ -18,15 +17,9 @@ from calcidem.dem.wave.rule import WaveRule
 WIDTH, RADIUS, OVERLAP = 0.1, 1.25e-3, 1e-6  # m
 AMPLITUDE = 1e-4  # m/s
 FREQUENCY, TRAVEL_TIME = 1e4, 2e-4  # Hz, s: two periods on the way
-REPORT = PackingReport(
-    porosity=0.2, coordination_number=3.0, coordination_number_without_rattlers=3.0, rattlers=0,
-    wall_stress=(5e3, 5e3, 5e3, 5e3), mean_overlap=OVERLAP, largest_overlap=OVERLAP, unbalanced_ratio=0.0,
-    steps=0, seconds=0.0,
-)  # fmt: skip
-PACKING = Packing(
-    np.array([0.01, 0.02]), np.array([0.01, 0.01]), np.full(2, RADIUS), WIDTH, 0.3,
-    Preload(np.zeros((0, 2), dtype=np.int64), np.zeros(0)), REPORT,
-)  # fmt: skip
+PACKING = bare_packing(
+    np.array([0.01, 0.02]), np.array([0.01, 0.01]), np.full(2, RADIUS), np.zeros((0, 2), int), (WIDTH, 0.3), OVERLAP
+)
 EXPERIMENT = Experiment(PACKING, wave=WaveRule(amplitude=AMPLITUDE))  # linear, with damping
 EXACT = Experiment(PACKING, wave=WaveRule(regime="finite", damping=0.0))  # nothing but step and sampling
 RECORD = WaveRecord(
@@ -42,7 +35,7 @@ def waves(experiment: Experiment, **changes: object) -> Experiment:
 
 def pressed(experiment: Experiment, overlap: float) -> Experiment:
     """The experiment with another mean overlap."""
-    return replace(experiment, packing=replace(PACKING, report=replace(REPORT, mean_overlap=overlap)))
+    return replace(experiment, packing=replace(PACKING, report=replace(PACKING.report, mean_overlap=overlap)))
 
 
 def parts(

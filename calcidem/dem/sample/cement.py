@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.sample.toroid import toroid_area
 
@@ -220,27 +221,13 @@ def nearest_count(content: Floats, wanted: float) -> int:
     return below
 
 
-def draw_cement(
-    x: Floats,
-    y: Floats,
-    radius: Floats,
-    pairs: Integers,
-    *,
-    box: tuple[float, float],
-    rule: CementRule,
-    seed: int,
-    root_seed: int,
-) -> CementOrdering:
+def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int) -> CementOrdering:
     """Draw the order in which the contacts and clusters of one seed are cemented.
 
     Parameters
     ----------
-    x, y, radius
-        (N,) disks, m.
-    pairs
-        (M, 2) indices of the disks of each contact; their order is part of the sample's identity.
-    box
-        Width and height of the sample, whose lower left corner is the origin, m.
+    packing
+        The order of its contacts is part of the sample's identity.
     rule
         Sizes and shares of the cement.
     seed, root_seed
@@ -260,7 +247,8 @@ def draw_cement(
     """
     if seed < 0 or root_seed < 0:
         raise ValueError(f"seed = {seed}, root_seed = {root_seed}: give integers of 0 or more")
-    x, y, radius = (np.asarray(values, dtype=float) for values in (x, y, radius))
+    x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
+    pairs, box = packing.pairs, (packing.width, packing.height)
     sand_area = float(np.pi * np.sum(radius**2))
     pore_area = box[0] * box[1] - sand_area
     if not pore_area > 0.0:
@@ -271,10 +259,13 @@ def draw_cement(
     order = random_generator(root_seed, seed, RandomPurpose.P_CONTACTS).permutation(len(pairs))
     p_rank = np.empty_like(order)
     p_rank[order] = np.arange(len(order))
-    generator = random_generator(root_seed, seed, RandomPurpose.CLUSTERS)
-    points = contact_points(x, y, radius, pairs)
     centres, first_cluster, areas = draw_clusters(
-        points, c_area, box=box, pore_area=pore_area, rule=rule, generator=generator
+        contact_points(x, y, radius, pairs),
+        c_area,
+        box=box,
+        pore_area=pore_area,
+        rule=rule,
+        generator=random_generator(root_seed, seed, RandomPurpose.CLUSTERS),
     )
     percent = rule.content(1.0, sand_area)
     return CementOrdering(

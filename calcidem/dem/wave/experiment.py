@@ -77,17 +77,7 @@ class Experiment:
 
     def ordering(self, seed: int) -> CementOrdering:
         """Order in which the contacts and clusters of a seed are cemented."""
-        packing = self.packing
-        return draw_cement(
-            np.asarray(packing.x, dtype=np.float64),
-            np.asarray(packing.y, dtype=np.float64),
-            np.asarray(packing.radius, dtype=np.float64),
-            packing.pairs,
-            box=(packing.width, packing.height),
-            rule=self.cement_rule,
-            seed=seed,
-            root_seed=self.root_seed,
-        )
+        return draw_cement(self.packing, self.cement_rule, seed=seed, root_seed=self.root_seed)
 
     def stiffen(self) -> tuple[Packing, Sand]:
         """Packing and sand of the wave stage."""
