@@ -14,7 +14,10 @@ from alembic.migration import MigrationContext
 from sqlalchemy import CheckConstraint, create_engine, inspect
 
 from calcidem.storage.campaign import open_stored_campaign
-from calcidem.storage.records import CellStatus
+from calcidem.storage.errors import ReadOnlyStoreError
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.schema import VERSION_TABLE, _head
 from calcidem.storage.sql.store import SqlStore, open_store
@@ -83,3 +86,24 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
     with sqlite3.connect(path) as connection:
         assert connection.execute(f"SELECT version_num FROM {VERSION_TABLE}").fetchone() == (_head(),)  # noqa: S608 - a constant
     connection.close()
+
+
+def test_former_database_is_read_as_it_is(tmp_path: Path) -> None:
+    """A reader finds in a database of schema 0003 what it finds once that is upgraded, and leaves the file as it is."""
+    former, upgraded = tmp_path / "former.db", tmp_path / "upgraded.db"
+    for path in (former, upgraded):
+        shutil.copy(ASSETS / "schema_0003.db", path)
+    before = former.read_bytes()
+    open_store(upgraded).close()
+    with open_stored_campaign(former) as one, open_stored_campaign(upgraded) as other:
+        assert list(one.select(with_arrays=True)) == list(other.select(with_arrays=True))
+        assert one.signal(seed=1, content=5.0) == other.signal(seed=1, content=5.0)
+        assert one.packing() == other.packing()
+        assert one.to_xarray().equals(other.to_xarray())
+        export_netcdf(one.store, one.record, tmp_path / "former.nc")
+        with pytest.raises(ReadOnlyStoreError):
+            one.store.record_lost([CellKey(1, 5.0)], "killed")
+    assert former.read_bytes() == before
+    with open_store(tmp_path / "imported.db") as imported, open_stored_campaign(upgraded) as other:
+        import_netcdf(tmp_path / "former.nc", imported)
+        assert list(imported.results(with_arrays=True)) == list(other.select(with_arrays=True))

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,6 +170,18 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def execute_on_connect(engine: Engine, statements: Sequence[str]) -> None:
+    """Have each connection of a SQLite engine execute statements before anything else; open ones are closed."""
+
+    @event.listens_for(engine, "connect")
+    def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
+        connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
+        for statement in statements:
+            connection.execute(statement)
+
+    engine.dispose()
 
 
 @contextmanager

@@ -10,9 +10,23 @@ from sqlalchemy import Connection, func, inspect, select
 
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
 from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TIME
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
+
+SIGNALS_OF_0003 = f"""
+CREATE TEMP VIEW signal AS
+SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
+"""  # noqa: S608 - constants
+
+PACKINGS_OF_0003 = """
+CREATE TEMP VIEW packing AS
+SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap FROM main.packing
+"""
+
+READ_AS_CURRENT = {"0003": (SIGNALS_OF_0003, PACKINGS_OF_0003)}
+"""Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 
 UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
@@ -38,8 +52,8 @@ def prepare_schema(connection: Connection, address: Address) -> None:
         command.upgrade(_configuration(connection), "head")
 
 
-def require_current_schema(connection: Connection, address: Address) -> None:
-    """Refuse a database that can't be read as it is.
+def prepare_reading(connection: Connection, address: Address) -> tuple[str, ...]:
+    """Refuse a database that can't be read as it is; return what each connection has to execute before it reads.
 
     Raises
     ------
@@ -51,12 +65,15 @@ def require_current_schema(connection: Connection, address: Address) -> None:
     revision = read_revision(connection, address)
     if revision is None:
         raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
+    if revision in READ_AS_CURRENT and connection.dialect.name == "sqlite":
+        return READ_AS_CURRENT[revision]
     if revision != _head():
         raise OlderSchemaError(
             f"{address} was written by an earlier calcidem (schema {revision}, this one reads {_head()}).",
             "Continue its campaign, or run 'calcidem retry' on it: opening it for writing upgrades it "
             "and keeps its values.",
         )
+    return ()
 
 
 def _head() -> str:

@@ -25,9 +25,9 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.records.campaign import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
-from calcidem.storage.sql.engine import Address, make_engine, parse_address, transaction
+from calcidem.storage.sql.engine import Address, execute_on_connect, make_engine, parse_address, transaction
 from calcidem.storage.sql.models import CampaignRow, CellRow, LeaseRow, PackingRow, RunRow, SignalRow
-from calcidem.storage.sql.schema import prepare_schema, read_revision, require_current_schema
+from calcidem.storage.sql.schema import prepare_reading, prepare_schema, read_revision
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, LeaseHolder, Selection, Store
 
 NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
@@ -73,9 +73,15 @@ class SqlStore(Store):
         if not read_only:
             _look_before_writing(address)
         self._engine = make_engine(address, read_only=read_only)
+        statements: tuple[str, ...] = ()
         try:
             with transaction(self._engine, address, write=not read_only) as session:
-                (require_current_schema if read_only else prepare_schema)(session.connection(), address)
+                if read_only:
+                    statements = prepare_reading(session.connection(), address)
+                else:
+                    prepare_schema(session.connection(), address)
+            if statements:
+                execute_on_connect(self._engine, statements)
         except BaseException:
             self._engine.dispose()
             raise

@@ -6,6 +6,16 @@ from alembic import op
 revision = "0004"
 down_revision = "0003"
 
+START_TIME = (
+    "COALESCE((SELECT (ROUND(signal.time_step / result.time_step) - 0.5) * result.time_step FROM result"
+    " WHERE result.cell_id = signal.cell_id), signal.time_step)"
+)
+"""Of a former signal, whose `time_step` was the interval between its samples.
+
+A sample is taken at the end of a step, at whose middle its velocity is. To the last bit this is the time that a run
+stores now; where the step is not known, its half is left out.
+"""
+
 BOUND = "1e+300"
 SIGNAL_CHECKS = {
     "sampling_interval_positive": f"sampling_interval > 0 AND sampling_interval < {BOUND}",
@@ -24,17 +34,9 @@ PACKING_CHECKS = {
 
 
 def upgrade() -> None:
-    """Rename the columns, and compute when the first sample of each stored signal was taken.
-
-    A sample is taken at the end of a step, at whose middle its velocity is. To the last bit this is the
-    time that a run stores from now on; where the step is not known, its half is left out.
-    """
+    """Rename the columns, and compute when the first sample of each stored signal was taken."""
     op.add_column("signal", sa.Column("start_time", sa.Double(), nullable=True))
-    op.execute(
-        "UPDATE signal SET start_time = COALESCE("
-        "(SELECT (ROUND(signal.time_step / result.time_step) - 0.5) * result.time_step"
-        " FROM result WHERE result.cell_id = signal.cell_id), time_step)"
-    )
+    op.execute(f"UPDATE signal SET start_time = {START_TIME}")  # noqa: S608 - a constant
     _rename("signal", {"time_step": "sampling_interval"}, SIGNAL_CHECKS, {"time_step_positive"}, required="start_time")
     overlaps = {f"{which}_overlap": f"{which}_relative_overlap" for which in ("mean", "largest")}
     _rename("packing", overlaps, PACKING_CHECKS, {f"{name}_not_negative" for name in overlaps})
