@@ -1,4 +1,9 @@
-"""The packing: disks poured into a box by expansion and pressed by a servo-controlled lid."""
+"""The packing: disks expanded in a box and pressed by a servo-controlled lid (section 2.2.2 of the paper).
+
+The radii grow step by step to the porosity that is wanted, then the lid takes up its stress; both as in the PFC manual
+(radius expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
+doi:10.1680/geot.1979.29.1.47) with local damping.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -65,31 +70,23 @@ class PackingRule:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be packed."""
-        require(self.width > 0.0, "width", self.width, "give a positive width in m")
-        require(self.height > 0.0, "height", self.height, "give a positive height in m")
         smallest, largest = self.diameter
-        require(0.0 < smallest <= largest, "diameter", self.diameter, "give (smallest, largest) in m, both positive")
-        require(
-            largest < min(self.width, self.height) / 4.0,
-            "diameter",
-            self.diameter,
-            "at least 4 disks have to fit across the box",
-        )
-        possible = 0.1 <= self.porosity <= 0.5  # noqa: PLR2004 - crystal and gas
-        require(possible, "porosity", self.porosity, "two-dimensional packings lie between 0.1 and 0.5")
-        require(1 <= self.expansion_steps <= 100, "expansion_steps", self.expansion_steps, "choose 1 to 100")  # noqa: PLR2004 - as said
-        require(self.friction_preparation >= 0.0, "friction_preparation", self.friction_preparation, "give 0 or more")
-        require(self.stress > 0.0, "stress", self.stress, "give a positive stress in Pa")
-        require(
-            0.0 < self.damping < 1.0,
-            "damping",
-            self.damping,
-            "give a factor in (0, 1): without it nothing comes to rest",
-        )
-        ratio = self.unbalanced_force_ratio
-        at_rest = 0.0 < ratio <= 1e-3  # noqa: PLR2004 - above it is no equilibrium
-        require(at_rest, "unbalanced_force_ratio", ratio, "give a ratio in (0, 1e-3]")
-        require(self.most_steps > 0, "most_steps", self.most_steps, "give a positive number")
+        for name, possible, cure in (
+            ("width", self.width > 0.0, "give a positive width in m"),
+            ("height", self.height > 0.0, "give a positive height in m"),
+            ("diameter", 0.0 < smallest <= largest, "give (smallest, largest) in m, both positive"),
+            ("diameter", largest < min(self.width, self.height) / 4.0, "at least 4 disks have to fit across the box"),
+            # Between crystal and gas.
+            ("porosity", 0.1 <= self.porosity <= 0.5, "two-dimensional packings lie between 0.1 and 0.5"),  # noqa: PLR2004
+            ("expansion_steps", 1 <= self.expansion_steps <= 100, "choose 1 to 100"),  # noqa: PLR2004
+            ("friction_preparation", self.friction_preparation >= 0.0, "give 0 or more"),
+            ("stress", self.stress > 0.0, "give a positive stress in Pa"),
+            ("damping", 0.0 < self.damping < 1.0, "give a factor in (0, 1): without it nothing comes to rest"),
+            # Above it is no equilibrium.
+            ("unbalanced_force_ratio", 0.0 < self.unbalanced_force_ratio <= 1e-3, "give a ratio in (0, 1e-3]"),  # noqa: PLR2004
+            ("most_steps", self.most_steps > 0, "give a positive number"),
+        ):
+            require(possible, name, getattr(self, name), cure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +99,7 @@ class PackingReport:
         1 - area of the disks / (width x height of the lid).
     coordination_number, coordination_number_without_rattlers
         2 contacts / disks; of all disks, and of those left when disks with fewer than 2 contacts are
-        taken away again and again.
+        taken away again and again (Thornton 2000, doi:10.1680/geot.2000.50.1.43, does it once).
     rattlers
         Number of these.
     wall_stress
@@ -215,8 +212,12 @@ def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
 
 
 def loosest_factor(rule: PackingRule, radius: Floats) -> float:
-    """Part of the final radii at which the disks can be placed at random without touching."""
-    fraction = 0.35  # random sequential placement jams at 0.547
+    """Part of the final radii at which the disks can be placed at random without touching.
+
+    Random sequential placement of equal disks jams at a covered part of 0.547 (Hinrichsen, Feder and Jossang 1986,
+    doi:10.1007/BF01011908), and takes long near it.
+    """
+    fraction = 0.35
     return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
 
 

@@ -43,10 +43,10 @@ class Measurement:
         Shear-wave velocity by the experiment's method, m/s; None without a trusted pick.
     picks
         All readings, of the experiment's signal; None if the run was unstable.
-    frequency
-        Excitation, Hz.
     error_estimate
         Relative error of ``vs``, see `error_estimate.numerical_error`; None without ``vs``.
+    frequency
+        Excitation, Hz.
     cement
         Where the cement is.
     record
@@ -61,8 +61,8 @@ class Measurement:
     reason: str
     vs: float | None
     picks: Picks | None
-    frequency: float
     error_estimate: float | None
+    frequency: float
     cement: PlacedCement
     record: WaveRecord
     seconds: float
@@ -111,7 +111,7 @@ def measure(
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     seconds = (perf_counter() - began) / len(seeds)
     return tuple(
-        interpret_record(experiment, seed, content, frequency, cement, record, seconds)
+        Measurement(seed, content, *interpret_record(experiment, frequency, record), frequency, cement, record, seconds)
         for seed, cement, record in zip(seeds, placed, records, strict=True)
     )
 
@@ -146,30 +146,20 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
 
 
 def interpret_record(
-    experiment: Experiment,
-    seed: int,
-    content: float,
-    frequency: float,
-    cement: PlacedCement,
-    record: WaveRecord,
-    seconds: float,
-) -> Measurement:
-    """Read a record; whatever cannot be trusted becomes an outcome with its reason, never a number."""
-    outcome, reason, vs, picks, error = Outcome.UNSTABLE, record.problem, None, None, None
-    if not record.problem:
-        picks = read_travel_times(signals_of(record, experiment), experiment.pick)
-        reading = getattr(picks, experiment.method)
-        if reading.velocity is None or reading.travel_time is None:
-            outcome, reason = Outcome.NO_ARRIVAL, str(reading.failure)
-        elif reading.quality < experiment.least_quality:
-            outcome = Outcome.NO_ARRIVAL
-            reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
-        else:
-            noisy = picks.first_arrival.failure == PickFailure.NOISE
-            error = numerical_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
-            if error > LARGEST_ERROR:
-                outcome, error = Outcome.NO_ARRIVAL, None
-                reason = NOISY if noisy else INEXACT
-            else:
-                outcome, vs = Outcome.DONE, reading.velocity
-    return Measurement(seed, content, outcome, reason, vs, picks, frequency, error, cement, record, seconds)
+    experiment: Experiment, frequency: float, record: WaveRecord
+) -> tuple[Outcome, str, float | None, Picks | None, float | None]:
+    """Outcome, reason, vs, picks and error of a record; what cannot be trusted has a reason and never a number."""
+    if record.problem:
+        return Outcome.UNSTABLE, record.problem, None, None, None
+    picks = read_travel_times(signals_of(record, experiment), experiment.pick)
+    reading = getattr(picks, experiment.method)
+    if reading.velocity is None or reading.travel_time is None:
+        return Outcome.NO_ARRIVAL, str(reading.failure), None, picks, None
+    if reading.quality < experiment.least_quality:
+        reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
+        return Outcome.NO_ARRIVAL, reason, None, picks, None
+    noisy = picks.first_arrival.failure == PickFailure.NOISE
+    error = numerical_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
+    if error > LARGEST_ERROR:
+        return Outcome.NO_ARRIVAL, NOISY if noisy else INEXACT, None, picks, None
+    return Outcome.DONE, "", reading.velocity, picks, error

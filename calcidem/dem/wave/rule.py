@@ -10,14 +10,14 @@ from calcidem.dem.wave.pulse import Pulse
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
-STRONGEST_DAMPING = 0.7  # of a sample: scenes with 0.92 and more changed Vs by 20 % with the step
+STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
 LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
 LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
 
 
 @dataclass(frozen=True, slots=True)
 class WaveRule:
-    """How the wave is sent, carried and recorded.
+    """How the wave is sent, carried and recorded (section 2.2.2 and Table 1 of the paper, where they say).
 
     Attributes
     ----------
@@ -69,47 +69,21 @@ class WaveRule:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
-        for name in (
-            "amplitude",
-            "transmitter_half_width",
-            "receiver_half_width",
-            "slowest",
-            "listening_depth",
-        ):
+        for name in ("amplitude", "transmitter_half_width", "receiver_half_width", "slowest", "listening_depth"):
             require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
         for name in ("damping", "boundary_damping"):
             require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
-        require(
-            self.damping <= STRONGEST_DAMPING,
-            "damping",
-            self.damping,
-            "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
-            f"{STRONGEST_DAMPING:g} (boundary_damping may be 1)",
-        )
-        require(
-            self.band_friction > 0.0,
-            "band_friction",
-            self.band_friction,
-            "a smooth transmitter moves nothing; give a positive coefficient",
-        )
-        require(
-            self.boundary_thickness >= 0.0,
-            "boundary_thickness",
-            self.boundary_thickness,
-            "give 0 or more, in m",
-        )
-        require(
-            self.samples_per_period >= FEWEST_SAMPLES,
-            "samples_per_period",
-            self.samples_per_period,
-            f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more",
-        )
-        require(
-            0.0 < self.step_fraction <= 1.0,
-            "step_fraction",
-            self.step_fraction,
-            "above 1 the scheme is unstable; choose 0.05 to 0.95",
-        )
+        deaf = "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
+        smooth = "a smooth transmitter moves nothing; give a positive coefficient"
+        coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
+        for name, possible, cure in (
+            ("damping", self.damping <= STRONGEST_DAMPING, f"{deaf}{STRONGEST_DAMPING:g} (boundary_damping may be 1)"),
+            ("band_friction", self.band_friction > 0.0, smooth),
+            ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
+            ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
+            ("step_fraction", 0.0 < self.step_fraction <= 1.0, "above 1 the scheme is unstable; choose 0.05 to 0.95"),
+        ):
+            require(possible, name, getattr(self, name), cure)
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
