@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from calcidem.dem.engine.state import State, no_recording, run_kernel
-from calcidem.dem.kernels.compiling import compiled
-from calcidem.dem.kernels.steps import sweep
+from calcidem.dem.kernels.compiling import compile_kernel
+from calcidem.dem.kernels.steps import advance_steps
 
 LABEL = re.compile(r"^(\.LBB\d+_\d+):")
 JUMP = re.compile(r"^\tj\w+\t(\.LBB\d+_\d+)")
@@ -53,7 +53,7 @@ def kind_of(line: str) -> str | None:
 
 def assembly_of(state: State) -> str:
     """Machine code of the kernel for the features of a state; compiled anew, because a cached one has no text."""
-    fresh: Any = compiled(error_model="numpy")(sweep.py_func)
+    fresh: Any = compile_kernel(error_model="numpy")(advance_steps.py_func)
     arguments = captured_arguments(state)
     fresh(*arguments)
     text: str = next(iter(fresh.inspect_asm().values()))
@@ -70,12 +70,12 @@ def captured_arguments(state: State) -> tuple[Any, ...]:
         caught.append(arguments)
         return 0
 
-    original = module.sweep
-    module.sweep = catch
+    original = module.advance_steps
+    module.advance_steps = catch
     try:
         run_kernel(state, 0, no_recording(state))
     finally:
-        module.sweep = original
+        module.advance_steps = original
     return caught[0]
 
 

@@ -22,6 +22,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.kernels.layout import NORMAL_X, NORMAL_Y, OVERLAP
 from calcidem.dem.wave.arrival import record_duration
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.experiment import Experiment
@@ -47,8 +48,8 @@ def springs(state: State) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
     normal, shear, twist = (
         k[:, 0] for k in pair_stiffness(state.assembly, state.features, scene.sand.shear_ratio, None)
     )
-    i, j, n = np.repeat(np.arange(scene.count), np.diff(pairs.start)), pairs.second, pairs.geometry[:, :2]
-    half = 0.5 * pairs.geometry[:, 3]
+    i, j, n = pairs.first, pairs.second, pairs.geometry[:, [NORMAL_X, NORMAL_Y]]
+    half = 0.5 * pairs.geometry[:, OVERLAP]
     one, none = np.ones(len(j)), np.zeros(len(j))
     places = np.column_stack([3 * i, 3 * i + 1, 3 * i + 2, 3 * j, 3 * j + 1, 3 * j + 2])
     total = sparse.csr_array((size, size))
@@ -145,7 +146,7 @@ def main() -> None:
             signal, setup, run = newmark(state, pulse, listening_disks(stiffened, wave), duration, step)
             error = distance((np.arange(len(signal)) + 1) * step, signal)
             print(
-                f"| {content:g} | Newmark | {step / state.limit[0]:.0f} | {setup + run:.2f} | {error:.1e} |", flush=True
+                f"| {content:g} | Newmark | {step / state.critical_time_step[0]:.0f} | {setup + run:.2f} | {error:.1e} |", flush=True
             )
 
 

@@ -180,7 +180,7 @@ def main() -> None:
             inertia,
             3 * rank[listening_disks(packing, wave)] + 1,
             np.column_stack([packing.x[order], packing.y[order], label]),
-            float(state.limit[0]),
+            float(state.critical_time_step[0]),
             float(critical_time_step(sand_scene, sand_state.assembly, sand_state.features)[0]),
             Pulse(wave.amplitude, experiment.frequency(content)),
             1.0 / experiment.frequency(content) + 1.5 * packing.width / vs,

@@ -1,7 +1,10 @@
 """Discrete elements: packings, contact laws, cement, waves; knows nothing of campaigns and databases.
 
-For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, and read positions,
-`contact_forces` and `energies`. docs/scenes.md explains it with an example.
+For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, and read positions, `contact_forces` and
+`energies`; that is what this package exports. docs/scenes.md explains it with an example.
+
+The rooms: ``kernels`` holds the compiled loop and the contact laws, ``engine`` makes scenes, advances and reads their
+states, ``sample`` makes packings and cements them, ``wave`` sends a pulse through a sample and picks its arrival.
 """
 
 from calcidem.dem.engine.material import Cement, Sand
@@ -14,8 +17,8 @@ from calcidem.dem.engine.readout import (
     unbalanced_ratio,
     wall_reactions,
 )
-from calcidem.dem.engine.scene import Bonds, Scene, Wall
-from calcidem.dem.engine.state import Preload, State, advance, choose_features, start
+from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.state import State, advance, choose_features, start
 
 __all__ = [
     "Bonds",

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calcidem.dem.engine.scene import Scene
-from calcidem.dem.engine.state import Preload
+from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 

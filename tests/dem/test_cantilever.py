@@ -51,7 +51,7 @@ def test_a_bonded_cantilever_bends_as_theory_says(features: Features, tolerance:
     """
     state = bent_beam(features, FORCE)
     deflection, rotation = theory()
-    tip = state.unsorted(state.motion.displacement[:, :, 0])[-1]
+    tip = state.to_scene_order(state.motion.displacement[:, :, 0])[-1]
     assert tip[1] == pytest.approx(deflection, rel=tolerance)
     assert tip[2] == pytest.approx(rotation, rel=tolerance)
     assert tip[0] == pytest.approx(0.0, abs=max(1e-5, tolerance) * deflection)

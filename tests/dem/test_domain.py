@@ -44,7 +44,7 @@ def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) ->
     """(S,) velocity before the receiver, with one step for all domains."""
     experiment = Experiment(packing, sand=SAND, wave=rule)
     recorder = prepare_recorder(experiment, [bonded(packing, content)], FREQUENCY, 1, check=lambda: None)
-    assert time_step <= SAFETY * recorder.state.limit[0]
+    assert time_step <= SAFETY * recorder.state.critical_time_step[0]
     recorder.stride = STRIDE
     recorder.state = replace(recorder.state, time_step=np.array([time_step]))
     return recorder.run(lambda record: len(record.sent) >= 8 * SAMPLES_PER_CHUNK, lambda: None)[0].velocity

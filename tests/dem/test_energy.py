@@ -24,7 +24,7 @@ def imbalances(scene: Scene, features: Features, step: float, duration: float) -
 
 def order_of_balance(scene: Scene, features: Features) -> tuple[float, float]:
     """Observed order in the step, and the relative imbalance at the smallest step."""
-    step = 0.4 * float(start(scene, features=features).limit[0])
+    step = 0.4 * float(start(scene, features=features).critical_time_step[0])
     duration = 300.0 * step
     coarse, _ = imbalances(scene, features, step, duration)
     fine, turned = imbalances(scene, features, step / 8.0, duration)

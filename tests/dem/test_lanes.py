@@ -7,7 +7,7 @@ from scenes import GROUPED, jumble, throw
 import calcidem.dem.engine.state as state_module
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import Precision, State, advance, start
-from calcidem.dem.kernels.compiling import compiled
+from calcidem.dem.kernels.compiling import compile_kernel
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import inverse_root_of, load, store
 from calcidem.dem.kernels.layout import Floats, Integers
@@ -125,13 +125,13 @@ def test_steps_in_flight_together_change_no_bit(
     one_by_one = run(scene, velocities, features)
     monkeypatch.setattr(state_module, "STEPS_TOGETHER", together)
     in_flight = run(scene, velocities, features)
-    assert state_module.front_of(in_flight).levels == together
-    assert 3 * state_module.front_of(in_flight).block <= scene.count
+    assert state_module.make_front(in_flight).levels == together
+    assert 3 * state_module.make_front(in_flight).block <= scene.count
     for lane in range(WIDTH):
         assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)
 
 
-@compiled()
+@compile_kernel()
 def inverse_roots_of(lanes: Features, values: Floats, results: Floats) -> None:
     """Compiled loop over rows of lanes."""
     for item in range(values.shape[0]):

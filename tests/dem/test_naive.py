@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scenes import SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine.material import Cement
-from calcidem.dem.engine.scene import Installation, Regime, Scene
-from calcidem.dem.engine.state import Preload, advance, choose_features, start
+from calcidem.dem.engine.scene import Installation, Preload, Regime, Scene
+from calcidem.dem.engine.state import advance, choose_features, start
 
 # The kernel takes the change of a distance to second order in a step, the twin exactly: steps of 1e-4 of a disk leave
 # 1e-8 of the largest value, and branches (contact, slip) taken a rounding apart far less.
@@ -76,8 +76,8 @@ def test_the_kernel_moves_a_random_heap_as_its_slow_twin_does(
         naive.first_step(twin)
         for _ in range(STEPS - 1):
             naive.step(twin)
-        moved = state.unsorted(state.motion.displacement[:, :, lane])
-        speeds = state.unsorted(state.motion.velocity[:, :, lane])
+        moved = state.to_scene_order(state.motion.displacement[:, :, lane])
+        speeds = state.to_scene_order(state.motion.velocity[:, :, lane])
         for component in range(3):
             for found, expected in ((moved, twin.moved), (speeds, twin.velocity)):
                 scale = np.abs(expected[:, component]).max()

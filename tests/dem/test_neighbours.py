@@ -8,9 +8,11 @@ from scenes import GROUPED, HERTZ, RADIUS, SOFT, jumble, throw
 
 from calcidem.dem.engine import state as state_module
 from calcidem.dem.engine.assembly import assemble, near_pairs
+from calcidem.dem.engine.histories import listed_pairs
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import State, advance, listed_pairs, start
+from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.kernels.layout import DISTANCE, NORMAL_X, NORMAL_Y
 
 
 @given(st.integers(0, 2**20), st.integers(2, 40), st.floats(0.0, 2.0))
@@ -37,7 +39,8 @@ def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     ends = assembly.order[pairs]
     apart = np.column_stack([scene.x, scene.y])[ends[:, 1]] - np.column_stack([scene.x, scene.y])[ends[:, 0]]
-    np.testing.assert_allclose(assembly.pairs.geometry[:, :2] * assembly.pairs.geometry[:, 2:3], apart, rtol=1e-12)
+    geometry = assembly.pairs.geometry
+    np.testing.assert_allclose(geometry[:, [NORMAL_X, NORMAL_Y]] * geometry[:, DISTANCE, None], apart, rtol=1e-12)
 
 
 def colliding(monkeypatch: pytest.MonkeyPatch, skin: float, lanes: int = 1) -> State:
@@ -81,10 +84,10 @@ def test_histories_survive_a_renewal() -> None:
     scene = jumble(6, 20, share_bonded=0.5, damping=0.2)
     velocity, spin = throw(scene, 6, 0.01)
     state = advance(start(scene, features=GROUPED, velocity=velocity, spin=spin), 200)
-    before, after = contact_forces(state), contact_forces(state_module.with_new_neighbours(state))
+    before, after = contact_forces(state), contact_forces(state_module.renew_neighbours(state))
     for name in ("pairs", "overlap", "normal", "shear", "moment", "bonded"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    fresh = state_module.with_new_neighbours(state).assembly.wall_pairs
+    fresh = state_module.renew_neighbours(state).assembly.wall_pairs
     old = state.assembly.wall_pairs
     assert old.shear.any()
     assert sorted(fresh.shear[fresh.shear != 0.0]) == sorted(old.shear[old.shear != 0.0])

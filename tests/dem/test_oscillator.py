@@ -87,8 +87,8 @@ def test_local_damping_lowers_the_critical_step_by_the_root_of_one_plus_alpha(al
 
 
 def test_the_limit_that_start_reports_is_below_the_exact_one() -> None:
-    """`State.limit` of a damped oscillator is at most 2 / (omega sqrt(1 + alpha)), and at least half of that."""
+    """`State.critical_time_step` of a damped oscillator is within 50 to 100 % of 2 / (omega sqrt(1 + alpha))."""
     for alpha in (0.0, 0.3, 1.0):
         state, omega = oscillator(0.1, alpha)
         exact = 2.0 / (omega * np.sqrt(1.0 + alpha))
-        assert 0.5 * exact < state.limit[0] <= exact
+        assert 0.5 * exact < state.critical_time_step[0] <= exact

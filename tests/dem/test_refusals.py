@@ -8,8 +8,8 @@ from scenes import RADIUS, pair_scene
 
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Bonds, Scene, Wall
-from calcidem.dem.engine.state import Preload, start
+from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule
 
@@ -62,7 +62,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: start(pair_scene(gap=-2.0 * RADIUS)), "x, y", "one centre", "own"),
     (lambda: start(disk(), time_step=1.0), "time_step", "1.0", "smaller"),
     (lambda: start(disk(), time_step=0.0), "time_step", "0.0", "positive"),
-    (lambda: start(disk(), step_fraction=1.5), "time_step", "above the stability limit", "smaller"),
+    (lambda: start(disk(), step_fraction=1.5), "time_step", "above the critical time step", "smaller"),
     (lambda: start(disk(), velocity=np.zeros(2)), "velocity", "(2,)", "(1, 2)"),
     (lambda: start(disk(), velocity=np.full((1, 2), NAN)), "velocity", "NaN", "finite"),
     (lambda: start(disk(), spin=np.zeros(2)), "spin", "(2,)", "(1,)"),

@@ -223,7 +223,7 @@ def contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uin
         If the pattern cements two disks that do not touch.
     """
     count = len(packing.radius)
-    contacts, cemented = (pair_keys(np.sort(pairs, axis=1), count) for pairs in (packing.pairs, cement.contacts))
+    contacts, cemented = (pair_keys(pairs, count) for pairs in (packing.pairs, cement.contacts))
     kinds = dict(zip(cemented.tolist(), cement.kind.tolist(), strict=True))
     if strange := kinds.keys() - set(contacts.tolist()):
         first, second = divmod(min(strange), count)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.engine.state import Preload
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator

@@ -181,15 +181,15 @@ def packing_cache_finding() -> Finding:
 
 def compile_cache_finding() -> Finding:
     """Where the compiled kernels are kept, and whether the ranks of a node can share them there."""
-    from calcidem.dem.kernels.steps import sweep  # noqa: PLC0415 - takes a second to import
+    from calcidem.dem.kernels.steps import advance_steps  # noqa: PLC0415 - takes a second to import
 
-    stats = getattr(sweep, "stats", None)
+    stats = getattr(advance_steps, "stats", None)
     if stats is None or stats.cache_path is None:
         return Finding(
             FindingLevel.WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT"
         )
-    folder, module = Path(stats.cache_path), sweep.__module__.rpartition(".")[2]
-    compiled = len(list(folder.glob(f"{module}.{sweep.__name__}*.nbc")))
+    folder, module = Path(stats.cache_path), advance_steps.__module__.rpartition(".")[2]
+    compiled = len(list(folder.glob(f"{module}.{advance_steps.__name__}*.nbc")))
     fact = f"{folder} holds {pluralize(compiled, 'kernel')}" + (
         "" if compiled else " (the first run compiles for 5 to 25 s)"
     )

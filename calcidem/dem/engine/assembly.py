@@ -10,7 +10,17 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.laws import NO_OVERLAP
-from calcidem.dem.kernels.layout import Floats, Grains, Integers, Pairs, WallPairs, Walls
+from calcidem.dem.kernels.layout import (
+    REFERENCE_OVERLAP,
+    SPEEDS,
+    Flags,
+    Floats,
+    Grains,
+    Integers,
+    Pairs,
+    WallPairs,
+    Walls,
+)
 
 ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
 BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
@@ -21,8 +31,13 @@ SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is
 class Assembly:
     """Arrays shared by all lanes, and the histories of the contacts.
 
-    ``order`` lists the scene's disks in the order of the arrays: sorted along the longer side, so that the
-    neighbours of a disk are near it in memory.
+    Attributes
+    ----------
+    order
+        (N,) the scene's disks in the order of the arrays: sorted along the longer side, so that the neighbours of a
+        disk are near it in memory.
+    grains, pairs, wall_pairs, walls
+        See `layout`. Here, outside the kernel, the bond forces are (M, 3, L).
     """
 
     order: Integers
@@ -63,17 +78,14 @@ def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
 
 
 def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
-    """One number for each pair, increasing in the sorted order of pairs."""
-    return pairs[:, 0].astype(np.int64) * count + pairs[:, 1]
+    """(M,) one number for each pair (M, 2) of ``count`` things, whichever comes first; they sort as pairs do."""
+    keys: npt.NDArray[np.int64] = pairs.min(axis=1).astype(np.int64) * count + pairs.max(axis=1)
+    return keys
 
 
-def cement_bits(scene: Scene, rank: Integers) -> tuple[Integers, npt.NDArray[np.uint32]]:
-    """Cemented pairs in memory order, sorted, with their lanes."""
-    if scene.bonds is None or not len(scene.bonds.pairs):
-        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.uint32)
-    pairs = np.sort(rank[np.asarray(scene.bonds.pairs)], axis=1)
-    sorting = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    return pairs[sorting], scene.bonds.bits[sorting]
+def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
+    """(M, L) truth values of words (M,) whose bit l is lane l."""
+    return ((bits[:, None] >> np.arange(lanes, dtype=np.uint32)) & 1).astype(bool)
 
 
 def assemble(
@@ -104,22 +116,22 @@ def assemble(
         If two disks have the same centre.
     """
     order = memory_order(scene)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
     radius = np.asarray(scene.radius, dtype=float)[order]
     reference = np.column_stack([scene.x, scene.y])[order]
-    cemented, bits = cement_bits(scene, rank)
+    cemented = np.zeros(0, dtype=np.int64)
+    if scene.bonds is not None and len(scene.bonds.pairs):
+        cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
     # A sample that has blown up has no neighbours worth listing, and must not harm the others.
     samples = np.flatnonzero((np.abs(centres) < BLOWN_UP).all(axis=(0, 1)))
-    near = [near_pairs(centres[order, :, sample], radius, skin) for sample in samples]
-    found = np.unique(np.concatenate([*near, cemented]), axis=0)
+    near = [pair_keys(near_pairs(centres[order, :, s], radius, skin), scene.count) for s in samples]
+    listed = np.unique(np.concatenate([*near, cemented]))
     moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
     faced = [near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
     facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
     return Assembly(
         order=order,
         grains=assemble_grains(scene, order, dtype),
-        pairs=assemble_pairs(scene, reference, radius, found, (cemented, bits), lanes, dtype),
+        pairs=assemble_pairs(scene, reference, radius, listed, cemented, lanes, dtype),
         wall_pairs=assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
         walls=assemble_walls(scene, lanes, dtype),
     )
@@ -140,6 +152,7 @@ def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grai
         damping=sorted_copy(scene.per_disk(scene.damping)),
         friction=sorted_copy(scene.per_disk(scene.sand.friction)),
         load=sorted_copy(load),
+        shear_ratio=scene.sand.shear_ratio,
     )
 
 
@@ -147,33 +160,37 @@ def assemble_pairs(
     scene: Scene,
     reference: Floats,
     radius: Floats,
-    found: Integers,
-    cement: tuple[Integers, npt.NDArray[np.uint32]],
+    listed: Integers,
+    cemented: Integers,
     lanes: int,
     dtype: npt.DTypeLike,
 ) -> Pairs:
-    """Pairs of disks with the constants of their contact laws; all arguments are in memory order."""
-    count, first, second = len(found), found[:, 0], found[:, 1]
+    """Pairs of disks with the constants of their contact laws.
+
+    All arrays are in memory order. ``listed`` (M,) holds the keys of the pairs, sorted, ``cemented`` (B,) those of the
+    scene's bonds.
+    """
+    count = len(listed)
+    first, second = np.divmod(listed, scene.count)
     apart = reference[second] - reference[first]
     distance = np.hypot(apart[:, 0], apart[:, 1])
     require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
     overlap = radius[first] + radius[second] - distance
-    arms = radius[found] - 0.5 * overlap[:, None]
+    arms = radius[np.column_stack([first, second])] - 0.5 * overlap[:, None]
     hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
     shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
-    cemented = np.zeros(count, dtype=np.uint32)
+    bits = np.zeros(count, dtype=np.uint32)
     bond: Floats = np.zeros((count, 3))
     linear: Floats = np.zeros((count, 3))
     strength: Floats = np.zeros((count, 4))
     if scene.bonds is not None:
-        keys = pair_keys(found, scene.count)
         # A pair that is named twice is cemented in the lanes of both.
-        np.bitwise_or.at(cemented, np.searchsorted(keys, pair_keys(cement[0], scene.count)), cement[1])
+        np.bitwise_or.at(bits, np.searchsorted(listed, cemented), scene.bonds.bits)
         bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
-        linear[:, :2] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
+        linear[:, :REFERENCE_OVERLAP] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
         strength = breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
-    used = np.uint32(2**lanes - 1)
+    bits &= np.uint32(2**lanes - 1)
     return Pairs(
         start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
         first=aligned_copy(first.astype(np.int32)),
@@ -188,8 +205,8 @@ def assemble_pairs(
         bond=aligned_copy(bond.astype(dtype)),
         linear=aligned_copy(linear.astype(dtype)),
         strength=aligned_copy(strength.astype(dtype)),
-        cemented=cemented & used,
-        intact=cemented & used,
+        cemented=bits,
+        intact=bits.copy(),
         shear=aligned_zeros((count, lanes), dtype),
         inverse_root=inverse_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
@@ -256,7 +273,7 @@ def assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
     motion = aligned_zeros((count, 4, lanes), dtype)
     servo = np.zeros((count, 3))
     for index, wall in enumerate(scene.walls):
-        motion[index, 2], motion[index, 3] = wall.velocity
+        motion[index, SPEEDS] = np.reshape(wall.velocity, (2, 1))
         if wall.servo_force is not None:
             servo[index] = SERVO_GAIN, wall.servo_force, wall.servo_speed
     return Walls(

@@ -1,4 +1,8 @@
-"""Materials of the grains and of the cement."""
+"""Materials of the grains and of the cement.
+
+The equations are those of PFC 7.0 (Itasca), https://docs.itascacg.com/pfc700/common/contactmodel/: models 'hertz'
+(hertz/doc/manual/cmhertz.html) and 'linearpbond' (linearpbond/doc/manual/cmlinearpbond.html).
+"""
 
 import math
 from dataclasses import dataclass
@@ -45,14 +49,15 @@ class Sand:
 
     @property
     def shear_ratio(self) -> float:
-        """Mindlin's k_s / k_n = 2 (1 - nu) / (2 - nu)."""
+        """Mindlin's k_s / k_n = 2 (1 - nu) / (2 - nu), without slip: Mindlin & Deresiewicz (1953), see `laws`."""
         return 2.0 * (1.0 - self.poisson_ratio) / (2.0 - self.poisson_ratio)
 
     def hertz_coefficient(self, radius_first: Floats, radius_second: Floats | None = None) -> Floats:
         """Coefficient h_n of ``F_n = h_n overlap^1.5``, N/m^2.5.
 
-        ``h_n = (2/3) G / (1 - nu) sqrt(2 R~)`` with ``R~ = 2 / (1/R1 + 1/R2)``, and ``R~ = 2 R`` at a flat
-        wall (no second radius). PFC 7.0 manual, Hertz model.
+        ``h_n = (2/3) G / (1 - nu) sqrt(2 R~)`` with ``R~ = 2 / (1/R1 + 1/R2)``, and ``R~ = 2 R`` at a flat wall (no
+        second radius): Hertz's ``(4/3) E* sqrt(R*) overlap^1.5`` (Johnson 1985, chapter 4, see `laws`) with
+        ``E* = G / (1 - nu)`` of two equal materials and ``R* = R~ / 2``.
         """
         if radius_second is None:
             effective = 2.0 * np.asarray(radius_first)
@@ -103,7 +108,8 @@ class Cement:
         """Stiffness of a parallel bond: (M, 3) normal, shear (N/m) and rotational (N m).
 
         ``k_n A = E / (R1 + R2) 2 R_b``, shear 1 / ratio of it, ``k_n I = E / (R1 + R2) 2 R_b^3 / 3``, with
-        ``R_b = min(R1, R2)`` and unit thickness.
+        ``R_b = min(R1, R2)`` and unit thickness: the parallel bond of Potyondy & Cundall (2004), A bonded-particle
+        model for rock, doi:10.1016/j.ijrmms.2004.09.011.
         """
         bond_radius = np.minimum(radius_first, radius_second)
         per_area = self.bond_modulus / (np.asarray(radius_first) + np.asarray(radius_second))

@@ -7,11 +7,32 @@ the kernel itself does one step on a copy, so that no law is written a second ti
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from calcidem.dem.engine.neighbours import listed_pairs
+from calcidem.dem.engine.histories import listed_pairs
 from calcidem.dem.engine.state import State, duplicate, no_recording, run_kernel
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.kernels.layout import (
+    CONTACT_LOSS,
+    DAMPING_LOSS,
+    DISTANCE,
+    LOAD_WORK,
+    MOMENT,
+    NORMAL,
+    NORMAL_PATH,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
+    REFERENCE_OVERLAP,
+    SHEAR,
+    SPEEDS,
+    STIFFNESS,
+    WALL_WORK,
+    XY,
+    Flags,
+    Floats,
+    Integers,
+    X,
+    Y,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +42,7 @@ class ContactForces:
     Attributes
     ----------
     pairs
-        (C, 2) indices of the disks in the scene; (C,) disk and wall for wall contacts are in `WallForces`.
+        (C, 2) indices of the disks in the scene.
     overlap
         (C,) m.
     normal, shear
@@ -37,17 +58,30 @@ class ContactForces:
     normal: Floats
     shear: Floats
     moment: Floats
-    bonded: npt.NDArray[np.bool_]
+    bonded: Flags
 
 
 @dataclass(frozen=True, slots=True)
 class Energies:
     """Energies of one lane, J per metre of thickness; the balance is ``supplied = stored + lost``.
 
-    ``kinetic`` uses the mean of the two half-step velocities. The last four are sums since half a step after the start
-    and are kept only if the state was started with the ``account`` feature. ``wall_work`` is that of moving walls and
-    of held disks that move; ``contact_loss`` is friction, shear energy that vanishes with changing stiffness, and what
-    broken bonds take with them.
+    The last four are sums since half a step after the start and are kept only if the state was started with the
+    ``account`` feature.
+
+    Attributes
+    ----------
+    kinetic
+        Of the mean of the two half-step velocities.
+    elastic
+        Stored in contacts and bonds.
+    wall_work
+        Work of moving walls and of held disks that move.
+    contact_loss
+        Friction, shear energy that vanishes with changing stiffness, and what broken bonds take with them.
+    damping_loss
+        Taken by local damping.
+    load_work
+        Work of the constant external forces and moments.
     """
 
     kinetic: float
@@ -63,7 +97,7 @@ class Energies:
         return self.kinetic + self.elastic + self.contact_loss + self.damping_loss - self.wall_work - self.load_work
 
 
-def looked_ahead(state: State) -> State:
+def look_ahead(state: State) -> State:
     """Return the state one step later, with histories that belong to the present position.
 
     At time zero the histories do so already, hence nothing slides in that step.
@@ -71,7 +105,7 @@ def looked_ahead(state: State) -> State:
     ahead = duplicate(state)
     if state.steps == 0:
         ahead.motion.velocity[...] = 0.0
-        ahead.assembly.walls.motion[:, 2:] = 0.0
+        ahead.assembly.walls.motion[:, SPEEDS] = 0.0
     run_kernel(ahead, 1, no_recording(state))
     return ahead
 
@@ -79,46 +113,44 @@ def looked_ahead(state: State) -> State:
 def overlaps(state: State) -> Floats:
     """(M, L) overlaps of the listed pairs, m."""
     pairs = state.assembly.pairs
-    ends = listed_pairs(state.assembly)
-    displacement = state.motion.displacement[:, :2].astype(float)
-    apart = displacement[ends[:, 1]] - displacement[ends[:, 0]]
-    n, distance = pairs.geometry[:, :2].astype(float), pairs.geometry[:, 2].astype(float)[:, None]
-    along = n[:, :1] * apart[:, 0] + n[:, 1:] * apart[:, 1]
-    further: Floats = along
+    displacement = state.motion.displacement[:, XY].astype(float)
+    apart = displacement[pairs.second] - displacement[pairs.first]
+    n_x, n_y, distance, overlap = (
+        pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP)
+    )
+    further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
     if state.features.finite:
-        now = np.hypot(n[:, :1] * distance + apart[:, 0], n[:, 1:] * distance + apart[:, 1])
-        further = (2.0 * distance * along + np.sum(apart**2, axis=1)) / (now + distance)
-    reference: Floats = pairs.geometry[:, 3:4].astype(float)
-    return reference - further
+        now = np.hypot(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
+        further = (2.0 * distance * further + np.sum(apart**2, axis=1)) / (now + distance)
+    return overlap - further
 
 
 def wall_overlaps(state: State) -> Floats:
     """(V, L) overlaps of the listed wall pairs, m."""
     wall_pairs, walls = state.assembly.wall_pairs, state.assembly.walls
-    disk = np.repeat(np.arange(state.scene.count), np.diff(wall_pairs.start))
     normal = walls.normal[wall_pairs.wall].astype(float)
-    moved = state.motion.displacement[disk, :2].astype(float)
-    away = normal[:, :1] * moved[:, 0] + normal[:, 1:] * moved[:, 1]
-    closer: Floats = walls.motion[wall_pairs.wall, 0] - away
+    moved = state.motion.displacement[wall_pairs.disk, XY].astype(float)
+    away = normal[:, X, None] * moved[:, X] + normal[:, Y, None] * moved[:, Y]
+    closer: Floats = walls.motion[wall_pairs.wall, NORMAL_PATH] - away
     return wall_pairs.overlap.astype(float)[:, None] + closer
 
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
     """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
     refuse_linear(state)
-    ahead = looked_ahead(state)
+    ahead = look_ahead(state)
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
     intact = lane_of(pairs.intact, lane)
     normal = pairs.hertz * np.maximum(depth, 0.0) ** 1.5
     if state.features.linear_group:
-        pressed = np.maximum(depth - pairs.linear[:, 2], 0.0) * pairs.linear[:, 0]
+        pressed = np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) * pairs.linear[:, NORMAL]
         normal = np.where(lane_of(pairs.cemented, lane), pressed, normal)
     else:
         normal = np.where(intact, 0.0, normal)
     bond = pairs.bond_force[:, :, lane]
-    normal, shear = normal + bond[:, 0], pairs.shear[:, lane] + bond[:, 1]
+    normal, shear = normal + bond[:, NORMAL], pairs.shear[:, lane] + bond[:, SHEAR]
     present = (normal != 0.0) | intact
     order = state.assembly.order
     return ContactForces(
@@ -126,19 +158,19 @@ def contact_forces(state: State, lane: int = 0) -> ContactForces:
         overlap=depth[present],
         normal=normal[present].astype(float),
         shear=shear[present].astype(float),
-        moment=bond[present, 2].astype(float),
+        moment=bond[present, MOMENT].astype(float),
         bonded=intact[present],
     )
 
 
-def lane_of(bits: Integers, lane: int) -> npt.NDArray[np.bool_]:
+def lane_of(bits: Integers, lane: int) -> Flags:
     """Truth values of one lane."""
     return ((bits >> np.uint32(lane)) & 1).astype(bool)
 
 
 def wall_reactions(state: State, lane: int = 0) -> Floats:
     """(W, 2) normal and shear force of the disks on each wall at the present position, N/m."""
-    return looked_ahead(state).assembly.walls.reaction[:, :2, lane].astype(float)
+    return look_ahead(state).assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)
 
 
 def net_forces(state: State, lane: int = 0) -> Floats:
@@ -147,11 +179,11 @@ def net_forces(state: State, lane: int = 0) -> Floats:
     Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
     """
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
-    ahead = looked_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
+    ahead = look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
     change = (ahead.motion.velocity[:, :, lane] - before) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
-    return state.unsorted(change) * inertia
+    return state.to_scene_order(change) * inertia
 
 
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
@@ -160,30 +192,30 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
     contacts = contact_forces(state, lane)
     magnitude = 2.0 * float(np.hypot(contacts.normal, contacts.shear).sum())
     magnitude += float(np.abs(wall_reactions(state, lane)).sum())
-    unbalanced = float(np.hypot(net[:, 0], net[:, 1]).sum())
+    unbalanced = float(np.hypot(net[:, X], net[:, Y]).sum())
     return unbalanced / magnitude if magnitude > 0.0 else 0.0
 
 
 def energies(state: State, lane: int = 0) -> Energies:
     """Energies of one lane at the present position, except in the ``linear`` regime (see `contact_forces`)."""
     refuse_linear(state)
-    ahead = looked_ahead(state)
+    ahead = look_ahead(state)
     velocity = state.motion.velocity[:, :, lane].astype(float)
     account = state.account[:, lane].astype(float)
     if state.steps:
         velocity = 0.5 * (velocity + ahead.motion.velocity[:, :, lane])
         # Forces do work from half step to half step; the losses of contacts belong to the present position.
         account = 0.5 * (account + ahead.account[:, lane])
-        account[1] = ahead.account[1, lane]
+        account[CONTACT_LOSS] = ahead.account[CONTACT_LOSS, lane]
     order = state.assembly.order
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[order]
     return Energies(
         kinetic=0.5 * float((inertia * velocity**2).sum()),
         elastic=elastic_energy(state, ahead, lane),
-        wall_work=float(account[0]),
-        contact_loss=float(account[1]),
-        damping_loss=float(account[2]),
-        load_work=float(account[3]),
+        wall_work=float(account[WALL_WORK]),
+        contact_loss=float(account[CONTACT_LOSS]),
+        damping_loss=float(account[DAMPING_LOSS]),
+        load_work=float(account[LOAD_WORK]),
     )
 
 
@@ -201,16 +233,16 @@ def elastic_energy(state: State, ahead: State, lane: int) -> float:
     hertz, shear_stiffness = hertz_energy(pairs.hertz, depth, ratio)
     intact, cemented = lane_of(pairs.intact, lane), lane_of(pairs.cemented, lane)
     if state.features.linear_group:
-        linear = 0.5 * pairs.linear[:, 0] * np.maximum(depth - pairs.linear[:, 2], 0.0) ** 2
+        linear = 0.5 * pairs.linear[:, NORMAL] * np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) ** 2
         hertz = np.where(cemented, linear, hertz)
-        shear_stiffness = np.where(cemented, pairs.linear[:, 1], shear_stiffness)
+        shear_stiffness = np.where(cemented, pairs.linear[:, SHEAR], shear_stiffness)
     else:
         hertz = np.where(intact, 0.0, hertz)
     stored = float(hertz.sum()) + spring_energy(pairs.shear[:, lane], shear_stiffness)
     wall_hertz, wall_stiffness = hertz_energy(wall_pairs.hertz, wall_depth, ratio)
     stored += float(wall_hertz.sum()) + spring_energy(wall_pairs.shear[:, lane], wall_stiffness)
     if state.features.bonds:
-        for component in range(3):
+        for component in (NORMAL, SHEAR, MOMENT):
             stored += spring_energy(pairs.bond_force[:, component, lane], pairs.bond[:, component])
     return stored
 

@@ -1,4 +1,4 @@
-"""A scene: disks, walls, bonds and how they are damped. Built from plain arrays, checked once."""
+"""A scene: disks, walls, bonds, how they are damped and what they carry. Built from plain arrays, checked once."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -90,25 +90,16 @@ class Bonds:
         """Refuse malformed pairs and an installation without its spring."""
         pairs = np.asarray(self.pairs)
         require(pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)")  # noqa: PLR2004 - two ends
-        require(
-            bool(np.all(pairs[:, 0] != pairs[:, 1])), "bonds.pairs", "a disk with itself", "bond two different disks"
-        )
+        different = bool(np.all(pairs[:, 0] != pairs[:, 1]))
+        require(different, "bonds.pairs", "a disk with itself", "bond two different disks")
         if self.lanes is not None:
-            require(
-                np.shape(self.lanes) == (len(pairs),),
-                "bonds.lanes",
-                np.shape(self.lanes),
-                f"give shape ({len(pairs)},)",
-            )
+            shape = np.shape(self.lanes)
+            require(shape == (len(pairs),), "bonds.lanes", shape, f"give shape ({len(pairs)},)")
         known = ("preserve", "zero", "pfc_absolute")
         require(self.installation in known, "installation", self.installation, f"choose one of {', '.join(known)}")
         if self.installation == "pfc_absolute":
-            require(
-                self.cement.linear_modulus > 0.0,
-                "installation",
-                "pfc_absolute",
-                "needs linear_modulus > 0: it is the linear group that jumps",
-            )
+            cure = "needs linear_modulus > 0: it is the linear group that jumps"
+            require(self.cement.linear_modulus > 0.0, "installation", self.installation, cure)
 
     @property
     def bits(self) -> npt.NDArray[np.uint32]:
@@ -116,6 +107,22 @@ class Bonds:
         if self.lanes is None:
             return np.full(len(self.pairs), 0xFFFFFFFF, dtype=np.uint32)
         return np.asarray(self.lanes, dtype=np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class Preload:
+    """Shear forces that contacts of the reference geometry already carry.
+
+    Attributes
+    ----------
+    pairs
+        (P, 2) indices of disks.
+    shear
+        (P,) N/m, the force on the second disk of each pair along ``t = (-n_y, n_x)``.
+    """
+
+    pairs: Integers
+    shear: Floats
 
 
 @dataclass(frozen=True, slots=True)

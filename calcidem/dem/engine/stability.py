@@ -2,10 +2,22 @@
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import Assembly
+from calcidem.dem.engine.assembly import Assembly, lanes_of_bits
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.kernels.layout import (
+    MOMENT,
+    NORMAL,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
+    ROTATION,
+    SHEAR,
+    Floats,
+    Integers,
+    X,
+    Y,
+)
 
 
 def critical_time_step(
@@ -20,35 +32,52 @@ def critical_time_step(
     ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
     stiffness of Hertz contacts; those of the reference geometry by default.
 
-    Central differences are stable iff ``dt < 2 / omega_max``, and
-    ``omega_max^2 <= max_i (2 (1 + alpha_i) / m_i) lambda_max(B_i)`` with the 3 x 3 matrices
-    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``,
-    ``s = (t, sqrt 2)`` in the scaled rotation ``R theta / sqrt 2``. It follows from
-    ``(a - b)^2 <= 2 a^2 + 2 b^2`` for each pair; a wall does not move, so its contacts count half. Local
-    damping multiplies a force by up to ``1 + alpha``, as a mass smaller by that factor would.
+    Notes
+    -----
+    Central differences are stable iff ``dt < 2 / omega_max``, and ``omega_max^2`` is the largest ``u K u / u M u``.
+    With the scaled rotation ``R theta / sqrt 2`` the three inertias of a disk are all ``m_i``, and a contact adds
+    ``k_n (n (u_i - u_j))^2 + k_s (s_i u_i + s_j u_j)^2 + k_theta (theta_i - theta_j)^2`` to ``u K u``, with
+    ``s = (t, sqrt 2)`` up to signs. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would
+    add if each moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
+    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``.
+    A wall does not move, so its contacts count half. Local damping multiplies a force by up to ``1 + alpha``, as a mass
+    smaller by that factor would: it lowers the limit to ``2 / (omega sqrt(1 + alpha))``.
+
+    O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
+    contacts, and that rules of thumb overestimate it.
     """
-    normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
-    pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
-    first = np.repeat(np.arange(scene.count), np.diff(pairs.start))
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
-    n = pairs.geometry[:, :2].astype(float)
-    for disk, side in ((first, -1.0), (pairs.second, 1.0)):
-        add_contacts(matrices, disk, n, side, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
-    wall_pairs, walls = assembly.wall_pairs, assembly.walls
-    disk = np.repeat(np.arange(scene.count), np.diff(wall_pairs.start))
-    depth = wall_pairs.overlap[:, None] if wall_overlap is None else wall_overlap
-    shape = (len(disk), features.lanes)
-    tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
-    wall_shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
-    wall_normal = walls.normal[wall_pairs.wall].astype(float)
-    add_contacts(matrices, disk, wall_normal, 1.0, tangent / 2.0, wall_shear / 2.0, np.zeros(shape))
+    add_pairs(matrices, scene, assembly, features, overlap)
+    add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
     if not features.rotation:
-        matrices[..., 2, :] = matrices[..., :, 2] = 0.0
+        matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
     largest = np.linalg.eigvalsh(matrices)[..., -1]
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
     squared = (2.0 * inverse_mass[:, None] * largest).max(axis=0)
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), no_contact_step(scene))
+
+
+def add_pairs(matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> None:
+    """Add the contacts between disks to the matrices of their disks, in place."""
+    normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
+    pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
+    n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
+    for disk, side in ((pairs.first, -1.0), (pairs.second, 1.0)):
+        add_contacts(matrices, disk, side * n, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
+
+
+def add_wall_pairs(
+    matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None
+) -> None:
+    """Add half of the contacts with walls to the matrices of their disks, in place."""
+    wall_pairs, walls = assembly.wall_pairs, assembly.walls
+    depth = wall_pairs.overlap[:, None] if overlap is None else overlap
+    shape = (len(wall_pairs.disk), features.lanes)
+    tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
+    shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
+    normal = walls.normal[wall_pairs.wall].astype(float)
+    add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, np.zeros(shape))
 
 
 def no_contact_step(scene: Scene) -> float:
@@ -71,27 +100,24 @@ def pair_stiffness(
     """Normal, shear and rotational stiffness of every pair in every lane, each (M, L)."""
     pairs = assembly.pairs
     shape = (len(pairs.second), features.lanes)
-    depth = pairs.geometry[:, 3:4] if overlap is None else overlap
+    depth = pairs.geometry[:, OVERLAP, None] if overlap is None else overlap
     normal = np.broadcast_to(hertz_tangent(pairs.hertz, depth), shape)
     shear = shear_ratio * normal
     twist = np.zeros(shape)
     if features.bonds:
-        bits = (pairs.cemented[:, None] >> np.arange(features.lanes, dtype=np.uint32)) & 1
-        cemented = bits.astype(bool)
+        cemented = lanes_of_bits(pairs.cemented, features.lanes)
         bond, linear = pairs.bond.astype(float), pairs.linear.astype(float)
-        normal = np.where(cemented, (bond[:, 0] + linear[:, 0])[:, None], normal)
-        shear = np.where(cemented, (bond[:, 1] + linear[:, 1])[:, None], shear)
-        twist = np.where(cemented, bond[:, 2:], twist)
+        normal = np.where(cemented, (bond[:, NORMAL] + linear[:, NORMAL])[:, None], normal)
+        shear = np.where(cemented, (bond[:, SHEAR] + linear[:, SHEAR])[:, None], shear)
+        twist = np.where(cemented, bond[:, MOMENT, None], twist)
     return normal, shear, twist
 
 
-def add_contacts(
-    matrices: Floats, disk: Integers, n: Floats, side: float, normal: Floats, shear: Floats, twist: Floats
-) -> None:
-    """Add the contacts' matrices to those of their disks, in place."""
-    s = np.column_stack([-side * n[:, 1], side * n[:, 0], np.full(len(n), -np.sqrt(2.0))])
+def add_contacts(matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, twist: Floats) -> None:
+    """Add the contacts' matrices to those of their disks, in place; ``n`` (M, 2) points to the disk."""
+    s = np.column_stack([-n[:, Y], n[:, X], np.full(len(n), -np.sqrt(2.0))])
     flat = np.column_stack([n, np.zeros(len(n))])
     blocks = normal[:, :, None, None] * (flat[:, None, :, None] * flat[:, None, None, :])
     blocks = blocks + shear[:, :, None, None] * (s[:, None, :, None] * s[:, None, None, :])
-    blocks[..., 2, 2] += twist
+    blocks[..., ROTATION, ROTATION] += twist
     np.add.at(matrices, disk, blocks)

@@ -4,39 +4,37 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import Assembly, aligned_copy, aligned_zeros, assemble, inverse_roots, pair_keys
+from calcidem.dem.engine.assembly import Assembly, aligned_copy, aligned_zeros, assemble
+from calcidem.dem.engine.histories import install_forces, renew_assembly
 from calcidem.dem.engine.material import require
-from calcidem.dem.engine.neighbours import listed_pairs, renewed
-from calcidem.dem.engine.scene import Regime, Scene
+from calcidem.dem.engine.scene import Preload, Regime, Scene
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Front, Integers, Motion, Recording, Watch
-from calcidem.dem.kernels.steps import sweep
+from calcidem.dem.kernels.layout import (
+    NORMAL_PATH,
+    PATHS,
+    ROTATION,
+    SPEEDS,
+    XY,
+    Floats,
+    Front,
+    Integers,
+    Motion,
+    Recording,
+    System,
+    Watch,
+)
+from calcidem.dem.kernels.steps import advance_steps
 
 Precision = Literal["float64", "float32"]
-SAFETY = 0.8  # default step as a part of the stability limit
+SAFETY = 0.8  # default step as a part of the critical time step
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
 REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
 REACH_TOGETHER = 0.35  # the same where several steps are under way then
 STEPS_TOGETHER = 4
 SMALLEST_BLOCK = 32
-
-
-@dataclass(frozen=True, slots=True)
-class Preload:
-    """Shear forces that contacts of the reference geometry already carry.
-
-    Attributes
-    ----------
-    pairs
-        (P, 2) indices of disks.
-    shear
-        (P,) N/m, the force on the second disk of each pair along ``t = (-n_y, n_x)``.
-    """
-
-    pairs: Integers
-    shear: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +49,8 @@ class State:
         What the kernel was told to do.
     time_step
         (L,) s.
-    limit
-        (L,) s, the stability limit at the start.
+    critical_time_step
+        (L,) s, its lower bound at the start.
     steps
         Steps done.
     skin
@@ -73,7 +71,7 @@ class State:
     scene: Scene
     features: Features
     time_step: Floats
-    limit: Floats
+    critical_time_step: Floats
     steps: int
     skin: float
     assembly: Assembly
@@ -90,21 +88,21 @@ class State:
     def position(self, lane: int = 0) -> Floats:
         """(N, 2) centres of the disks, m, in the order of the scene."""
         reference = np.column_stack([self.scene.x, self.scene.y])
-        return reference + self.unsorted(self.motion.displacement[:, :2, lane])
+        return reference + self.to_scene_order(self.motion.displacement[:, XY, lane])
 
     def velocity(self, lane: int = 0) -> Floats:
         """(N, 2) velocities half a step before `time` (at time zero: then), m/s, in the order of the scene."""
-        return self.unsorted(self.motion.velocity[:, :2, lane])
+        return self.to_scene_order(self.motion.velocity[:, XY, lane])
 
     def spin(self, lane: int = 0) -> Floats:
         """(N,) angular velocities half a step before `time`, rad/s, in the order of the scene."""
-        return self.unsorted(self.motion.velocity[:, 2, lane])
+        return self.to_scene_order(self.motion.velocity[:, ROTATION, lane])
 
     def rotation(self, lane: int = 0) -> Floats:
         """(N,) rotations since the start, rad, in the order of the scene."""
-        return self.unsorted(self.motion.displacement[:, 2, lane])
+        return self.to_scene_order(self.motion.displacement[:, ROTATION, lane])
 
-    def unsorted(self, values: Floats) -> Floats:
+    def to_scene_order(self, values: Floats) -> Floats:
         """Values of the disks brought from memory order back to the order of the scene."""
         result = np.empty_like(values, dtype=float)
         result[self.assembly.order] = values
@@ -162,7 +160,7 @@ def start(
     precision
         Of all arrays of the kernel.
     time_step
-        s, one number or (L,); a part of the stability limit by default.
+        s, one number or (L,); a part of the critical time step by default.
     step_fraction
         That part.
     velocity, spin
@@ -176,7 +174,7 @@ def start(
     Raises
     ------
     ValueError
-        If the time step is above the stability limit, or an array has the wrong shape.
+        If the time step is above the critical time step, or an array has the wrong shape.
     """
     chosen = features or choose_features(scene, regime)
     dtype = np.dtype(precision)
@@ -184,44 +182,49 @@ def start(
         skin_fraction = SKIN if chosen.search else 0.0
     skin = skin_fraction * float(np.mean(scene.radius)) if chosen.finite else 0.0
     centres = np.column_stack([scene.x, scene.y])[:, :, None]
-    assembly = install(scene, assemble(scene, centres, skin, chosen.lanes, dtype), chosen, preload)
+    assembly = assemble(scene, centres, skin, chosen.lanes, dtype)
+    install_forces(scene, assembly, chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
-    step = (
-        step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), (chosen.lanes,))
-    )
+    step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), chosen.lanes)
     require(bool(np.all(step > 0.0)), "time_step", step.tolist(), "give a positive number of seconds")
-    require(
-        bool(np.all(step <= limit)),
-        "time_step",
-        step.tolist(),
-        f"above the stability limit of {limit.tolist()} s: choose a smaller one",
-    )
-    motion = Motion(
-        displacement=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
-        velocity=aligned_zeros((scene.count, 3, chosen.lanes), dtype),
-    )
-    for name, values, components in (("velocity", velocity, slice(2)), ("spin", spin, 2)):
-        if values is not None:
-            shape = (scene.count, 2) if name == "velocity" else (scene.count,)
-            require(np.shape(values) == shape, name, np.shape(values), f"give an array of shape {shape}")
-            require(bool(np.all(np.isfinite(values))), name, "NaN or infinite", "give finite numbers")
-            motion.velocity[:, components] = np.asarray(values)[assembly.order][..., None]
+    cure = f"above the critical time step of {limit.tolist()} s: choose a smaller one"
+    require(bool(np.all(step <= limit)), "time_step", step.tolist(), cure)
     return State(
         scene=scene,
         features=chosen,
         time_step=np.array(step, dtype=float),
-        limit=limit,
+        critical_time_step=limit,
         steps=0,
         skin=skin,
         assembly=assembly,
-        motion=motion,
+        motion=first_motion(scene, assembly.order, chosen.lanes, dtype, velocity, spin),
         origin=aligned_zeros((scene.count, 2, chosen.lanes), dtype),
         wall_origin=aligned_zeros((len(scene.walls), chosen.lanes), dtype),
         account=aligned_zeros((4, chosen.lanes), dtype),
     )
 
 
-def front_of(state: State) -> Front:
+def first_motion(
+    scene: Scene,
+    order: Integers,
+    lanes: int,
+    dtype: npt.DTypeLike,
+    velocity: Floats | None,
+    spin: Floats | None,
+) -> Motion:
+    """Disks at their reference positions, with the velocities they are given."""
+    shape = (scene.count, 3, lanes)
+    motion = Motion(displacement=aligned_zeros(shape, dtype), velocity=aligned_zeros(shape, dtype))
+    for name, values, components in (("velocity", velocity, XY), ("spin", spin, ROTATION)):
+        if values is not None:
+            wanted = (scene.count, 2) if name == "velocity" else (scene.count,)
+            require(np.shape(values) == wanted, name, np.shape(values), f"give an array of shape {wanted}")
+            require(bool(np.all(np.isfinite(values))), name, "NaN or infinite", "give finite numbers")
+            motion.velocity[:, components] = np.asarray(values)[order][..., None]
+    return motion
+
+
+def make_front(state: State) -> Front:
     """Empty scratch for the steps in flight, see `layout.Front`."""
     features, assembly = state.features, state.assembly
     # A servo answers to the forces of the step before, and an account is summed up in the order of the steps.
@@ -239,64 +242,6 @@ def front_of(state: State) -> Front:
     )
 
 
-def install(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> Assembly:
-    """Give the contacts the forces they start with: preloaded shear, and the cement's share of them."""
-    pairs = assembly.pairs
-    if features.linear:
-        return assembly
-    if not features.finite:
-        # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
-        gaps = pairs.geometry[:, 3] <= 0.0
-        pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
-    overlap = np.maximum(pairs.geometry[:, 3], 0.0)[:, None]
-    pairs.inverse_root[...] = inverse_roots(pairs.geometry[:, 3], features.lanes, pairs.shear.dtype)
-    walls = assembly.wall_pairs
-    walls.inverse_root[...] = inverse_roots(walls.overlap, features.lanes, walls.shear.dtype)
-    if preload is not None:
-        pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
-    if scene.bonds is None:
-        return assembly
-    lane_bits = (pairs.cemented[:, None] >> np.arange(features.lanes, dtype=np.uint32)) & 1
-    cemented = lane_bits.astype(bool)
-    carried = pairs.hertz[:, None] * overlap**1.5
-    if scene.bonds.installation == "preserve":
-        if features.linear_group:
-            # The linear group takes the normal force through its reference overlap and keeps the shear force.
-            pairs.linear[:, 2] = pairs.geometry[:, 3] - carried[:, 0] / pairs.linear[:, 0]
-        else:
-            pairs.bond_force[:, 0] = np.where(cemented, carried, 0.0)
-            pairs.bond_force[:, 1] = np.where(cemented, pairs.shear, 0.0)
-            pairs.shear[cemented] = 0.0
-    else:
-        pairs.shear[cemented] = 0.0
-        pairs.linear[:, 2] = pairs.geometry[:, 3] if scene.bonds.installation == "zero" else 0.0
-    return assembly
-
-
-def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
-    """Preloaded shear force of every listed pair, zero where there is none."""
-    given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
-    require(
-        given.shape == (len(forces), 2),
-        "preload.pairs",
-        given.shape,
-        f"give shape ({len(forces)}, 2), as many as forces",
-    )
-    inside = not given.size or (given.min() >= 0 and given.max() < scene.count)
-    require(bool(inside), "preload.pairs", given.tolist(), f"use indices 0 to {scene.count - 1}")
-    rank = np.empty_like(assembly.order)
-    rank[assembly.order] = np.arange(scene.count)
-    ends = rank[given.astype(np.int64)]
-    # Swapping the two ends turns both n and the relative motion, so the number stays the same.
-    keys = pair_keys(np.sort(ends, axis=1), scene.count)
-    listed = pair_keys(listed_pairs(assembly), scene.count)
-    place = np.searchsorted(listed, keys)
-    known = (place < len(listed)) & (listed[np.minimum(place, len(listed) - 1)] == keys)
-    shear = np.zeros(len(listed))
-    shear[place[known]] = forces[known]
-    return shear
-
-
 def advance(state: State, steps: int) -> State:
     """State after ``steps`` more steps; the given one is left as it is."""
     first = start_leapfrog(state) if state.steps == 0 and steps > 0 else duplicate(state)
@@ -311,29 +256,26 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
         done += count
         state = replace(state, steps=state.steps + count)
         if done < steps:
-            state = with_new_neighbours(state)
+            state = renew_neighbours(state)
     return state
 
 
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
-    dtype = state.motion.velocity.dtype
-    front = front_of(state)
+    assembly, front = state.assembly, make_front(state)
     reach = (REACH if front.levels == 1 else REACH_TOGETHER) * state.skin
-    return sweep(
-        state.features,
-        steps,
-        state.time_step.astype(dtype).reshape(1, -1),
-        state.scene.sand.shear_ratio,
-        state.assembly.grains,
-        Motion(*(rows(array) for array in state.motion)),
-        state.assembly.pairs._replace(bond_force=rows(state.assembly.pairs.bond_force)),
-        state.assembly.wall_pairs,
-        state.assembly.walls,
-        front,
-        recording,
-        Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
+    system = System(
+        grains=assembly.grains,
+        motion=Motion(*(rows(array) for array in state.motion)),
+        pairs=assembly.pairs._replace(bond_force=rows(assembly.pairs.bond_force)),
+        wall_pairs=assembly.wall_pairs,
+        walls=assembly.walls,
+        front=front,
+        recording=recording,
+        watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
     )
+    time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
+    return advance_steps(state.features, steps, time_step, system)
 
 
 def rows(array: Floats) -> Floats:
@@ -386,7 +328,7 @@ def start_leapfrog(state: State) -> State:
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
     probe.motion.velocity[...] = 0.0
-    probe.assembly.walls.motion[:, 2:] = 0.0
+    probe.assembly.walls.motion[:, SPEEDS] = 0.0
     run_kernel(probe, 1, no_recording(state))
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
@@ -395,18 +337,18 @@ def start_leapfrog(state: State) -> State:
     current.motion.velocity[...] += kick
     current.motion.displacement[...] += dt * current.motion.velocity
     walls = current.assembly.walls
-    walls.motion[:, :2] += dt * walls.motion[:, 2:]
+    walls.motion[:, PATHS] += dt * walls.motion[:, SPEEDS]
     walls.reaction[...] = probe.assembly.walls.reaction
     return replace(current, steps=1)
 
 
-def with_new_neighbours(state: State) -> State:
+def renew_neighbours(state: State) -> State:
     """Return the same state with its pair list made anew."""
-    displacement = state.motion.displacement[:, :2]
-    assembly = renewed(state.scene, state.assembly, displacement, state.skin)
+    displacement = state.motion.displacement[:, XY]
+    assembly = renew_assembly(state.scene, state.assembly, displacement, state.skin)
     return replace(
         state,
         assembly=assembly,
         origin=aligned_copy(displacement),
-        wall_origin=aligned_copy(assembly.walls.motion[:, 0]),
+        wall_origin=aligned_copy(assembly.walls.motion[:, NORMAL_PATH]),
     )

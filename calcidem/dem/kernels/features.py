@@ -28,7 +28,7 @@ class Features:
     slip
         Shear forces are checked against Coulomb friction.
     rescaling
-        Shear rescaling mode 1 (see `laws.rescaled_shear`).
+        Shear rescaling mode 1 (see `laws.rescale_shear`).
     damping
         Local damping.
     servo
@@ -76,6 +76,6 @@ class Features:
         if not self.bonds and (self.linear_group or self.breakage):
             raise ValueError("linear_group and breakage belong to cemented pairs: set bonds = True or switch them off")
 
-    def named(self) -> tuple[tuple[str, int | bool], ...]:
+    def items(self) -> tuple[tuple[str, int | bool], ...]:
         """Names and values, in the order of declaration."""
         return tuple((field.name, getattr(self, field.name)) for field in fields(self))

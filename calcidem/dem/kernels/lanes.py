@@ -22,18 +22,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from numba.extending import overload
 
-from calcidem.dem.kernels.compiling import inlined
+from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.vectors import (
     absolute_vector,
     bits_to_mask,
+    broadcast_scalar,
     flush_tiny,
     has_estimates,
     inverse_root_estimate,
-    load_number,
+    load_scalar,
     load_vector,
     mask_to_bits,
     select_lanes,
-    spread_scalar,
     sqrt_vector,
     store_vector,
     write_control_word,
@@ -55,12 +55,12 @@ def store(array: Vector, index: tuple[Vector, ...], value: Vector) -> None:
     array[index] = value
 
 
-def number(array: Vector, index: tuple[Vector, ...]) -> Vector:
+def scalar(array: Vector, index: tuple[Vector, ...]) -> Vector:
     """One entry of an array that all lanes share; no index may be negative."""
     return array[index]
 
 
-def spread(value: Vector, width: int) -> Vector:
+def broadcast(value: Vector, width: int) -> Vector:
     """Lane vector with ``value`` in every lane."""
     return np.full(width, value)
 
@@ -130,14 +130,14 @@ def restore_control_word(word: Vector) -> None:
     del word
 
 
-@inlined
+@inline
 def row(item: Vector, component: Vector) -> Vector:
     """Row of one of the three components of an item (x, y, rotation of a disk) in an array of shape (3 items, L)."""
     return 3 * item + component
 
 
-@inlined
-def refined(value: Vector, guess: Vector) -> Vector:
+@inline
+def refine_inverse_root(value: Vector, guess: Vector) -> Vector:
     """1 / sqrt(value) from an estimate y with an error r = 1 - value y^2 of about 2^-13.
 
     ``y (1 - r)^(-1/2) = y (1 + r / 2 + 3 r^2 / 8 + 5 r^3 / 16 + ...)``; what is left out is below 2^-53.
@@ -152,8 +152,8 @@ overload(load, prefer_literal=True)(
     lambda array, index, width: lambda array, index, width: load_vector(array, index, width)
 )
 overload(store)(lambda array, index, value: lambda array, index, value: store_vector(array, index, value))
-overload(number)(lambda array, index: lambda array, index: load_number(array, index))
-overload(spread, prefer_literal=True)(lambda value, width: lambda value, width: spread_scalar(value, width))
+overload(scalar)(lambda array, index: lambda array, index: load_scalar(array, index))
+overload(broadcast, prefer_literal=True)(lambda value, width: lambda value, width: broadcast_scalar(value, width))
 overload(zero_like)(lambda value: lambda value: zero_vector(value))
 overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, width: bits_to_mask(bits, width))
 overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))
@@ -161,7 +161,7 @@ overload(select)(lambda mask, if_true, if_false: lambda mask, if_true, if_false:
 overload(square_root)(lambda value: lambda value: sqrt_vector(value))
 overload(inverse_root_of)(
     lambda value: (
-        (lambda value: refined(value, inverse_root_estimate(value)))
+        (lambda value: refine_inverse_root(value, inverse_root_estimate(value)))
         if has_estimates(value)
         else (lambda value: 1.0 / sqrt_vector(value))
     )

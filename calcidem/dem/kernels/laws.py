@@ -2,19 +2,24 @@
 
 Signs: a normal force is positive in compression; the shear force is the one on the second disk along
 ``t = (-n_y, n_x)``, where ``n`` points from the first disk (or the wall) to the second.
+
+Sources: Hertz's normal force is in Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; the shear
+stiffness in Mindlin & Deresiewicz (1953), doi:10.1115/1.4010702; increments of shear force cut off by friction in
+Cundall & Strack (1979), doi:10.1680/geot.1979.29.1.47. Signs and details are those of PFC's model 'hertz',
+https://docs.itascacg.com/pfc700/common/contactmodel/hertz/doc/manual/cmhertz.html.
 """
 
-from calcidem.dem.kernels.compiling import inlined
+from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.lanes import Vector, inverse_root_of, larger, magnitude, select, smaller
 
 NO_OVERLAP = 1.0e-30  # m: stands for zero where the inverse of the overlap's root is needed
 
 
-@inlined
+@inline
 def hertz_normal(overlap: Vector, coefficient: Vector) -> tuple[Vector, Vector, Vector]:
     """Hertz force, square root of the overlap and its inverse (1e15 where the disks don't touch).
 
-    ``F_n = h_n overlap^1.5`` where the disks overlap, else zero (PFC 'hertz' model; the sphere formula).
+    ``F_n = h_n overlap^1.5`` where the disks overlap, else zero: the formula of spheres, as in PFC also for disks.
     """
     pressed = larger(overlap, 0.0)
     inverse_root = inverse_root_of(larger(pressed, NO_OVERLAP))
@@ -22,14 +27,14 @@ def hertz_normal(overlap: Vector, coefficient: Vector) -> tuple[Vector, Vector, 
     return coefficient * (pressed * root), root, inverse_root
 
 
-@inlined
+@inline
 def mindlin_shear(shear: Vector, slide: Vector, stiffness: Vector) -> Vector:
-    """Incremental shear force ``F_s - k_s du_s`` (Mindlin without partial slip)."""
+    """Incremental shear force ``F_s - k_s du_s``, with Mindlin's stiffness at first loading (no partial slip)."""
     return shear - stiffness * slide
 
 
-@inlined
-def rescaled_shear(shear: Vector, root: Vector, inverse_root: Vector, previous_inverse_root: Vector) -> Vector:
+@inline
+def rescale_shear(shear: Vector, root: Vector, inverse_root: Vector, previous_inverse_root: Vector) -> Vector:
     """Shear force carried over a step in which the normal force fell (PFC shear rescaling mode 1).
 
     The old force is multiplied by k_s,new / k_s,old, which for Hertz is the ratio of the roots of the
@@ -38,13 +43,13 @@ def rescaled_shear(shear: Vector, root: Vector, inverse_root: Vector, previous_i
     return shear * select(inverse_root > previous_inverse_root, root * previous_inverse_root, 1.0)
 
 
-@inlined
+@inline
 def coulomb_limit(shear: Vector, limit: Vector) -> Vector:
     """Shear force cut off at the friction limit, ``|F_s| <= mu F_n``."""
     return smaller(larger(shear, -limit), limit)
 
 
-@inlined
+@inline
 def bond_fails(
     normal: Vector,
     shear: Vector,
@@ -57,15 +62,20 @@ def bond_fails(
     """Lanes in which a parallel bond breaks, in tension with bending or in shear.
 
     Tension: ``-F_n / A + |M| R_b / I_b >= tensile strength``; shear: ``|F_s| / A >= cohesion +
-    F_n / A tan(phi)``; with ``A = 2 R_b`` and ``I_b = 2 R_b^3 / 3`` (PFC 'linearpbond', unit thickness). Both are
-    multiplied by ``A`` here, which leaves no division: ``bending`` is ``A R_b / I_b = 3 / R_b``.
+    F_n / A tan(phi)``; with ``A = 2 R_b`` and ``I_b = 2 R_b^3 / 3`` for unit thickness. Both are multiplied by ``A``
+    here, which leaves no division: ``bending`` is ``A R_b / I_b = 3 / R_b``. Potyondy & Cundall (2004),
+    doi:10.1016/j.ijrmms.2004.09.011; the friction angle is that of PFC's 'linearpbond'.
     """
     torn = magnitude(moment) * bending - normal >= tension_limit
     return torn | (magnitude(shear) >= shear_limit + normal * friction_slope)
 
 
-@inlined
-def damped(force: Vector, velocity: Vector, damping: Vector) -> Vector:
-    """Force after local damping, ``F - alpha |F| sign(v)`` (Cundall); unchanged where ``v = 0``."""
+@inline
+def damp_force(force: Vector, velocity: Vector, damping: Vector) -> Vector:
+    """Force after local damping, ``F - alpha |F| sign(v)``; unchanged where ``v = 0``.
+
+    Cundall (1987), Distinct element models of rock and soil structure, in E. T. Brown (ed.), Analytical and
+    Computational Methods in Engineering Rock Mechanics; PFC's 'local damping'.
+    """
     drag = damping * magnitude(force)
     return select(velocity > 0.0, force - drag, select(velocity < 0.0, force + drag, force))

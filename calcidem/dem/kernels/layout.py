@@ -1,8 +1,8 @@
-"""Arrays a kernel works on, grouped by what they describe.
+"""Arrays a kernel works on, grouped by what they describe, and the names of their columns.
 
-Everything is per metre of thickness and in SI units. ``N`` grains, ``M`` pairs, ``W`` walls, ``V``
-wall pairs and ``L`` lanes. The lane is always the last axis. Arrays without a lane axis are what all
-samples of a batch share: geometry, material, neighbours.
+Everything is per metre of thickness and in SI units. ``N`` grains, ``M`` pairs, ``W`` walls, ``V`` wall pairs and ``L``
+lanes. The lane is always the last axis. Arrays without a lane axis are what all samples of a batch share: geometry,
+material, neighbours.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -14,153 +14,269 @@ Floats: TypeAlias = npt.NDArray[np.floating[Any]]
 Integers: TypeAlias = npt.NDArray[np.integer[Any]]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
+# To the compiler these names are constants.
+X, Y, ROTATION = range(3)
+"""Columns of what moves, and of the forces on it. Walls do not turn."""
+XY = slice(X, Y + 1)
+NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP, APART_X, APART_Y, FIRST_ARM, SECOND_ARM = range(8)
+"""Columns of `Pairs.geometry`."""
+NORMAL, SHEAR, MOMENT = range(3)
+"""Columns of the stiffnesses and forces of contacts; the moment turns with the stiffness of rotation."""
+REFERENCE_OVERLAP = 2
+"""Third column of `Pairs.linear`."""
+STIFFNESS = 2
+"""Third column of `Walls.reaction`."""
+TENSION_LIMIT, SHEAR_LIMIT, FRICTION_SLOPE, BENDING = range(4)
+"""Columns of `Pairs.strength`."""
+NORMAL_PATH, TANGENT_PATH, NORMAL_SPEED, TANGENT_SPEED = range(4)
+"""Columns of `Walls.motion`."""
+PATHS, SPEEDS = slice(NORMAL_PATH, NORMAL_SPEED), slice(NORMAL_SPEED, None)
+GAIN, TARGET, TOP_SPEED = range(3)
+"""Columns of `Walls.servo`."""
+WALL_WORK, CONTACT_LOSS, DAMPING_LOSS, LOAD_WORK = range(4)
+"""Rows of `Watch.account`."""
+RECEIVED, LISTENED = range(2)
+"""Columns of `Recording.samples`."""
+
 
 class Grains(NamedTuple):
-    """Disks, shared by all lanes."""
+    """Disks, shared by all lanes.
+
+    Attributes
+    ----------
+    radius
+        (N,) m.
+    inverse_mass
+        (N,) 1/kg; zero for a disk that is held and keeps its velocity.
+    inverse_inertia
+        (N,) 1/(kg m^2); zero for a disk that may not turn.
+    damping
+        (N,) local damping factor alpha.
+    friction
+        (N,) friction coefficient; a contact takes the smaller of its two ends.
+    load
+        (N, 3) constant external force x, y (N/m) and moment (N).
+    shear_ratio
+        Hertz-Mindlin k_s / k_n = 2 (1 - nu) / (2 - nu) of their material.
+    """
 
     radius: Floats
-    """(N,) m"""
     inverse_mass: Floats
-    """(N,) 1/kg; zero for a disk that is held and keeps its velocity"""
     inverse_inertia: Floats
-    """(N,) 1/(kg m^2); zero for a disk that may not turn"""
     damping: Floats
-    """(N,) local damping factor alpha"""
     friction: Floats
-    """(N,) friction coefficient; a contact takes the smaller of its two ends"""
     load: Floats
-    """(N, 3) constant external force (N/m) and moment (N)"""
+    shear_ratio: float
 
 
 class Motion(NamedTuple):
-    """What moves, lane by lane. Components are x, y and rotation."""
+    """What moves, lane by lane. Components are x, y and rotation.
+
+    Attributes
+    ----------
+    displacement
+        (3 N, L) m, m, rad, measured from the reference positions.
+    velocity
+        (3 N, L) m/s, m/s, rad/s at the half step before the displacement.
+    """
 
     displacement: Floats
-    """(3 N, L) m, m, rad, measured from the reference positions"""
     velocity: Floats
-    """(3 N, L) m/s, m/s, rad/s at the half step before the displacement"""
 
 
 class Pairs(NamedTuple):
-    """Pairs of disks that touch or may touch, sorted by (first, second) with first < second."""
+    """Pairs of disks that touch or may touch, sorted by (first, second) with first < second.
+
+    Attributes
+    ----------
+    start
+        (N + 1,) the pairs of first disk i are start[i] to start[i + 1] - 1.
+    first, second
+        (M,) the two disks.
+    geometry
+        (M, 8) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, x and y
+        from the first centre to the second, arms from the first and the second centre to the contact.
+    hertz
+        (M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5.
+    mindlin
+        (M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5.
+    tangent
+        (M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m.
+    friction
+        (M,) friction coefficient.
+    bond
+        (M, 3) stiffness of the parallel bond: normal and shear (N/m), rotation (N m).
+    linear
+        (M, 3) linear group: normal stiffness, shear stiffness (N/m), reference overlap (m).
+    strength
+        (M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle, tension at
+        the rim times that area over bending moment (1/m).
+    cemented
+        (M,) bit l: the pair of lane l follows the cement's laws.
+    intact
+        (M,) bit l: its bond is not broken.
+    shear
+        (M, L) shear force of the frictional part on the second disk, N/m.
+    inverse_root
+        (M, L) inverse square root of the previous overlap (1e15 where there was none), for shear rescaling only.
+    bond_force
+        (3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond.
+    """
 
     start: Integers
-    """(N + 1,) the pairs of first disk i are start[i] to start[i + 1] - 1"""
     first: Integers
-    """(M,)"""
     second: Integers
-    """(M,)"""
     geometry: Floats
-    """(M, 8) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, x and y
-    from the first centre to the second, arms from the first and the second centre to the contact"""
     hertz: Floats
-    """(M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5"""
     mindlin: Floats
-    """(M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5"""
     tangent: Floats
-    """(M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m"""
     friction: Floats
-    """(M,)"""
     bond: Floats
-    """(M, 3) stiffness of the parallel bond: normal and shear (N/m), rotation (N m)"""
     linear: Floats
-    """(M, 3) linear group: normal stiffness, shear stiffness (N/m), reference overlap (m)"""
     strength: Floats
-    """(M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle,
-    tension at the rim times that area over bending moment (1/m)"""
     cemented: Integers
-    """(M,) bit l: the pair of lane l follows the cement's laws"""
     intact: Integers
-    """(M,) bit l: its bond is not broken"""
     shear: Floats
-    """(M, L) shear force of the frictional part on the second disk, N/m"""
     inverse_root: Floats
-    """(M, L) inverse square root of the previous overlap (1e15 where there was none), for shear rescaling only"""
     bond_force: Floats
-    """(3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond"""
 
 
 class WallPairs(NamedTuple):
-    """Disks that touch or may touch a wall, sorted by disk."""
+    """Disks that touch or may touch a wall, sorted by disk.
+
+    Attributes
+    ----------
+    start
+        (N + 1,) the wall pairs of disk i are start[i] to start[i + 1] - 1.
+    disk, wall
+        (V,) the two bodies.
+    overlap
+        (V,) overlap in the reference geometry, m.
+    hertz, tangent, shear, inverse_root
+        (V,), (V, 2), (V, L) and (V, L), as in `Pairs`.
+    """
 
     start: Integers
-    """(N + 1,) the wall pairs of disk i are start[i] to start[i + 1] - 1"""
     disk: Integers
-    """(V,)"""
     wall: Integers
-    """(V,)"""
     overlap: Floats
-    """(V,) overlap in the reference geometry, m"""
     hertz: Floats
-    """(V,) as in Pairs"""
     tangent: Floats
-    """(V, 2) as in Pairs"""
     shear: Floats
-    """(V, L) as in Pairs"""
     inverse_root: Floats
-    """(V, L) as in Pairs"""
 
 
 class Walls(NamedTuple):
-    """Straight rigid walls. Their normal points to the side of the disks."""
+    """Straight rigid walls. Their normal points to the side of the disks.
+
+    Attributes
+    ----------
+    normal
+        (W, 2) unit vector.
+    friction
+        (W,) friction coefficient.
+    motion
+        (W, 4, L) displacement along the normal and the tangent (m), velocity along both (m/s).
+    reaction
+        (W, 3, L) normal and shear force of the disks on the wall (N/m), normal stiffness (N/m).
+    servo
+        (W, 3) gain (zero: no servo), target normal force (N/m), largest speed (m/s).
+    """
 
     normal: Floats
-    """(W, 2)"""
     friction: Floats
-    """(W,)"""
     motion: Floats
-    """(W, 4, L) displacement along the normal and the tangent (m), velocity along both (m/s)"""
     reaction: Floats
-    """(W, 3, L) normal and shear force of the disks on the wall (N/m), normal stiffness (N/m)"""
     servo: Floats
-    """(W, 3) gain (zero: no servo), target normal force (N/m), largest speed (m/s)"""
 
 
 class Front(NamedTuple):
-    """Scratch of the steps in flight: ``T`` consecutive steps run through the disks one behind the other."""
+    """Scratch of the steps in flight: ``T`` consecutive steps run through the disks one behind the other.
+
+    Attributes
+    ----------
+    levels
+        T.
+    block
+        Disks that one step is ahead of the next; at least the largest distance in memory between two disks of a pair.
+    slot_bits
+        K = 2^slot_bits slots for forces in each step.
+    force
+        (3 T K, L) N/m, N/m, N: sums over the pairs already visited by each step; zero between calls. Disk i has slot i
+        modulo K. They hold a block and all disks its pairs reach, no more, so that the sums stay in the fastest cache.
+    wall_motion
+        (T + 1, W, 4, L) as in `Walls`, at the start of each step and after the last.
+    reaction
+        (T, W, 3, L) as in `Walls`, of each step.
+    """
 
     levels: int
-    """T"""
     block: int
-    """disks that one step is ahead of the next; at least the largest distance in memory between two disks of a pair"""
     slot_bits: int
-    """K = 2^slot_bits slots for forces in each step"""
     force: Floats
-    """(3 T K, L) N/m, N/m, N: sums over the pairs already visited by each step; zero between calls. Disk i has slot i
-    modulo K. They hold a block and all disks its pairs reach, no more, so that the sums stay in the fastest cache."""
     wall_motion: Floats
-    """(T + 1, W, 4, L) as in Walls, at the start of each step and after the last"""
     reaction: Floats
-    """(T, W, 3, L) as in Walls, of each step"""
 
 
 class Recording(NamedTuple):
-    """What is driven and what is written down during a call."""
+    """What is driven and what is written down during a call.
+
+    Attributes
+    ----------
+    drive
+        (S, L) velocity of the driven wall along its tangent during each step, m/s.
+    driven
+        Index of the driven wall.
+    offset
+        Steps of the drive and the samples that earlier calls have done.
+    stride
+        Steps between two samples.
+    receiver
+        Index of the wall whose shear force is recorded.
+    listeners
+        Disks whose mean velocity along y is recorded.
+    samples
+        (S // stride, 2, L) shear force on the receiving wall (N/m), mean velocity (m/s).
+    """
 
     drive: Floats
-    """(S, L) velocity of the driven wall along its tangent during each step, m/s"""
     driven: int
-    """index of the driven wall"""
     offset: int
-    """steps of the drive and the samples that earlier calls have done"""
     stride: int
-    """steps between two samples"""
     receiver: int
-    """index of the wall whose shear force is recorded"""
     listeners: Integers
-    """disks whose mean velocity along y is recorded"""
     samples: Floats
-    """(S // stride, 2, L) shear force on the receiving wall (N/m), mean velocity (m/s)"""
 
 
 class Watch(NamedTuple):
-    """What may end a call early, and the energy account."""
+    """What may end a call early, and the energy account.
+
+    Attributes
+    ----------
+    origin
+        (N, 2, L) displacement when the pair list was made, m.
+    wall_origin
+        (W, L) displacement of the walls along their normal when the pair list was made, m.
+    reach
+        A disk or wall that moved further than this since asks for a new list, m.
+    account
+        (4, L) J/m: work of moving walls and held disks, loss of the shear springs, local damping, external loads.
+    """
 
     origin: Floats
-    """(N, 2, L) displacement when the pair list was made"""
     wall_origin: Floats
-    """(W, L) displacement of the walls along their normal when the pair list was made"""
     reach: float
-    """m: a disk or wall that moved further than this since asks for a new list"""
     account: Floats
-    """(4, L) J/m: work of moving walls and held disks, loss of the shear springs, local damping, external loads"""
+
+
+class System(NamedTuple):
+    """All that a kernel reads and changes; functions that need one part of it take that part."""
+
+    grains: Grains
+    motion: Motion
+    pairs: Pairs
+    wall_pairs: WallPairs
+    walls: Walls
+    front: Front
+    recording: Recording
+    watch: Watch

@@ -1,67 +1,44 @@
 """Motion of one disk: local damping and the leapfrog, on lane vectors."""
 
-from calcidem.dem.kernels.compiling import inlined
+from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import (
-    Vector,
-    load,
-    number,
-    row,
-    store,
-    zero_like,
-)
-from calcidem.dem.kernels.laws import damped
-from calcidem.dem.kernels.layout import Front, Grains, Motion, Watch
+from calcidem.dem.kernels.lanes import Vector, load, row, scalar, store, zero_like
+from calcidem.dem.kernels.laws import damp_force
+from calcidem.dem.kernels.layout import DAMPING_LOSS, LOAD_WORK, ROTATION, WALL_WORK, Front, System, Watch, X, Y
 
 
-@inlined
-def integrate(
-    features: Features,
-    grain: int,
-    level: int,
-    dt: Vector,
-    grains: Grains,
-    motion: Motion,
-    front: Front,
-    watch: Watch,
-) -> Vector:
+@inline
+def integrate(features: Features, grain: int, level: int, dt: Vector, system: System) -> Vector:
     """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
     lanes = features.lanes
+    grains, watch = system.grains, system.watch
     square = zero_like(dt)
-    inverse = number(grains.inverse_mass, (grain,))
-    x = kick(features, grain, 0, level, inverse, dt, grains, motion, front, watch)
-    y = kick(features, grain, 1, level, inverse, dt, grains, motion, front, watch)
+    inverse = scalar(grains.inverse_mass, (grain,))
+    x = kick(features, grain, X, level, inverse, dt, system)
+    y = kick(features, grain, Y, level, inverse, dt, system)
     if features.rotation:
-        kick(features, grain, 2, level, number(grains.inverse_inertia, (grain,)), dt, grains, motion, front, watch)
+        kick(features, grain, ROTATION, level, scalar(grains.inverse_inertia, (grain,)), dt, system)
     if features.search:
-        moved_x = x - load(watch.origin, (grain, 0), lanes)
-        moved_y = y - load(watch.origin, (grain, 1), lanes)
+        moved_x = x - load(watch.origin, (grain, X), lanes)
+        moved_y = y - load(watch.origin, (grain, Y), lanes)
         square = moved_x * moved_x + moved_y * moved_y
     return square > watch.reach * watch.reach
 
 
-@inlined
+@inline
 def kick(
-    features: Features,
-    grain: int,
-    component: int,
-    level: int,
-    inverse: float,
-    dt: Vector,
-    grains: Grains,
-    motion: Motion,
-    front: Front,
-    watch: Watch,
+    features: Features, grain: int, component: int, level: int, inverse: float, dt: Vector, system: System
 ) -> Vector:
     """Leapfrog update of one degree of freedom; return the new displacement."""
     lanes = features.lanes
-    force = taken_force(features, grain, component, level, front)
+    grains, motion, watch = system.grains, system.motion, system.watch
+    force = take_force(features, grain, component, level, system.front)
     if features.loads:
-        force = force + number(grains.load, (grain, component))
+        force = force + scalar(grains.load, (grain, component))
     velocity = load(motion.velocity, (row(grain, component),), lanes)
     driving = force
     if features.damping:
-        driving = damped(force, velocity, number(grains.damping, (grain,)))
+        driving = damp_force(force, velocity, scalar(grains.damping, (grain,)))
     faster = velocity + (dt * inverse) * driving
     store(motion.velocity, (row(grain, component),), faster)
     moved = load(motion.displacement, (row(grain, component),), lanes) + dt * faster
@@ -69,17 +46,16 @@ def kick(
     if features.account:
         path = 0.5 * dt * (velocity + faster)
         if inverse > 0.0:
-            store(watch.account, (2,), load(watch.account, (2,), lanes) + (force - driving) * path)
+            add_energy(features, DAMPING_LOSS, (force - driving) * path, watch)
         else:
             # Whoever holds a disk that moves opposes every force on it.
-            store(watch.account, (0,), load(watch.account, (0,), lanes) - force * path)
-        gained = load(watch.account, (3,), lanes) + number(grains.load, (grain, component)) * path
-        store(watch.account, (3,), gained)
+            add_energy(features, WALL_WORK, -force * path, watch)
+        add_energy(features, LOAD_WORK, scalar(grains.load, (grain, component)) * path, watch)
     return moved
 
 
-@inlined
-def taken_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
+@inline
+def take_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
     """Return the sum of the contact forces on a disk; clear its slot for a later disk."""
     slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
     force = load(front.force, (row(slot, component),), features.lanes)
@@ -87,9 +63,15 @@ def taken_force(features: Features, grain: int, component: int, level: int, fron
     return force
 
 
-@inlined
+@inline
 def add_force(features: Features, grain: int, component: int, level: int, part: Vector, front: Front) -> None:
     """Add to the sum of the contact forces on a disk."""
     slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
     total = load(front.force, (row(slot, component),), features.lanes) + part
     store(front.force, (row(slot, component),), total)
+
+
+@inline
+def add_energy(features: Features, entry: int, part: Vector, watch: Watch) -> None:
+    """Add to one sum of the energy account."""
+    store(watch.account, (entry,), load(watch.account, (entry,), features.lanes) + part)

@@ -1,229 +1,266 @@
 """Force between two disks, on lane vectors."""
 
-from typing import TypeAlias
+from typing import NamedTuple
 
-from calcidem.dem.kernels.compiling import inlined
+from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
+    broadcast,
     inverse_root_of,
     load,
     mask_of_bits,
-    number,
     row,
+    scalar,
     select,
-    spread,
     store,
     zero_like,
 )
-from calcidem.dem.kernels.laws import bond_fails, coulomb_limit, hertz_normal, mindlin_shear, rescaled_shear
-from calcidem.dem.kernels.layout import Front, Grains, Motion, Pairs, Watch
-from calcidem.dem.kernels.motion import add_force
+from calcidem.dem.kernels.laws import bond_fails, coulomb_limit, hertz_normal, mindlin_shear, rescale_shear
+from calcidem.dem.kernels.layout import (
+    APART_X,
+    APART_Y,
+    BENDING,
+    CONTACT_LOSS,
+    DISTANCE,
+    FIRST_ARM,
+    FRICTION_SLOPE,
+    MOMENT,
+    NORMAL,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
+    REFERENCE_OVERLAP,
+    ROTATION,
+    SECOND_ARM,
+    SHEAR,
+    SHEAR_LIMIT,
+    TENSION_LIMIT,
+    Motion,
+    Pairs,
+    System,
+    Watch,
+    X,
+    Y,
+)
+from calcidem.dem.kernels.motion import add_energy, add_force
 
-Geometry: TypeAlias = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
+
+class Geometry(NamedTuple):
+    """A contact at the present positions.
+
+    Attributes
+    ----------
+    normal_x, normal_y
+        Unit vector from the first to the second disk.
+    overlap
+        m.
+    first_arm, second_arm
+        From the centres to the contact, m.
+    curvature
+        Inverse of the distance of the centres, 1/m; zero where normals do not turn.
+    """
+
+    normal_x: Vector
+    normal_y: Vector
+    overlap: Vector
+    first_arm: Vector
+    second_arm: Vector
+    curvature: Vector
 
 
-@inlined
-def pair_forces(
-    features: Features,
-    pair: int,
-    level: int,
-    dt: Vector,
-    grains: Grains,
-    motion: Motion,
-    pairs: Pairs,
-    front: Front,
-    watch: Watch,
-) -> None:
+class Increment(NamedTuple):
+    """Motion of the second disk relative to the first during the last step.
+
+    Attributes
+    ----------
+    approach
+        By how much the distance shrank, m.
+    slide
+        Along the tangent at the contact, m.
+    twist
+        Rotation, rad.
+    """
+
+    approach: Vector
+    slide: Vector
+    twist: Vector
+
+
+@inline
+def pair_forces(features: Features, pair: int, level: int, dt: Vector, system: System) -> None:
     """Add the force of one pair to its two disks."""
-    first, second = number(pairs.first, (pair,)), number(pairs.second, (pair,))
-    geometry = pair_geometry(features, first, second, pair, grains, motion, pairs)
+    pairs, front = system.pairs, system.front
+    first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
+    geometry = pair_geometry(features, first, second, pair, system)
     if features.linear:
-        normal, shear, moment = linear_law(features, first, second, pair, geometry, motion, pairs)
+        normal, shear, moment = linear_law(features, first, second, pair, geometry, system.motion, pairs)
     else:
-        normal, shear, moment = general_law(features, first, second, pair, dt, geometry, motion, pairs, watch)
-    normal_x, normal_y, _, arm_first, arm_second, _ = geometry
-    along_x = normal * normal_x - shear * normal_y
-    along_y = normal * normal_y + shear * normal_x
-    add_force(features, first, 0, level, -along_x, front)
-    add_force(features, first, 1, level, -along_y, front)
-    add_force(features, second, 0, level, along_x, front)
-    add_force(features, second, 1, level, along_y, front)
+        normal, shear, moment = general_law(features, first, second, pair, dt, geometry, system)
+    along_x = normal * geometry.normal_x - shear * geometry.normal_y
+    along_y = normal * geometry.normal_y + shear * geometry.normal_x
+    add_force(features, first, X, level, -along_x, front)
+    add_force(features, first, Y, level, -along_y, front)
+    add_force(features, second, X, level, along_x, front)
+    add_force(features, second, Y, level, along_y, front)
     if features.rotation and features.bonds:
-        add_force(features, first, 2, level, -(moment + shear * arm_first), front)
-        add_force(features, second, 2, level, moment - shear * arm_second, front)
+        add_force(features, first, ROTATION, level, -(moment + shear * geometry.first_arm), front)
+        add_force(features, second, ROTATION, level, moment - shear * geometry.second_arm, front)
     elif features.rotation:
-        add_force(features, first, 2, level, -(shear * arm_first), front)
-        add_force(features, second, 2, level, -(shear * arm_second), front)
+        add_force(features, first, ROTATION, level, -(shear * geometry.first_arm), front)
+        add_force(features, second, ROTATION, level, -(shear * geometry.second_arm), front)
 
 
-@inlined
-def pair_geometry(
-    features: Features, first: int, second: int, pair: int, grains: Grains, motion: Motion, pairs: Pairs
-) -> Geometry:
-    """Return unit normal from first to second disk, overlap, arms from the centres to the contact, curvature.
-
-    The curvature is the inverse of the distance, and zero where normals do not turn.
+@inline
+def pair_geometry(features: Features, first: int, second: int, pair: int, system: System) -> Geometry:
+    """Return the contact of two disks at their present positions.
 
     The overlap is the reference overlap less the *change* of the distance, which keeps single precision
     accurate: overlaps are a ten-thousandth of a radius, and their changes far less. The contact lies in
     the middle of the overlap, so the arms add up to the distance and angular momentum is conserved.
     """
-    reference_x, reference_y = number(pairs.geometry, (pair, 0)), number(pairs.geometry, (pair, 1))
-    reference_distance, overlap = number(pairs.geometry, (pair, 2)), number(pairs.geometry, (pair, 3))
-    apart_x, apart_y = relative(features, first, second, motion.displacement)
+    table, radius = system.pairs.geometry, system.grains.radius
+    overlap = scalar(table, (pair, OVERLAP))
+    apart_x, apart_y = relative_translation(features, first, second, system.motion.displacement)
     if features.finite:
-        before_x, before_y = number(pairs.geometry, (pair, 4)), number(pairs.geometry, (pair, 5))
+        distance_before = scalar(table, (pair, DISTANCE))
+        before_x, before_y = scalar(table, (pair, APART_X)), scalar(table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
         square = x * x + y * y
         inverse = inverse_root_of(square)
         # By how much the distance grew: the root of a large number first, then one of Newton's steps on
-        # ``longer (2 reference + longer) = x^2 - reference^2``, whose right side is free of cancellation.
+        # ``longer (2 before + longer) = x^2 - before^2``, whose right side is free of cancellation.
         grown = (x + before_x) * apart_x + (y + before_y) * apart_y
         distance = square * inverse
-        longer = distance - reference_distance
-        longer = longer + 0.5 * inverse * (grown - longer * (distance + reference_distance))
+        longer = distance - distance_before
+        longer = longer + 0.5 * inverse * (grown - longer * (distance + distance_before))
         depth = overlap - longer
-        arm_first = number(grains.radius, (first,)) - 0.5 * depth
-        arm_second = number(grains.radius, (second,)) - 0.5 * depth
-        return x * inverse, y * inverse, depth, arm_first, arm_second, inverse
-    normal_x, normal_y = spread(reference_x, features.lanes), spread(reference_y, features.lanes)
+        first_arm = scalar(radius, (first,)) - 0.5 * depth
+        second_arm = scalar(radius, (second,)) - 0.5 * depth
+        return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse)
+    normal_x = broadcast(scalar(table, (pair, NORMAL_X)), features.lanes)
+    normal_y = broadcast(scalar(table, (pair, NORMAL_Y)), features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
-    arm_first = spread(number(pairs.geometry, (pair, 6)), features.lanes)
-    arm_second = spread(number(pairs.geometry, (pair, 7)), features.lanes)
-    return normal_x, normal_y, overlap - along, arm_first, arm_second, zero_like(along)
+    first_arm = broadcast(scalar(table, (pair, FIRST_ARM)), features.lanes)
+    second_arm = broadcast(scalar(table, (pair, SECOND_ARM)), features.lanes)
+    return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, zero_like(along))
 
 
-@inlined
-def relative(features: Features, first: int, second: int, field: Vector) -> tuple[Vector, Vector]:
+@inline
+def relative_translation(features: Features, first: int, second: int, field: Vector) -> tuple[Vector, Vector]:
     """Components of the second disk's translation less the first's."""
     lanes = features.lanes
     return (
-        load(field, (row(second, 0),), lanes) - load(field, (row(first, 0),), lanes),
-        load(field, (row(second, 1),), lanes) - load(field, (row(first, 1),), lanes),
+        load(field, (row(second, X),), lanes) - load(field, (row(first, X),), lanes),
+        load(field, (row(second, Y),), lanes) - load(field, (row(first, Y),), lanes),
     )
 
 
-@inlined
+@inline
 def slide_and_twist(
     features: Features, first: int, second: int, geometry: Geometry, field: Vector
 ) -> tuple[Vector, Vector]:
     """Tangential displacement (or velocity) at the contact and relative rotation, second less first."""
     lanes = features.lanes
-    normal_x, normal_y, _, arm_first, arm_second, _ = geometry
-    apart_x, apart_y = relative(features, first, second, field)
-    slide = normal_x * apart_y - normal_y * apart_x
+    apart_x, apart_y = relative_translation(features, first, second, field)
+    slide = geometry.normal_x * apart_y - geometry.normal_y * apart_x
     if features.rotation:
-        turn_first = load(field, (row(first, 2),), lanes)
-        turn_second = load(field, (row(second, 2),), lanes)
-        return slide - arm_first * turn_first - arm_second * turn_second, turn_second - turn_first
+        first_turn = load(field, (row(first, ROTATION),), lanes)
+        second_turn = load(field, (row(second, ROTATION),), lanes)
+        slide = slide - geometry.first_arm * first_turn - geometry.second_arm * second_turn
+        return slide, second_turn - first_turn
     return slide, zero_like(slide)
 
 
-@inlined
+@inline
 def linear_law(
-    features: Features,
-    first: int,
-    second: int,
-    pair: int,
-    geometry: Geometry,
-    motion: Motion,
-    pairs: Pairs,
+    features: Features, first: int, second: int, pair: int, geometry: Geometry, motion: Motion, pairs: Pairs
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment that constant stiffnesses add to the reference state."""
+    lanes = features.lanes
     slide, twist = slide_and_twist(features, first, second, geometry, motion.displacement)
-    closer = geometry[2] - number(pairs.geometry, (pair, 3))
+    closer = geometry.overlap - scalar(pairs.geometry, (pair, OVERLAP))
+    sand_normal, sand_shear = scalar(pairs.tangent, (pair, NORMAL)), scalar(pairs.tangent, (pair, SHEAR))
     if features.bonds:
-        intact = mask_of_bits(number(pairs.intact, (pair,)), features.lanes)
-        normal_stiffness, shear_stiffness = number(pairs.bond, (pair, 0)), number(pairs.bond, (pair, 1))
+        intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
+        cement_normal, cement_shear = scalar(pairs.bond, (pair, NORMAL)), scalar(pairs.bond, (pair, SHEAR))
         if features.linear_group:
-            normal_stiffness = normal_stiffness + number(pairs.linear, (pair, 0))
-            shear_stiffness = shear_stiffness + number(pairs.linear, (pair, 1))
-        normal = select(intact, spread(normal_stiffness, features.lanes), number(pairs.tangent, (pair, 0)))
-        shear = select(intact, spread(shear_stiffness, features.lanes), number(pairs.tangent, (pair, 1)))
-        bending = select(intact, spread(number(pairs.bond, (pair, 2)), features.lanes), 0.0)
+            cement_normal = cement_normal + scalar(pairs.linear, (pair, NORMAL))
+            cement_shear = cement_shear + scalar(pairs.linear, (pair, SHEAR))
+        normal = select(intact, broadcast(cement_normal, lanes), sand_normal)
+        shear = select(intact, broadcast(cement_shear, lanes), sand_shear)
+        bending = select(intact, broadcast(scalar(pairs.bond, (pair, MOMENT)), lanes), 0.0)
         return normal * closer, -(shear * slide), -(bending * twist)
-    return closer * number(pairs.tangent, (pair, 0)), -(slide * number(pairs.tangent, (pair, 1))), zero_like(slide)
+    return closer * sand_normal, -(slide * sand_shear), zero_like(slide)
 
 
-@inlined
+@inline
 def general_law(
-    features: Features,
-    first: int,
-    second: int,
-    pair: int,
-    dt: Vector,
-    geometry: Geometry,
-    motion: Motion,
-    pairs: Pairs,
-    watch: Watch,
+    features: Features, first: int, second: int, pair: int, dt: Vector, geometry: Geometry, system: System
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment from overlap, histories and the increments of the last step."""
+    pairs, motion, watch = system.pairs, system.motion, system.watch
     speed, spin = slide_and_twist(features, first, second, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:
-        normal, shear = frictional_law(features, pair, geometry[2], slide, pairs, watch)
+        normal, shear = frictional_law(features, pair, geometry.overlap, slide, pairs, watch)
         return normal, shear, zero_like(slide)
     approach = relative_approach(features, first, second, geometry, dt, motion)
-    normal, shear, moment = bond_forces(features, pair, slide, spin * dt, approach, geometry[2], pairs, watch)
-    if features.linear_group or number(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
+    moved = Increment(approach, slide, spin * dt)
+    normal, shear, moment = bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
+    if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
         # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
-        friction = frictional_law(features, pair, geometry[2], slide, pairs, watch)
+        friction = frictional_law(features, pair, geometry.overlap, slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
     return normal, shear, moment
 
 
-@inlined
+@inline
 def frictional_law(
-    features: Features,
-    pair: int,
-    overlap: Vector,
-    slide: Vector,
-    pairs: Pairs,
-    watch: Watch,
+    features: Features, pair: int, overlap: Vector, slide: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector]:
     """Return normal and shear force of the part with friction: the sand's contact, or the cement's linear group.
 
     Without a linear group an intact bond takes the place of the sand's contact; a broken one gives it back.
     """
     lanes = features.lanes
-    normal, root, inverse_root = hertz_normal(overlap, number(pairs.hertz, (pair,)))
-    stiffness = root * number(pairs.mindlin, (pair,))
+    normal, root, inverse_root = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
+    stiffness = root * scalar(pairs.mindlin, (pair,))
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
     if features.rescaling:
-        carried = rescaled_shear(old, root, inverse_root, load(pairs.inverse_root, (pair,), lanes))
+        carried = rescale_shear(old, root, inverse_root, load(pairs.inverse_root, (pair,), lanes))
     if features.linear_group:
-        cemented = mask_of_bits(number(pairs.cemented, (pair,)), lanes)
-        depth = overlap - number(pairs.linear, (pair, 2))
+        cemented = mask_of_bits(scalar(pairs.cemented, (pair,)), lanes)
+        depth = overlap - scalar(pairs.linear, (pair, REFERENCE_OVERLAP))
         pressed = select(depth > 0.0, depth, 0.0)
-        normal = select(cemented, pressed * number(pairs.linear, (pair, 0)), normal)
-        stiffness = select(cemented, spread(number(pairs.linear, (pair, 1)), lanes), stiffness)
+        normal = select(cemented, pressed * scalar(pairs.linear, (pair, NORMAL)), normal)
+        stiffness = select(cemented, broadcast(scalar(pairs.linear, (pair, SHEAR)), lanes), stiffness)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
     shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)
     if features.slip:
-        shear = coulomb_limit(shear, normal * number(pairs.friction, (pair,)))
-    elif number(pairs.friction, (pair,)) <= 0.0:
+        shear = coulomb_limit(shear, normal * scalar(pairs.friction, (pair,)))
+    elif scalar(pairs.friction, (pair,)) <= 0.0:
         shear = zero_like(shear)
     if features.bonds and not features.linear_group:
-        intact = mask_of_bits(number(pairs.intact, (pair,)), lanes)
+        intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
         normal = select(intact, 0.0, normal)
         shear = select(intact, 0.0, shear)
     store(pairs.shear, (pair,), shear)
     if features.account:
-        before = number(pairs.mindlin, (pair,)) / load(pairs.inverse_root, (pair,), lanes)
+        before = scalar(pairs.mindlin, (pair,)) / load(pairs.inverse_root, (pair,), lanes)
         if features.linear_group:
-            before = select(mask_of_bits(number(pairs.cemented, (pair,)), lanes), stiffness, before)
+            before = select(mask_of_bits(scalar(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)
     if features.rescaling or features.account:
         store(pairs.inverse_root, (pair,), inverse_root)
     return normal, shear
 
 
-@inlined
+@inline
 def add_shear_loss(
     features: Features, old: Vector, new: Vector, before: Vector, after: Vector, slide: Vector, watch: Watch
 ) -> None:
@@ -235,11 +272,10 @@ def add_shear_loss(
     """
     stored = new * new / select(after > 0.0, 2.0 * after, 1.0)
     held = old * old / select(before > 0.0, 2.0 * before, 1.0)
-    lost = held - stored - 0.5 * (old + new) * slide
-    store(watch.account, (1,), load(watch.account, (1,), features.lanes) + lost)
+    add_energy(features, CONTACT_LOSS, held - stored - 0.5 * (old + new) * slide, watch)
 
 
-@inlined
+@inline
 def relative_approach(
     features: Features, first: int, second: int, geometry: Geometry, dt: Vector, motion: Motion
 ) -> Vector:
@@ -248,40 +284,37 @@ def relative_approach(
     The normal belongs to the end of the step. ``across^2 / (2 distance)`` corrects for its turning: without it a bonded
     pair that only rotates would stretch its bond a little in every step.
     """
-    apart_x, apart_y = relative(features, first, second, motion.velocity)
-    along = (geometry[0] * apart_x + geometry[1] * apart_y) * dt
+    apart_x, apart_y = relative_translation(features, first, second, motion.velocity)
+    along = (geometry.normal_x * apart_x + geometry.normal_y * apart_y) * dt
     if features.finite:
-        across = (geometry[0] * apart_y - geometry[1] * apart_x) * dt
-        return 0.5 * across * across * geometry[5] - along
+        across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
+        return 0.5 * across * across * geometry.curvature - along
     return -along
 
 
-@inlined
+@inline
 def bond_forces(
-    features: Features,
-    pair: int,
-    slide: Vector,
-    twist: Vector,
-    approach: Vector,
-    overlap: Vector,
-    pairs: Pairs,
-    watch: Watch,
+    features: Features, pair: int, moved: Increment, overlap: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector, Vector]:
-    """Return the forces of the parallel bond after one more increment; break it where it is too weak."""
+    """Return the forces of the parallel bond after one more increment; break it where it is too weak.
+
+    Forces and moment grow with the relative motion of the two disks, see `material.Cement.bond_stiffness`.
+    """
     lanes = features.lanes
-    intact = mask_of_bits(number(pairs.intact, (pair,)), lanes)
-    normal = load(pairs.bond_force, (row(pair, 0),), lanes) + approach * number(pairs.bond, (pair, 0))
-    shear = load(pairs.bond_force, (row(pair, 1),), lanes) - slide * number(pairs.bond, (pair, 1))
-    moment = load(pairs.bond_force, (row(pair, 2),), lanes) - twist * number(pairs.bond, (pair, 2))
+    intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
+    force = pairs.bond_force
+    normal = load(force, (row(pair, NORMAL),), lanes) + moved.approach * scalar(pairs.bond, (pair, NORMAL))
+    shear = load(force, (row(pair, SHEAR),), lanes) - moved.slide * scalar(pairs.bond, (pair, SHEAR))
+    moment = load(force, (row(pair, MOMENT),), lanes) - moved.twist * scalar(pairs.bond, (pair, MOMENT))
     if features.breakage:
         broken = bond_fails(
             normal,
             shear,
             moment,
-            tension_limit=number(pairs.strength, (pair, 0)),
-            shear_limit=number(pairs.strength, (pair, 1)),
-            friction_slope=number(pairs.strength, (pair, 2)),
-            bending=number(pairs.strength, (pair, 3)),
+            tension_limit=scalar(pairs.strength, (pair, TENSION_LIMIT)),
+            shear_limit=scalar(pairs.strength, (pair, SHEAR_LIMIT)),
+            friction_slope=scalar(pairs.strength, (pair, FRICTION_SLOPE)),
+            bending=scalar(pairs.strength, (pair, BENDING)),
         )
         if features.account:
             add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
@@ -290,13 +323,13 @@ def bond_forces(
     normal = select(intact, normal, 0.0)
     shear = select(intact, shear, 0.0)
     moment = select(intact, moment, 0.0)
-    store(pairs.bond_force, (row(pair, 0),), normal)
-    store(pairs.bond_force, (row(pair, 1),), shear)
-    store(pairs.bond_force, (row(pair, 2),), moment)
+    store(force, (row(pair, NORMAL),), normal)
+    store(force, (row(pair, SHEAR),), shear)
+    store(force, (row(pair, MOMENT),), moment)
     return normal, shear, moment
 
 
-@inlined
+@inline
 def add_breakage_loss(
     features: Features,
     pair: int,
@@ -307,10 +340,10 @@ def add_breakage_loss(
     watch: Watch,
 ) -> None:
     """Add the energy of a breaking bond to the account, less that of the sand's contact which takes over."""
-    lost = bond[0] * bond[0] / number(pairs.bond, (pair, 0))
-    lost = lost + bond[1] * bond[1] / number(pairs.bond, (pair, 1))
-    lost = 0.5 * (lost + bond[2] * bond[2] / number(pairs.bond, (pair, 2)))
+    lost = bond[0] * bond[0] / scalar(pairs.bond, (pair, NORMAL))
+    lost = lost + bond[1] * bond[1] / scalar(pairs.bond, (pair, SHEAR))
+    lost = 0.5 * (lost + bond[2] * bond[2] / scalar(pairs.bond, (pair, MOMENT)))
     if not features.linear_group:
-        normal, _, _ = hertz_normal(overlap, number(pairs.hertz, (pair,)))
+        normal, _, _ = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
         lost = lost - 0.4 * normal * overlap
-    store(watch.account, (1,), load(watch.account, (1,), features.lanes) + select(broken, lost, 0.0))
+    add_energy(features, CONTACT_LOSS, select(broken, lost, 0.0), watch)

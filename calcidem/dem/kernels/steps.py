@@ -14,46 +14,33 @@ needs stays in the cache from the first of them to the last, instead of coming f
 
 Every force is summed up in the same order as if the steps were done one after the other: not a bit depends on it.
 
-Leapfrog (explicit central differences): ``v(n + 1/2) = v(n - 1/2) + dt a(x(n), v(n - 1/2))``,
-``x(n + 1) = x(n) + dt v(n + 1/2)``. Shear forces and bonds grow by the displacement between the two
-last positions, ``dt v(n - 1/2)``, so they belong to ``x(n)`` as the overlap does.
+Leapfrog (explicit central differences, as in Cundall & Strack 1979, doi:10.1680/geot.1979.29.1.47):
+``v(n + 1/2) = v(n - 1/2) + dt a(x(n), v(n - 1/2))``, ``x(n + 1) = x(n) + dt v(n + 1/2)``. Shear forces and bonds grow
+by the displacement between the two last positions, ``dt v(n - 1/2)``, so they belong to ``x(n)`` as the overlap does.
 """
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
-from calcidem.dem.kernels.compiling import compiled, inlined
+from calcidem.dem.kernels.compiling import compile_kernel, inline
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
     flush_tiny_numbers,
     load,
-    number,
     restore_control_word,
     row,
+    scalar,
     store,
 )
-from calcidem.dem.kernels.layout import Floats, Front, Grains, Motion, Pairs, Recording, WallPairs, Walls, Watch
+from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System, Y
 from calcidem.dem.kernels.motion import integrate
 from calcidem.dem.kernels.pair import pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
 
-@compiled(cache=True, error_model="numpy")
-def sweep(
-    features: Features,
-    steps: int,
-    time_step: Floats,
-    shear_ratio: float,
-    grains: Grains,
-    motion: Motion,
-    pairs: Pairs,
-    wall_pairs: WallPairs,
-    walls: Walls,
-    front: Front,
-    recording: Recording,
-    watch: Watch,
-) -> int:
-    """Advance ``motion`` by up to ``steps`` steps, in place, with all histories and records.
+@compile_kernel(cache=True, error_model="numpy")
+def advance_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
+    """Advance a system by up to ``steps`` steps, in place, with all histories and records.
 
     Parameters
     ----------
@@ -63,9 +50,7 @@ def sweep(
         Steps to do.
     time_step
         (1, L) s, each lane has its own.
-    shear_ratio
-        Hertz-Mindlin k_s / k_n = 2 (1 - nu) / (2 - nu).
-    grains, motion, pairs, wall_pairs, walls, front, recording, watch
+    system
         See `layout`.
 
     Returns
@@ -73,51 +58,35 @@ def sweep(
     Steps done: fewer than ``steps`` when a disk has moved so far that the pair list must be renewed.
     """
     word = flush_tiny_numbers()
-    done = sweep_steps(
-        features, steps, time_step, shear_ratio, grains, motion, pairs, wall_pairs, walls, front, recording, watch
-    )
+    done = take_steps(features, steps, time_step, system)
     restore_control_word(word)
     return done
 
 
-@inlined
-def sweep_steps(
-    features: Features,
-    steps: int,
-    time_step: Floats,
-    shear_ratio: float,
-    grains: Grains,
-    motion: Motion,
-    pairs: Pairs,
-    wall_pairs: WallPairs,
-    walls: Walls,
-    front: Front,
-    recording: Recording,
-    watch: Watch,
-) -> int:
-    """Do the steps of `sweep`, some at a time."""
+@inline
+def take_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
+    """Do the steps of `advance_steps`, some at a time."""
     dt = load(time_step, (0,), features.lanes)
+    walls, recording = system.walls, system.recording
     step = 0
     while step < steps:
-        together = steps_in_flight(features, steps, step, front, recording)
-        start_walls(features, together, recording.offset + step, dt, walls, front, recording, watch)
-        far = sweep_together(
-            features, together, dt, shear_ratio, grains, motion, pairs, wall_pairs, walls, front, watch
-        )
+        together = steps_in_flight(features, steps, step, system.front, recording)
+        start_walls(features, together, recording.offset + step, dt, system)
+        far = step_together(features, together, dt, system)
         step += together
-        finish_walls(features, together, recording.offset + step - 1, dt, walls, front, recording, watch)
+        finish_walls(features, together, recording.offset + step - 1, dt, system)
         if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
             if (recording.offset + step) % recording.stride == 0:
-                write_sample(features, (recording.offset + step) // recording.stride - 1, motion, walls, recording)
+                record_sample(features, (recording.offset + step) // recording.stride - 1, system)
         if features.search:
             for wall in range(walls.normal.shape[0]):
-                far = far | wall_is_far(features, wall, walls, watch)
+                far = far | wall_is_far(features, wall, walls, system.watch)
             if bits_of_mask(far) != 0:
                 return step
     return steps
 
 
-@inlined
+@inline
 def steps_in_flight(features: Features, steps: int, step: int, front: Front, recording: Recording) -> int:
     """Steps that may run together: not more than fit, and not beyond the next sample."""
     together = min(front.levels, steps - step)
@@ -126,44 +95,35 @@ def steps_in_flight(features: Features, steps: int, step: int, front: Front, rec
     return together
 
 
-@inlined
-def sweep_together(
-    features: Features,
-    together: int,
-    dt: Vector,
-    shear_ratio: float,
-    grains: Grains,
-    motion: Motion,
-    pairs: Pairs,
-    wall_pairs: WallPairs,
-    walls: Walls,
-    front: Front,
-    watch: Watch,
-) -> Vector:
+@inline
+def step_together(features: Features, together: int, dt: Vector, system: System) -> Vector:
     """Lead ``together`` steps through all blocks; return the lanes in which a disk left the reach of the pair list."""
+    pair_start, wall_start = system.pairs.start, system.wall_pairs.start
     far = dt < 0.0
-    count = grains.radius.shape[0]
-    blocks = (count + front.block - 1) // front.block
+    count, block = system.grains.radius.shape[0], system.front.block
+    blocks = (count + block - 1) // block
     for leading in range(blocks + together - 1):
         for level in range(max(0, leading - blocks + 1), min(together, leading + 1)):
-            begin = (leading - level) * front.block
-            end = min(count, begin + front.block)
-            for pair in range(number(pairs.start, (begin,)), number(pairs.start, (end,))):
-                pair_forces(features, pair, level, dt, grains, motion, pairs, front, watch)
-            for pair in range(number(wall_pairs.start, (begin,)), number(wall_pairs.start, (end,))):
-                wall_forces(features, pair, level, dt, shear_ratio, grains, motion, wall_pairs, walls, front, watch)
+            begin = (leading - level) * block
+            end = min(count, begin + block)
+            for pair in range(scalar(pair_start, (begin,)), scalar(pair_start, (end,))):
+                pair_forces(features, pair, level, dt, system)
+            for pair in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
+                wall_forces(features, pair, level, dt, system)
             for grain in range(begin, end):
-                far = far | integrate(features, grain, level, dt, grains, motion, front, watch)
+                far = far | integrate(features, grain, level, dt, system)
     return far
 
 
-@inlined
-def write_sample(features: Features, sample: int, motion: Motion, walls: Walls, recording: Recording) -> None:
+@inline
+def record_sample(features: Features, sample: int, system: System) -> None:
     """Record the shear force on the receiving wall and the mean velocity of the listening disks."""
     lanes = features.lanes
-    store(recording.samples, (sample, 0), load(walls.reaction, (recording.receiver, 1), lanes))
-    total = load(walls.reaction, (recording.receiver, 1), lanes) * 0.0
+    recording = system.recording
+    received = load(system.walls.reaction, (recording.receiver, SHEAR), lanes)
+    store(recording.samples, (sample, RECEIVED), received)
+    total = received * 0.0
     for listener in recording.listeners:
-        total = total + load(motion.velocity, (row(listener, 1),), lanes)
+        total = total + load(system.motion.velocity, (row(listener, Y),), lanes)
     count = max(1, recording.listeners.shape[0])
-    store(recording.samples, (sample, 1), total * (1.0 / count))
+    store(recording.samples, (sample, LISTENED), total * (1.0 / count))

@@ -49,7 +49,7 @@ class FeaturesType(types.Type):
 def type_of_features(features: Features, context: Any) -> FeaturesType:
     """Numba type of a `Features` object."""
     del context
-    return FeaturesType(features.named())
+    return FeaturesType(features.items())
 
 
 @register_model(FeaturesType)

@@ -214,8 +214,8 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
-def load_number(typingctx: Any, array: Any, index: Any) -> Any:
-    """Compiled side of `number`."""
+def load_scalar(typingctx: Any, array: Any, index: Any) -> Any:
+    """Compiled side of `scalar`."""
     del typingctx
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
@@ -227,8 +227,8 @@ def load_number(typingctx: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic(prefer_literal=True)
-def spread_scalar(typingctx: Any, number: Any, width: Any) -> Any:
-    """Compiled side of `spread`."""
+def broadcast_scalar(typingctx: Any, number: Any, width: Any) -> Any:
+    """Compiled side of `broadcast`."""
     del typingctx
     lane = LaneType(number, width.literal_value)
 
@@ -332,31 +332,31 @@ def inverse_root_estimate(typingctx: Any, value: Any) -> Any:
         function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.avx512.rsqrt14.p{letter}.512")
         parts = [
             builder.call(function, [part, ir.Constant(register, None), ir.Constant(mask, -1)])
-            for part in split(builder, args[0], size)
+            for part in split_vector(builder, args[0], size)
         ]
-        return joined(builder, parts)
+        return join_vectors(builder, parts)
 
     return value(value), codegen
 
 
-def picked(builder: Any, first: Any, second: Any, lanes: range) -> Any:
+def pick_lanes(builder: Any, first: Any, second: Any, lanes: range) -> Any:
     """Lanes of two LLVM vectors, numbered through, as one vector."""
     numbers = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
     return builder.shuffle_vector(first, second, numbers)
 
 
-def split(builder: Any, value: Any, size: int) -> list[Any]:
+def split_vector(builder: Any, value: Any, size: int) -> list[Any]:
     """An LLVM vector in pieces of ``size`` lanes."""
-    return [picked(builder, value, value, range(at, at + size)) for at in range(0, value.type.count, size)]
+    return [pick_lanes(builder, value, value, range(at, at + size)) for at in range(0, value.type.count, size)]
 
 
-def joined(builder: Any, parts: list[Any]) -> Any:
+def join_vectors(builder: Any, parts: list[Any]) -> Any:
     """One LLVM vector of the lanes of 1, 2 or 4 equal ones."""
     if len(parts) == 1:
         return parts[0]
     half = len(parts) // 2
-    first, second = joined(builder, parts[:half]), joined(builder, parts[half:])
-    return picked(builder, first, second, range(2 * first.type.count))
+    first, second = join_vectors(builder, parts[:half]), join_vectors(builder, parts[half:])
+    return pick_lanes(builder, first, second, range(2 * first.type.count))
 
 
 @intrinsic

@@ -13,10 +13,10 @@ import numpy as np
 
 from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
-from calcidem.dem.engine.scene import Scene, Wall
+from calcidem.dem.engine.scene import Preload, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.state import Preload, State, advance, start
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
@@ -300,7 +300,7 @@ def preload_of(state: State) -> Preload:
 
 def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
     """Packing and report of a state at rest."""
-    height = rule.height - float(state.assembly.walls.motion[LID, 0, 0])
+    height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
     position = state.position()
     contacts = contact_forces(state)
     backbone = coordination_without_rattlers(contacts.pairs, state)

@@ -7,6 +7,7 @@ import numpy as np
 
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import State, duplicate, no_recording, run_in_place
+from calcidem.dem.kernels.layout import SPEEDS
 
 SETTLING_CHUNK = 500  # steps between two looks
 SETTLING_DAMPING = 0.7  # local damping factor
@@ -59,6 +60,6 @@ def settle(
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio
     current.motion.velocity[...] = 0.0
-    current.assembly.walls.motion[:, 2:] = 0.0
+    current.assembly.walls.motion[:, SPEEDS] = 0.0
     assembly = replace(current.assembly, grains=grains)
     return replace(current, assembly=assembly, features=state.features, steps=0)

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.dem.engine.scene import Installation
-from calcidem.dem.engine.state import Preload
+from calcidem.dem.engine.scene import Installation, Preload
 from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule

@@ -129,7 +129,7 @@ def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | 
     """
     every = None if bonds is None else replace(bonds, pairs=packing.pairs, lanes=None)
     scene = wave_scene(packing, sand, rule, every)
-    limit = start(scene, features=choose_features(scene, rule.regime), preload=packing.preload).limit[0]
+    limit = start(scene, features=choose_features(scene, rule.regime), preload=packing.preload).critical_time_step[0]
     return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.state import State, run_in_place
-from calcidem.dem.kernels.layout import Floats, Integers, Recording
+from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
 from calcidem.dem.wave.guards import problems_of
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
@@ -168,9 +168,9 @@ class Recorder:
             stride=self.stride,
             sent=self.pulse.velocity(sample_times(len(signals), self.stride, step)),
             # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
-            force=-signals[:, 0],
-            velocity=signals[:, 1],
-            stability_limit=float(self.state.limit[lane]),
+            force=-signals[:, RECEIVED],
+            velocity=signals[:, LISTENED],
+            stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,

@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.app.studies.accuracy.reference import fitting_lanes, relative_deviation
 from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.assembly import pair_keys
-from calcidem.dem.engine.state import Preload
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
@@ -90,4 +90,4 @@ def same_contacts(packing: Packing, model: Packing) -> Packing:
 
 def keys_of(packing: Packing) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """One number for each contact."""
-    return pair_keys(np.sort(np.asarray(packing.pairs), axis=1).astype(np.int64), len(packing.radius))
+    return pair_keys(packing.pairs, len(packing.radius))

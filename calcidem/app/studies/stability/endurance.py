@@ -71,7 +71,7 @@ def moving_state(regime: Regime) -> State:
     """That scene without damping and with random velocities, so small that no contact opens or slips."""
     scene = scene_at_rest(regime, 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
-    limit = float(start(scene, features=features).limit[0])
+    limit = float(start(scene, features=features).critical_time_step[0])
     speed = MOTION * experiment_of_scene(pressed_lattice(regime)).packing.report.mean_overlap / limit
     velocity = speed * np.random.default_rng(1).standard_normal((scene.count, 2))
     return start(scene, features=features, velocity=velocity)

@@ -74,7 +74,7 @@ def limits(scene: Extreme) -> Limits:
     bonded = experiment.ordering(scene.seed).at(content_of(scene, experiment)).bonded
     bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
     damped = replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=scene.damping)
-    predicted = float(start(damped, features=choose_features(damped, "linear")).limit[0])
+    predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
     undamped = replace(damped, damping=0.0)
     fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
     return Limits(predicted, 2.0 / (fastest * np.sqrt(1.0 + scene.damping)))

@@ -13,8 +13,7 @@ from scipy.stats import qmc
 
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import Preload
+from calcidem.dem.engine.scene import Preload, Regime
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule, make_packing

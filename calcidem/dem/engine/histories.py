@@ -1,0 +1,103 @@
+"""Histories of contacts: what they begin with, and how they outlive a new list of neighbours."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from calcidem.dem.engine.assembly import Assembly, assemble, inverse_roots, lanes_of_bits, pair_keys
+from calcidem.dem.engine.material import require
+from calcidem.dem.engine.scene import Preload, Scene
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import NORMAL, NORMAL_PATH, OVERLAP, REFERENCE_OVERLAP, SHEAR, Floats, Integers
+
+
+def listed_pairs(assembly: Assembly) -> Integers:
+    """(M, 2) pairs of the list, in memory order."""
+    return np.column_stack([assembly.pairs.first, assembly.pairs.second])
+
+
+def install_forces(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> None:
+    """Give the contacts of a new assembly the forces they start with: preloaded shear, and the cement's share of them.
+
+    In the linear regime there are none: its forces are those added to the reference state.
+    """
+    pairs, wall_pairs = assembly.pairs, assembly.wall_pairs
+    if features.linear:
+        return
+    if not features.finite:
+        # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
+        gaps = pairs.geometry[:, OVERLAP] <= 0.0
+        pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
+    pairs.inverse_root[...] = inverse_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
+    wall_pairs.inverse_root[...] = inverse_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
+    if preload is not None:
+        pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
+    if scene.bonds is None:
+        return
+    overlap = pairs.geometry[:, OVERLAP]
+    cemented = lanes_of_bits(pairs.cemented, features.lanes)
+    carried = pairs.hertz * np.maximum(overlap, 0.0) ** 1.5
+    if scene.bonds.installation != "preserve":
+        pairs.shear[cemented] = 0.0
+        pairs.linear[:, REFERENCE_OVERLAP] = overlap if scene.bonds.installation == "zero" else 0.0
+    elif features.linear_group:
+        # The linear group takes the normal force through its reference overlap and keeps the shear force.
+        pairs.linear[:, REFERENCE_OVERLAP] = overlap - carried / pairs.linear[:, NORMAL]
+    else:
+        pairs.bond_force[:, NORMAL] = np.where(cemented, carried[:, None], 0.0)
+        pairs.bond_force[:, SHEAR] = np.where(cemented, pairs.shear, 0.0)
+        pairs.shear[cemented] = 0.0
+
+
+def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
+    """(M,) preloaded shear force of every listed pair, zero where there is none."""
+    given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
+    wanted = f"give shape ({len(forces)}, 2), as many as forces"
+    require(given.shape == (len(forces), 2), "preload.pairs", given.shape, wanted)
+    inside = not given.size or (given.min() >= 0 and given.max() < scene.count)
+    require(bool(inside), "preload.pairs", given.tolist(), f"use indices 0 to {scene.count - 1}")
+    # Swapping the two ends turns both n and the relative motion, so the number stays the same.
+    keys = pair_keys(np.argsort(assembly.order)[given.astype(np.int64)], scene.count)
+    listed = pair_keys(listed_pairs(assembly), scene.count)
+    known = np.isin(keys, listed)
+    shear = np.zeros(len(listed))
+    shear[np.searchsorted(listed, keys[known])] = forces[known]
+    return shear
+
+
+def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: float) -> Assembly:
+    """Assembly with the neighbours of the present places; histories of pairs that stay are kept.
+
+    Parameters
+    ----------
+    scene
+        What is moving.
+    old
+        Its assembly so far.
+    displacement
+        (N, 2, L) m, in memory order.
+    skin
+        Pairs whose rims are closer than this are listed, m.
+    """
+    lanes = displacement.shape[2]
+    centres = np.empty((scene.count, 2, lanes))
+    centres[old.order] = displacement
+    centres += np.column_stack([scene.x, scene.y])[:, :, None]
+    fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old.walls.motion[:, NORMAL_PATH].astype(float))
+    new_keys, old_keys = (pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old))
+    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
+    for name in ("intact", "linear", "shear", "inverse_root", "bond_force"):
+        getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
+    new_keys, old_keys = (wall_keys(assembly) for assembly in (fresh, old))
+    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
+    for name in ("shear", "inverse_root"):
+        getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
+    return replace(fresh, walls=old.walls)
+
+
+def wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:
+    """(V,) one number for each pair of disk and wall, increasing in the order of the list; walls are counted on."""
+    disks, wall_pairs = len(assembly.order), assembly.wall_pairs
+    pairs = np.column_stack([wall_pairs.disk, wall_pairs.wall + disks])
+    return pair_keys(pairs, disks + len(assembly.walls.normal))
