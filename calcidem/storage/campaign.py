@@ -61,7 +61,7 @@ class StoredCampaign:
     Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
     manager.
 
-    Parameters
+    Attributes
     ----------
     store : Store
         With that campaign chosen; closed together with this object.
@@ -190,7 +190,7 @@ class StoredCampaign:
         return found
 
     def signal(self, *, seed: int, content: float) -> Signal:
-        """Return the sent and received signals of a cell.
+        """Return the sent and received signals of a cell, with the times of their samples.
 
         Raises
         ------
@@ -230,7 +230,7 @@ class StoredCampaign:
         return self.store.packing_indices()
 
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
-        """Return how many cells of each content have each status."""
+        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
         return self.store.status_counts()
 
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:

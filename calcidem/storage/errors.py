@@ -4,7 +4,7 @@
 class StoreError(Exception):
     """Base of all errors of the store.
 
-    Parameters
+    Attributes
     ----------
     problem : str
         What happened and why, with the place (file or URL) and the value.

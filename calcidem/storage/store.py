@@ -111,7 +111,7 @@ class LeaseHolder:
         except ProcessLookupError:
             return False
         except PermissionError:
-            return True
+            pass
         return True
 
 
@@ -139,6 +139,9 @@ class Store(ABC):
        refuses to write. Writing without ever having asked for the lease is allowed, for imports and single
        commands.
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
+    11. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
+        `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
+        A `Selection` whose filter can't be understood raises `QueryError`.
 
     A store is a context manager that closes itself. It may be used by one thread at a time.
     """
@@ -177,7 +180,7 @@ class Store(ABC):
 
     @abstractmethod
     def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
-        """Plan all cells of seeds x contents that are not planned yet; return how many were added."""
+        """Plan all cells of seeds x contents (percent) that are not planned yet; return how many were added."""
 
     @abstractmethod
     def begin_run(self, run: RunRecord) -> int:
@@ -188,7 +191,13 @@ class Store(ABC):
 
     @abstractmethod
     def end_run(self, exit_state: str, ended: datetime) -> None:
-        """Store how and when the run of `begin_run` ended."""
+        """Store how and when the run of `begin_run` ended.
+
+        Raises
+        ------
+        UnknownCampaignError
+            If no run was begun.
+        """
 
     @abstractmethod
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
@@ -256,6 +265,11 @@ class Store(ABC):
         """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
 
         Unlike the other writes each call counts, since a loss has no result to be recognised by.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
         """
 
     @abstractmethod
@@ -284,7 +298,13 @@ class Store(ABC):
 
     @abstractmethod
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
-        """Store a history as another store kept it (for imports); attempts that are there already stay."""
+        """Store a history as another store kept it (for imports); attempts that are there already stay.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
 
     # Reading
 
@@ -300,15 +320,15 @@ class Store(ABC):
     def pending(
         self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
     ) -> tuple[CellKey, ...]:
-        """Return the planned cells without an outcome, by seed, then content."""
+        """Return the planned cells without an outcome, by seed, then content (percent); by default all."""
 
     @abstractmethod
     def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
-        """Status of each planned cell."""
+        """Status of each selected cell, by seed, then content; pending where it has no outcome."""
 
     @abstractmethod
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
-        """Return how many cells of each content have each status."""
+        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
 
     @abstractmethod
     def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
@@ -326,8 +346,8 @@ class Store(ABC):
         ----------
         selection : Selection
         with_arrays : bool
-            Whether to load signals and cement patterns; without it they are None. Path features always come
-            along.
+            Whether to load signals and cement patterns, some 50 kB a cell; without it they are None. Path features
+            and graph summaries always come along.
         """
 
     @abstractmethod
@@ -358,9 +378,9 @@ class Store(ABC):
 
         Returns
         -------
-        dict of str to array
-            All of the same length: object arrays for texts (None where missing), float64 for numbers (NaN
-            where missing).
+        dict of str to (cells,) array
+            Object arrays for texts (None where missing), float64 for numbers (NaN where missing), in the units of the
+            quantities.
 
         Raises
         ------

@@ -66,14 +66,17 @@ def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
             assert {check["name"] for check in found.get_check_constraints(name)} == checks
 
 
-@pytest.mark.parametrize("schema", ["0001", "0002", "0003"])
+@pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004"])
 def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Records", schema: str) -> None:
-    """The kept databases of all schemas are upgraded and have the values they were made with."""
+    """The kept databases of all schemas are upgraded, have the values they were made with, and take new ones."""
     path = tmp_path / "old.db"
     shutil.copy(ASSETS / f"schema_{schema}.db", path)
-    open_store(path).close()
+    with open_store(path) as store:
+        store.use_campaign()
+        store.record_results([records.with_arrays(3, 5.0)])
     with open_stored_campaign(path) as campaign:
         assert campaign.record == records.campaign()
+        assert campaign.cell(seed=3, content=5.0) == records.with_arrays(3, 5.0)
         stored = records.with_arrays(1, 5.0)
         # The first schema had no graph summaries, the second none of the retry; everything else is as it was.
         unknown = {"0001": {"graph": None, "retry": None}, "0002": {"retry": None}}

@@ -295,15 +295,10 @@ def _count_column(dimension: str, counts: list[int]) -> dict[str, Column]:
 class CellArrays(Generic[T]):
     """Random access to the arrays of one group by cell.
 
-    Parameters
+    Attributes
     ----------
-    file : netCDF4.Dataset
-    name : str
-        Name of the group; a file without it has no such arrays.
-    dimensions : tuple of str
-        Its ragged dimensions.
-    build : callable
-        Makes the record from the cell's own columns and those of each dimension.
+    cells : dict of str to (n,) array
+        Columns with one value for each of the cells that have arrays; empty if the file has no such group.
     """
 
     def __init__(
@@ -313,6 +308,18 @@ class CellArrays(Generic[T]):
         dimensions: tuple[str, ...],
         build: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T],
     ) -> None:
+        """Look up the cells of a group.
+
+        Parameters
+        ----------
+        file : netCDF4.Dataset
+        name : str
+            Name of the group; a file without it has no such arrays.
+        dimensions : tuple of str
+            Its ragged dimensions.
+        build : callable
+            Makes the record from the cell's own columns and those of each dimension.
+        """
         self._group = file.groups.get(name)
         self._build = build
         self._ends: dict[str, NDArray[np.int64]] = {}

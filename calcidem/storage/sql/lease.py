@@ -24,13 +24,14 @@ from calcidem.storage.store import STALE_AFTER, LeaseGrant, LeaseHolder
 class FileLock:
     """An exclusive lock on ``<database>.lock``; the kernel drops it when the process ends, however it ends.
 
-    Parameters
+    Attributes
     ----------
-    database : Path
-        The SQLite file.
+    path : Path
+        The lock file.
     """
 
     def __init__(self, database: Path) -> None:
+        """Take no lock yet; `database` is the SQLite file."""
         self.path = Path(f"{database}.lock")
         self._descriptor: int | None = None
 

@@ -56,7 +56,7 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
 class SqlStore(Store):
     """A `Store` on SQLAlchemy; see `open_store`.
 
-    Parameters
+    Attributes
     ----------
     address : Address
     read_only : bool
