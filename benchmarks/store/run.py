@@ -31,7 +31,7 @@ from calcidem.app.cli.query import find
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
-from calcidem.storage.records.canonical import canonical_json, content_hash
+from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
 
@@ -82,7 +82,7 @@ def make_database(path: Path, count: int) -> None:
     seeds = math.ceil(count / len(CONTENTS))
     config = {"wave": {"transmitter_half_width": 0.01, "receiver_half_width": 0.03}}
     record = CampaignRecord(
-        hash=content_hash(config),
+        hash=canonical_hash(config),
         name="large",
         config=canonical_json(config),
         contents=CONTENTS,

@@ -28,7 +28,7 @@ from calcidem.storage.records import (
     RunRecord,
     Signal,
 )
-from calcidem.storage.records.canonical import canonical_json, content_hash
+from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import SqlStore, open_store
 
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
@@ -44,7 +44,7 @@ class Records:
         """Build a campaign of 4 seeds and 3 contents."""
         config = {"packing": {"friction": 0.2}, "wave": {"v0": 1e-5}} if config is None else config
         record = CampaignRecord(
-            hash=content_hash(config),
+            hash=canonical_hash(config),
             name="quick",
             config=canonical_json(config),
             contents=CONTENTS,

@@ -23,7 +23,7 @@ from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
-from calcidem.storage.records.canonical import content_hash
+from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import parse_address
 
 if TYPE_CHECKING:
@@ -365,7 +365,7 @@ class Configuration:
     @cached_property
     def hash(self) -> str:
         """Identity of the campaign's physics: SHA-256 of `physics`, 64 hexadecimal digits."""
-        return content_hash(self.physics)
+        return canonical_hash(self.physics)
 
     @cached_property
     def packing_hash(self) -> str:
@@ -377,7 +377,7 @@ class Configuration:
         origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": to_stored(sand)}
         if self.packing_draw.file is None:  # disks from a file have nothing random
             origin["root_seed"] = self.campaign.root_seed
-        return content_hash(origin)
+        return canonical_hash(origin)
 
     @property
     def output(self) -> Path:

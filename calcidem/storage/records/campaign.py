@@ -83,7 +83,7 @@ class CampaignRecord:
     Attributes
     ----------
     hash : str
-        Hash of everything that changes the physics (`calcidem.storage.records.canonical.content_hash`).
+        Hash of everything that changes the physics (`calcidem.storage.records.canonical.canonical_hash`).
     name : str
         Unique name within the store.
     config : str

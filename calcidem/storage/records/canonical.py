@@ -17,7 +17,7 @@ def canonical_json(config: Mapping[str, Any]) -> str:
     return json.dumps(config, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def content_hash(config: Mapping[str, Any]) -> str:
+def canonical_hash(config: Mapping[str, Any]) -> str:
     """Return the SHA-256 of `canonical_json`, as 64 hexadecimal digits."""
     return hashlib.sha256(canonical_json(config).encode()).hexdigest()
 
