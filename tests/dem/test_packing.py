@@ -8,6 +8,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.state import State, start
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import (
     FLOOR,
     LEFT,
@@ -153,3 +154,29 @@ def test_the_packing_of_the_paper_comes_out_loose_and_at_rest() -> None:
     assert report.wall_stress[LID] == pytest.approx(rule.stress, rel=0.01)
     assert report.wall_stress[FLOOR] == pytest.approx(rule.stress, rel=0.01)
     assert report.unbalanced_ratio <= 1e-4
+
+
+def test_the_content_hash_is_of_every_bit_of_disks_walls_and_forces(small_packing: Packing) -> None:
+    """The last bit of any coordinate, radius, wall or force makes another hash; what was measured does not count."""
+    known = small_packing.content_hash
+    # Written down: stored hashes are compared with those of later versions.
+    assert known == "e293785bb27a9faa67dd4f619b0fedd84a35f8f28c3d94c40c2b86d1366b0bf6"
+    hashes = {known}
+    preload = small_packing.preload
+    for name in ("x", "y", "radius"):
+        hashes.add(replace(small_packing, **{name: nudged(getattr(small_packing, name))}).content_hash)
+    for name in ("width", "height"):
+        hashes.add(replace(small_packing, **{name: float(np.nextafter(getattr(small_packing, name), 1))}).content_hash)
+    hashes.add(replace(small_packing, preload=replace(preload, shear=nudged(preload.shear))).content_hash)
+    hashes.add(replace(small_packing, preload=replace(preload, pairs=preload.pairs[:, ::-1])).content_hash)
+    hashes.add(replace(small_packing, x=small_packing.y, y=small_packing.x).content_hash)
+    assert len(hashes) == 9
+    other_report = replace(small_packing.report, seconds=1e9)
+    assert replace(small_packing, report=other_report).content_hash == known
+
+
+def nudged(values: Floats) -> Floats:
+    """Numbers of which the last is changed by its last bit."""
+    changed = values.copy()
+    changed[-1] = np.nextafter(changed[-1], np.inf)
+    return changed

@@ -7,6 +7,7 @@ doi:10.1680/geot.1979.29.1.47) with local damping.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from time import perf_counter
 
 import numpy as np
@@ -152,6 +153,23 @@ class Packing:
     def pairs(self) -> Integers:
         """(C, 2) touching pairs."""
         return self.preload.pairs
+
+    @property
+    def content_hash(self) -> str:
+        """Identity of the packing itself: SHA-256 of the bits of disks, walls and forces, 64 hexadecimal digits.
+
+        What was measured of it (`report`) does not count: the same packing may be made twice in different times.
+        """
+        digest = sha256(b"calcidem packing content 1\n")
+        for name, kind, values in (
+            *(("x", "<f8", self.x), ("y", "<f8", self.y), ("radius", "<f8", self.radius)),
+            ("size", "<f8", (self.width, self.height)),
+            *(("pairs", "<i8", self.preload.pairs), ("shear", "<f8", self.preload.shear)),
+        ):
+            array = np.asarray(values, dtype=kind)
+            digest.update(f"{name} {kind} {array.shape}\n".encode())
+            digest.update(array.tobytes())
+        return digest.hexdigest()
 
 
 @dataclass(slots=True)
