@@ -231,7 +231,7 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     rule
         Sizes and shares of the cement.
     seed, root_seed
-        Seed of the sample, and the campaign's common root; both 0 or more.
+        Seed of the sample, and the root that many samples share; both 0 or more.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Packings as CSV files: out for other programs, and in to use one's own disks as the packing of a campaign."""
+"""Packings as CSV files: out for other programs, and in to use one's own disks."""
 
 import csv
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Everything that the samples of a campaign share: packing, materials, cement, wave and picking."""
+"""Everything that samples have in common: packing, materials, cement, wave and picking."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -19,14 +19,14 @@ ReceivedSignal = Literal["velocity", "force"]
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """Everything that all samples of a campaign share.
+    """Everything that samples of many seeds and contents have in common.
 
     Attributes
     ----------
     packing, sand, cement, cement_rule, wave, pick
         See their classes.
     root_seed
-        Root of all random numbers of the campaign.
+        Root of all random numbers.
     stiffness_factor
         Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave
         stage. 1 is the packing as it was made; anything else is a calibration.

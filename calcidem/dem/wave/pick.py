@@ -11,7 +11,7 @@ PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has 
 
 
 class PickFailure(StrEnum):
-    """Why a travel time cannot be trusted, in words for the user."""
+    """Why a travel time cannot be trusted, in words."""
 
     NOT_FINITE = "the received signal has values that are not finite"
     SILENT = "nothing above the noise was received"

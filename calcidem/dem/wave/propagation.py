@@ -122,10 +122,10 @@ def prepare_recorder(
 
 
 def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None, frequency: float) -> int:
-    """Steps between two samples, the same for all cells of one content.
+    """Steps between two samples, the same for all samples of one content.
 
     It is taken from the step of the fully cemented packing (or the bare one), so that it depends neither on the
-    pattern of a cell nor on its neighbours in the batch.
+    pattern of a sample nor on its neighbours in the batch.
     """
     every = None if bonds is None else replace(bonds, pairs=packing.pairs, lanes=None)
     scene = wave_scene(packing, sand, rule, every)
