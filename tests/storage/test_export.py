@@ -134,12 +134,7 @@ def test_cf_checker(exported: Path) -> None:
     CheckSuite.load_all_available_checkers()
     report = exported.with_suffix(".json")
     ComplianceChecker.run_checker(
-        str(exported),
-        ["cf:1.11"],
-        verbose=0,
-        criteria="normal",
-        output_filename=str(report),
-        output_format="json",
+        str(exported), ["cf:1.11"], verbose=0, criteria="normal", output_filename=str(report), output_format="json"
     )
     found = json.loads(report.read_text())["cf:1.11"]
     assert found["high_count"] == 0, found["high_priorities"]

@@ -53,10 +53,7 @@ def execute(path: Path, statement: str) -> None:
     ("make", "error"),
     [
         (lambda path: execute(path, "CREATE TABLE recipe (name TEXT)"), ForeignDatabaseError),
-        (
-            lambda path: path.write_text("not a database, but long enough to look at\n" * 50),
-            ForeignDatabaseError,
-        ),
+        (lambda path: path.write_text("not a database, but long enough to look at\n" * 50), ForeignDatabaseError),
         (lambda path: path.mkdir(), StoreUnavailableError),
     ],
 )

@@ -118,16 +118,8 @@ def append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
         "rank": ("1", "MPI rank", _whole([a.rank for a in attempts])),
         "host": ("", "host", texts([a.host for a in attempts])),
         "seconds": ("s", "computing time", np.array(seconds)),
-        "recorded": (
-            "microseconds since 1970-01-01T00:00:00Z",
-            "time of storing",
-            np.array(recorded, dtype=np.int64),
-        ),
-        "forgiven": (
-            "1",
-            "1 if a retry came after it",
-            np.array([a.forgiven for a in attempts], dtype=np.int8),
-        ),
+        "recorded": ("microseconds since 1970-01-01T00:00:00Z", "time of storing", np.array(recorded, dtype=np.int64)),
+        "forgiven": ("1", "1 if a retry came after it", np.array([a.forgiven for a in attempts], dtype=np.int8)),
     }
     append_columns(file.createGroup("attempts"), "attempt", columns)
 

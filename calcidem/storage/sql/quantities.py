@@ -62,11 +62,7 @@ QUANTITIES = (
     ),
     Quantity("quality_peak", "real", "1", "quality of the peak-to-peak pick", ResultRow.quality_peak),
     Quantity(
-        "quality_first_arrival",
-        "real",
-        "1",
-        "quality of the first-arrival pick",
-        ResultRow.quality_first_arrival,
+        "quality_first_arrival", "real", "1", "quality of the first-arrival pick", ResultRow.quality_first_arrival
     ),
     Quantity(
         "quality_cross_correlation",

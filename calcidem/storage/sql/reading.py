@@ -10,14 +10,7 @@ from sqlalchemy import ColumnElement, Select, UnaryExpression, and_, case, func,
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import (
-    AttemptCount,
-    AttemptRecord,
-    CampaignRecord,
-    CellKey,
-    CellResult,
-    CellStatus,
-)
+from calcidem.storage.records import AttemptCount, AttemptRecord, CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.sql import rows
 from calcidem.storage.sql.models import (
     LOST,

@@ -115,10 +115,7 @@ def signal_from_row(row: SignalRow) -> Signal:
 
 def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:
     """Columns of a `CementRow`."""
-    return {
-        "cell_id": cell_id,
-        "pattern": pack_arrays({name: getattr(cement, name) for name in CEMENT_ARRAYS}),
-    }
+    return {"cell_id": cell_id, "pattern": pack_arrays({name: getattr(cement, name) for name in CEMENT_ARRAYS})}
 
 
 def cement_from_row(row: CementRow) -> CementPattern:

@@ -99,12 +99,7 @@ class _Known(NamedTuple):
 
 
 def record_results(
-    session: Session,
-    campaign_id: int,
-    run_id: int | None,
-    results: Iterable[CellResult],
-    *,
-    replace_done: bool,
+    session: Session, campaign_id: int, run_id: int | None, results: Iterable[CellResult], *, replace_done: bool
 ) -> int:
     """See `Store.record_results`."""
     stored = 0

@@ -6,6 +6,20 @@ from alembic import op
 revision = "0001"
 down_revision = None
 
+CONDITIONS = {
+    "positive": "{0} > 0 AND {0} < 1e+300",
+    "not_negative": "{0} >= 0 AND {0} < 1e+300",
+    "finite": "{0} > -1e+300 AND {0} < 1e+300",
+}
+
+
+def _checks(table: str, kind: str, columns: str) -> list[sa.CheckConstraint]:
+    """Constraints that columns (their names between spaces) are numbers of a kind, or NULL."""
+    return [
+        sa.CheckConstraint(CONDITIONS[kind].format(column), name=op.f(f"ck_{table}_{column}_{kind}"))
+        for column in columns.split()
+    ]
+
 
 def upgrade() -> None:
     """Create all tables."""
@@ -33,10 +47,7 @@ def upgrade() -> None:
         sa.UniqueConstraint("campaign_id", "seed", "content", name=op.f("uq_cell_campaign_id_seed_content")),
     )
     op.create_index(
-        op.f("ix_cell_campaign_id_cell_content_cell_seed"),
-        "cell",
-        ["campaign_id", "content", "seed"],
-        unique=False,
+        op.f("ix_cell_campaign_id_cell_content_cell_seed"), "cell", ["campaign_id", "content", "seed"], unique=False
     )
     op.create_table(
         "lease",
@@ -67,30 +78,9 @@ def upgrade() -> None:
         sa.Column("unbalanced_ratio", sa.Double(), nullable=False),
         sa.Column("seconds", sa.Double(), nullable=False),
         sa.Column("state", sa.LargeBinary(), nullable=False),
-        sa.CheckConstraint(
-            "coordination_number >= 0 AND coordination_number < 1e+300",
-            name=op.f("ck_packing_coordination_number_not_negative"),
-        ),
-        sa.CheckConstraint(
-            "coordination_number_without_rattlers >= 0 AND coordination_number_without_rattlers < 1e+300",
-            name=op.f("ck_packing_coordination_number_without_rattlers_not_negative"),
-        ),
-        sa.CheckConstraint("height > 0 AND height < 1e+300", name=op.f("ck_packing_height_positive")),
-        sa.CheckConstraint(
-            "largest_overlap >= 0 AND largest_overlap < 1e+300",
-            name=op.f("ck_packing_largest_overlap_not_negative"),
-        ),
-        sa.CheckConstraint(
-            "mean_overlap >= 0 AND mean_overlap < 1e+300", name=op.f("ck_packing_mean_overlap_not_negative")
-        ),
-        sa.CheckConstraint("number >= 0 AND number < 1e+300", name=op.f("ck_packing_number_not_negative")),
-        sa.CheckConstraint("porosity >= 0 AND porosity < 1e+300", name=op.f("ck_packing_porosity_not_negative")),
-        sa.CheckConstraint("seconds >= 0 AND seconds < 1e+300", name=op.f("ck_packing_seconds_not_negative")),
-        sa.CheckConstraint(
-            "unbalanced_ratio >= 0 AND unbalanced_ratio < 1e+300",
-            name=op.f("ck_packing_unbalanced_ratio_not_negative"),
-        ),
-        sa.CheckConstraint("width > 0 AND width < 1e+300", name=op.f("ck_packing_width_positive")),
+        *_checks("packing", "positive", "height width"),
+        *_checks("packing", "not_negative", "coordination_number coordination_number_without_rattlers number porosity"),
+        *_checks("packing", "not_negative", "largest_overlap mean_overlap seconds unbalanced_ratio"),
         sa.ForeignKeyConstraint(["campaign_id"], ["campaign.id"], name=op.f("fk_packing_campaign_id_campaign")),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_packing")),
         sa.UniqueConstraint("campaign_id", "number", name=op.f("uq_packing_campaign_id_number")),
@@ -133,7 +123,7 @@ def upgrade() -> None:
             name=op.f("ck_attempt_outcome_known"),
         ),
         sa.CheckConstraint("number >= 1", name=op.f("ck_attempt_number_positive")),
-        sa.CheckConstraint("seconds >= 0 AND seconds < 1e+300", name=op.f("ck_attempt_seconds_not_negative")),
+        *_checks("attempt", "not_negative", "seconds"),
         sa.ForeignKeyConstraint(["cell_id"], ["cell.id"], name=op.f("fk_attempt_cell_id_cell")),
         sa.ForeignKeyConstraint(["run_id"], ["run.id"], name=op.f("fk_attempt_run_id_run")),
         sa.PrimaryKeyConstraint("cell_id", "number", name=op.f("pk_attempt")),
@@ -172,52 +162,15 @@ def upgrade() -> None:
             "status IN ('done', 'no_arrival', 'unstable', 'failed', 'timed_out', 'quarantined')",
             name=op.f("ck_result_status_known"),
         ),
-        sa.CheckConstraint(
-            "bonded_contacts >= 0 AND bonded_contacts < 1e+300",
-            name=op.f("ck_result_bonded_contacts_not_negative"),
+        *_checks(
+            "result", "positive", "frequency stability_limit time_step vs vs_cross_correlation vs_first_arrival vs_peak"
         ),
-        sa.CheckConstraint("c_contacts >= 0 AND c_contacts < 1e+300", name=op.f("ck_result_c_contacts_not_negative")),
-        sa.CheckConstraint("clusters >= 0 AND clusters < 1e+300", name=op.f("ck_result_clusters_not_negative")),
-        sa.CheckConstraint(
-            "content_reached >= 0 AND content_reached < 1e+300",
-            name=op.f("ck_result_content_reached_not_negative"),
+        *_checks("result", "not_negative", "bonded_contacts c_contacts clusters content_reached p_contacts steps"),
+        *_checks(
+            "result",
+            "finite",
+            "energy_error error_estimate quality_cross_correlation quality_first_arrival quality_peak",
         ),
-        sa.CheckConstraint(
-            "energy_error > -1e+300 AND energy_error < 1e+300", name=op.f("ck_result_energy_error_finite")
-        ),
-        sa.CheckConstraint(
-            "error_estimate > -1e+300 AND error_estimate < 1e+300",
-            name=op.f("ck_result_error_estimate_finite"),
-        ),
-        sa.CheckConstraint("frequency > 0 AND frequency < 1e+300", name=op.f("ck_result_frequency_positive")),
-        sa.CheckConstraint("p_contacts >= 0 AND p_contacts < 1e+300", name=op.f("ck_result_p_contacts_not_negative")),
-        sa.CheckConstraint(
-            "quality_cross_correlation > -1e+300 AND quality_cross_correlation < 1e+300",
-            name=op.f("ck_result_quality_cross_correlation_finite"),
-        ),
-        sa.CheckConstraint(
-            "quality_first_arrival > -1e+300 AND quality_first_arrival < 1e+300",
-            name=op.f("ck_result_quality_first_arrival_finite"),
-        ),
-        sa.CheckConstraint(
-            "quality_peak > -1e+300 AND quality_peak < 1e+300", name=op.f("ck_result_quality_peak_finite")
-        ),
-        sa.CheckConstraint(
-            "stability_limit > 0 AND stability_limit < 1e+300",
-            name=op.f("ck_result_stability_limit_positive"),
-        ),
-        sa.CheckConstraint("steps >= 0 AND steps < 1e+300", name=op.f("ck_result_steps_not_negative")),
-        sa.CheckConstraint("time_step > 0 AND time_step < 1e+300", name=op.f("ck_result_time_step_positive")),
-        sa.CheckConstraint("vs > 0 AND vs < 1e+300", name=op.f("ck_result_vs_positive")),
-        sa.CheckConstraint(
-            "vs_cross_correlation > 0 AND vs_cross_correlation < 1e+300",
-            name=op.f("ck_result_vs_cross_correlation_positive"),
-        ),
-        sa.CheckConstraint(
-            "vs_first_arrival > 0 AND vs_first_arrival < 1e+300",
-            name=op.f("ck_result_vs_first_arrival_positive"),
-        ),
-        sa.CheckConstraint("vs_peak > 0 AND vs_peak < 1e+300", name=op.f("ck_result_vs_peak_positive")),
         sa.ForeignKeyConstraint(
             ["cell_id", "attempt"],
             ["attempt.cell_id", "attempt.number"],
@@ -248,24 +201,13 @@ def upgrade() -> None:
         sa.Column("connectivity", sa.Double(), nullable=False),
         sa.Column("normalized_connectivity", sa.Double(), nullable=True),
         sa.Column("path", sa.JSON(), nullable=False),
-        sa.CheckConstraint(
-            "bonded_fraction > -1e+300 AND bonded_fraction < 1e+300",
-            name=op.f("ck_path_features_bonded_fraction_finite"),
-        ),
-        sa.CheckConstraint(
-            "connectivity > -1e+300 AND connectivity < 1e+300",
-            name=op.f("ck_path_features_connectivity_finite"),
+        *_checks(
+            "path_features",
+            "finite",
+            "bonded_fraction connectivity longest_bonded_run_fraction normalized_connectivity",
         ),
         sa.CheckConstraint(
             "hertz_contacts + bonded_contacts = contacts", name=op.f("ck_path_features_contacts_add_up")
-        ),
-        sa.CheckConstraint(
-            "longest_bonded_run_fraction > -1e+300 AND longest_bonded_run_fraction < 1e+300",
-            name=op.f("ck_path_features_longest_bonded_run_fraction_finite"),
-        ),
-        sa.CheckConstraint(
-            "normalized_connectivity > -1e+300 AND normalized_connectivity < 1e+300",
-            name=op.f("ck_path_features_normalized_connectivity_finite"),
         ),
         sa.ForeignKeyConstraint(
             ["cell_id"], ["result.cell_id"], name=op.f("fk_path_features_cell_id_result"), ondelete="CASCADE"
@@ -277,7 +219,7 @@ def upgrade() -> None:
         sa.Column("cell_id", sa.Integer(), nullable=False),
         sa.Column("time_step", sa.Double(), nullable=False),
         sa.Column("samples", sa.LargeBinary(), nullable=False),
-        sa.CheckConstraint("time_step > 0 AND time_step < 1e+300", name=op.f("ck_signal_time_step_positive")),
+        *_checks("signal", "positive", "time_step"),
         sa.ForeignKeyConstraint(
             ["cell_id"], ["result.cell_id"], name=op.f("fk_signal_cell_id_result"), ondelete="CASCADE"
         ),

@@ -19,8 +19,7 @@ def upgrade() -> None:
         sa.Column("largest_component", sa.Integer(), nullable=False),
         sa.Column("gap_contacts", sa.Integer(), nullable=True),
         sa.CheckConstraint(
-            "bonded_contacts >= 0 AND bonded_contacts <= contacts",
-            name=op.f("ck_graph_summary_bonded_are_contacts"),
+            "bonded_contacts >= 0 AND bonded_contacts <= contacts", name=op.f("ck_graph_summary_bonded_are_contacts")
         ),
         *(
             sa.CheckConstraint(
