@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calcidem.dem.engine.state import State, no_recording, run_kernel
-from calcidem.dem.kernels.compiling import compile_kernel
+from calcidem.dem.kernels.compiling import compile_function
 from calcidem.dem.kernels.steps import advance_steps
 
 LABEL = re.compile(r"^(\.LBB\d+_\d+):")
@@ -53,7 +53,7 @@ def kind_of(line: str) -> str | None:
 
 def assembly_of(state: State) -> str:
     """Machine code of the kernel for the features of a state; compiled anew, because a cached one has no text."""
-    fresh: Any = compile_kernel(error_model="numpy")(advance_steps.py_func)
+    fresh: Any = compile_function(error_model="numpy")(advance_steps.py_func)
     arguments = captured_arguments(state)
     fresh(*arguments)
     text: str = next(iter(fresh.inspect_asm().values()))

@@ -7,7 +7,7 @@ from scenes import GROUPED, jumble, throw
 import calcidem.dem.engine.state as state_module
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import Precision, State, advance, start
-from calcidem.dem.kernels.compiling import compile_kernel
+from calcidem.dem.kernels.compiling import compile_function
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import inverse_root_of, load, store
 from calcidem.dem.kernels.layout import Floats, Integers
@@ -131,7 +131,7 @@ def test_steps_in_flight_together_change_no_bit(
         assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)
 
 
-@compile_kernel()
+@compile_function()
 def inverse_roots_of(lanes: Features, values: Floats, results: Floats) -> None:
     """Compiled loop over rows of lanes."""
     for item in range(values.shape[0]):

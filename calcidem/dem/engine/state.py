@@ -134,7 +134,7 @@ def choose_features(
     )
 
 
-def start(
+def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from the default, by keyword
     scene: Scene,
     *,
     regime: Regime = "finite",

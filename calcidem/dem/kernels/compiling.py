@@ -8,7 +8,7 @@ from numba import njit
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compile_kernel(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
+def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
     """Return numba's ``njit``, without the counting of references to arrays.
 
     The kernel allocates nothing and keeps nothing, so the counts are of no use. Numba drops them itself, but not
@@ -19,4 +19,4 @@ def compile_kernel(**options: Any) -> Callable[[Function], Function]:  # noqa: A
 
 
 # Only compiled code calls these, so they need no entry for Python; making those took a third of the compile time.
-inline = compile_kernel(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inline = compile_function(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -26,7 +26,7 @@ from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.vectors import (
     absolute_vector,
     bits_to_mask,
-    broadcast_scalar,
+    fill_with_scalar,
     flush_tiny,
     has_estimates,
     inverse_root_estimate,
@@ -60,7 +60,7 @@ def scalar(array: Vector, index: tuple[Vector, ...]) -> Vector:
     return array[index]
 
 
-def broadcast(value: Vector, width: int) -> Vector:
+def fill_lanes(value: Vector, width: int) -> Vector:
     """Lane vector with ``value`` in every lane."""
     return np.full(width, value)
 
@@ -153,7 +153,7 @@ overload(load, prefer_literal=True)(
 )
 overload(store)(lambda array, index, value: lambda array, index, value: store_vector(array, index, value))
 overload(scalar)(lambda array, index: lambda array, index: load_scalar(array, index))
-overload(broadcast, prefer_literal=True)(lambda value, width: lambda value, width: broadcast_scalar(value, width))
+overload(fill_lanes, prefer_literal=True)(lambda value, width: lambda value, width: fill_with_scalar(value, width))
 overload(zero_like)(lambda value: lambda value: zero_vector(value))
 overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, width: bits_to_mask(bits, width))
 overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))

@@ -7,7 +7,7 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
-    broadcast,
+    fill_lanes,
     inverse_root_of,
     load,
     mask_of_bits,
@@ -139,11 +139,11 @@ def pair_geometry(features: Features, first: int, second: int, pair: int, system
         first_arm = scalar(radius, (first,)) - 0.5 * depth
         second_arm = scalar(radius, (second,)) - 0.5 * depth
         return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse)
-    normal_x = broadcast(scalar(table, (pair, NORMAL_X)), features.lanes)
-    normal_y = broadcast(scalar(table, (pair, NORMAL_Y)), features.lanes)
+    normal_x = fill_lanes(scalar(table, (pair, NORMAL_X)), features.lanes)
+    normal_y = fill_lanes(scalar(table, (pair, NORMAL_Y)), features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
-    first_arm = broadcast(scalar(table, (pair, FIRST_ARM)), features.lanes)
-    second_arm = broadcast(scalar(table, (pair, SECOND_ARM)), features.lanes)
+    first_arm = fill_lanes(scalar(table, (pair, FIRST_ARM)), features.lanes)
+    second_arm = fill_lanes(scalar(table, (pair, SECOND_ARM)), features.lanes)
     return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, zero_like(along))
 
 
@@ -188,9 +188,9 @@ def linear_law(
         if features.linear_group:
             cement_normal = cement_normal + scalar(pairs.linear, (pair, NORMAL))
             cement_shear = cement_shear + scalar(pairs.linear, (pair, SHEAR))
-        normal = select(intact, broadcast(cement_normal, lanes), sand_normal)
-        shear = select(intact, broadcast(cement_shear, lanes), sand_shear)
-        bending = select(intact, broadcast(scalar(pairs.bond, (pair, MOMENT)), lanes), 0.0)
+        normal = select(intact, fill_lanes(cement_normal, lanes), sand_normal)
+        shear = select(intact, fill_lanes(cement_shear, lanes), sand_shear)
+        bending = select(intact, fill_lanes(scalar(pairs.bond, (pair, MOMENT)), lanes), 0.0)
         return normal * closer, -(shear * slide), -(bending * twist)
     return closer * sand_normal, -(slide * sand_shear), zero_like(slide)
 
@@ -237,7 +237,7 @@ def frictional_law(
         depth = overlap - scalar(pairs.linear, (pair, REFERENCE_OVERLAP))
         pressed = select(depth > 0.0, depth, 0.0)
         normal = select(cemented, pressed * scalar(pairs.linear, (pair, NORMAL)), normal)
-        stiffness = select(cemented, broadcast(scalar(pairs.linear, (pair, SHEAR)), lanes), stiffness)
+        stiffness = select(cemented, fill_lanes(scalar(pairs.linear, (pair, SHEAR)), lanes), stiffness)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
     shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)

@@ -20,7 +20,7 @@ by the displacement between the two last positions, ``dt v(n - 1/2)``, so they b
 """
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
-from calcidem.dem.kernels.compiling import compile_kernel, inline
+from calcidem.dem.kernels.compiling import compile_function, inline
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
@@ -38,7 +38,7 @@ from calcidem.dem.kernels.pair import pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
 
-@compile_kernel(cache=True, error_model="numpy")
+@compile_function(cache=True, error_model="numpy")
 def advance_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
     """Advance a system by up to ``steps`` steps, in place, with all histories and records.
 

@@ -227,8 +227,8 @@ def load_scalar(typingctx: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic(prefer_literal=True)
-def broadcast_scalar(typingctx: Any, number: Any, width: Any) -> Any:
-    """Compiled side of `broadcast`."""
+def fill_with_scalar(typingctx: Any, number: Any, width: Any) -> Any:
+    """Compiled side of `fill_lanes`."""
     del typingctx
     lane = LaneType(number, width.literal_value)
 

@@ -8,7 +8,7 @@ from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
-    broadcast,
+    fill_lanes,
     larger,
     load,
     magnitude,
@@ -48,13 +48,8 @@ from calcidem.dem.kernels.pair import add_shear_loss
 def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: System) -> None:
     """Add the force of a wall to that on a disk, and its opposite to the wall's reaction."""
     lanes = features.lanes
-    grains, motion, walls, wall_pairs, front = (
-        system.grains,
-        system.motion,
-        system.walls,
-        system.wall_pairs,
-        system.front,
-    )
+    grains, motion, front = system.grains, system.motion, system.front
+    walls, wall_pairs = system.walls, system.wall_pairs
     grain, wall = scalar(wall_pairs.disk, (pair,)), scalar(wall_pairs.wall, (pair,))
     overlap = scalar(wall_pairs.overlap, (pair,))
     normal_x, normal_y = scalar(walls.normal, (wall, X)), scalar(walls.normal, (wall, Y))
@@ -68,7 +63,7 @@ def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: S
         rim = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes)
         slide = wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
         normal = (depth - overlap) * scalar(wall_pairs.tangent, (pair, NORMAL))
-        stiffness = broadcast(scalar(wall_pairs.tangent, (pair, NORMAL)), lanes)
+        stiffness = fill_lanes(scalar(wall_pairs.tangent, (pair, NORMAL)), lanes)
         shear = slide * -scalar(wall_pairs.tangent, (pair, SHEAR))
     else:
         rim = load(front.wall_motion, (level, wall, TANGENT_SPEED), lanes)

@@ -91,7 +91,7 @@ class Study:
         return max((abs(cell.halving) for cell in self.references if cell.halving is not None), default=0.0)
 
 
-def run_study(
+def run_study(  # noqa: PLR0913 - what a study does differently from the default, by keyword
     experiment: Experiment,
     contents: Sequence[float],
     seeds: Sequence[int],
