@@ -270,7 +270,13 @@ class Watch(NamedTuple):
 
 
 class System(NamedTuple):
-    """All that a kernel reads and changes; functions that need one part of it take that part."""
+    """All that a kernel reads and changes; functions that need one part of it take that part.
+
+    Attributes
+    ----------
+    grains, motion, pairs, wall_pairs, walls, front, recording, watch
+        As their classes say.
+    """
 
     grains: Grains
     motion: Motion
