@@ -14,8 +14,7 @@ from calcidem.storage import campaign as campaign_module
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.netcdf import groups
-from calcidem.storage.netcdf.dataset import STATUS_CODES
-from calcidem.storage.records import CellStatus, canonical
+from calcidem.storage.records import STATUS_CODES, CellStatus, canonical
 from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
