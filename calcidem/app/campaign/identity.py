@@ -1,0 +1,34 @@
+"""Whether a stored campaign is the one it is taken for: refused where its cells could not be those of this program."""
+
+import json
+
+from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records.canonical import canonical_json, config_difference
+
+
+def refuse_other_physics(record: CampaignRecord) -> None:
+    """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`."""
+    stored = json.loads(record.config).get("physics_version", "unknown")
+    if stored != PHYSICS_VERSION:
+        raise CampaignMismatchError(
+            f"The campaign '{record.name}' was computed with physics version {stored}, this calcidem has version "
+            f"{PHYSICS_VERSION}: the same cells get other bits.",
+            "Its results can be read, reported and exported as before. Use the calcidem that computed it for more "
+            "cells or to verify it, or begin a new database.",
+        )
+
+
+def refuse_other_configuration(record: CampaignRecord, configuration: Configuration) -> None:
+    """Raise `CampaignMismatchError` unless a stored campaign has the physics of a configuration."""
+    refuse_other_physics(record)
+    if record.hash != configuration.hash:
+        differences = config_difference(record.config, canonical_json(configuration.physics))
+        raise CampaignMismatchError(
+            f"The stored campaign '{record.name}' has the hash {record.hash}, the configuration "
+            f"'{configuration.campaign.name}' has {configuration.hash} (stored -> configuration):\n  "
+            + "\n  ".join(differences or ["(none in the configurations' text)"])
+            + "\n",
+            "Give the configuration that the campaign was computed from; seeds and contents may differ.",
+        )
