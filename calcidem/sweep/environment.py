@@ -28,6 +28,34 @@ def fault_tolerance_enabled(variables: Mapping[str, str] = os.environ) -> bool:
     return variables.get("OMPI_MCA_mpi_ft_enable", "0").lower() in {"1", "true", "yes"}
 
 
+def available_cores() -> int:
+    """Number of cores that this process may use; all of the machine's where the system does not tell."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def refuse_ranks_off_linux(system: str | None = None) -> None:
+    """Refuse several ranks where the kernel offers no help against ranks that die, hang or outlive their launcher.
+
+    Parameters
+    ----------
+    system
+        The platform as `sys.platform` names it; by default this one.
+
+    Raises
+    ------
+    LaunchError
+        Unless it is Linux.
+    """
+    system = system or sys.platform
+    if system != "linux":
+        raise LaunchError(
+            f"MPI ranks need Linux, and this is {system}: leave out --ranks and mpirun to compute in one process, or use"
+            " Linux, in a container or WSL 2 for instance"
+        )
+
+
 def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
     """Refuse to run alone where several tasks were asked for.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
-from calcidem.sweep.environment import fault_tolerance_enabled, launcher
+from calcidem.sweep.environment import fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
@@ -62,8 +62,15 @@ class Session:
         self._ending = False
 
     def __enter__(self) -> Self:
-        """Join the other ranks, if this process was launched as one of them."""
+        """Join the other ranks, if this process was launched as one of them.
+
+        Raises
+        ------
+        LaunchError
+            If it was, but not on Linux.
+        """
         if launcher() is not None:
+            refuse_ranks_off_linux()
             die_with_parent()
             import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
 

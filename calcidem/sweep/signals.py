@@ -10,12 +10,19 @@ from typing import Any, Self
 
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
-DRAIN_SIGNALS = (signal.SIGUSR1,)
+
+def find_signals(*names: str) -> tuple[signal.Signals, ...]:
+    """Those of these signals that this system has: Windows lacks most."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+DRAIN_SIGNALS = find_signals("SIGUSR1")
 """Finish the running batches, store them, then stop."""
 
 # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them 0.25 s later and
 # returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
-HURRY_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2)
+RELAYED_AS = "SIGUSR2"
+HURRY_SIGNALS = find_signals("SIGTERM", "SIGINT", RELAYED_AS)
 """Store what is done and stop now; the running batches are dropped."""
 
 REPEAT_IGNORED = 1.0
@@ -76,7 +83,7 @@ class StopRequest:
     @property
     def explanation(self) -> str:
         """The reason for the user, who has sent another signal where SIGUSR2 arrives."""
-        relayed = self.reason == signal.SIGUSR2.name
+        relayed = self.reason == RELAYED_AS
         return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
 
     def hurry(self) -> bool:

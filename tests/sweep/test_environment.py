@@ -1,7 +1,9 @@
+import os
+
 import pytest
 
 from calcidem.sweep import LaunchError, SweepOptions, refuse_singletons
-from calcidem.sweep.environment import fault_tolerance_enabled, launcher
+from calcidem.sweep.environment import available_cores, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 
 
 def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
@@ -22,6 +24,19 @@ def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
 def test_other_launches_are_accepted(world_size: int, variables: dict[str, str]) -> None:
     """One task, ranks that know about each other, and one rank on purpose are fine."""
     refuse_singletons(world_size, variables)
+
+
+def test_ranks_are_for_linux() -> None:
+    """Elsewhere ranks are refused with the name of the platform and the cure; on Linux they are not."""
+    refuse_ranks_off_linux("linux")
+    with pytest.raises(LaunchError, match=r"this is darwin: leave out --ranks.*or use Linux"):
+        refuse_ranks_off_linux("darwin")
+
+
+def test_cores_are_counted_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without an affinity to ask for, all cores of the machine count."""
+    monkeypatch.delattr("os.sched_getaffinity")
+    assert available_cores() == os.cpu_count()
 
 
 def test_the_launcher_is_recognised() -> None:

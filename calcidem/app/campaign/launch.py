@@ -15,10 +15,11 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
-from calcidem.sweep.environment import THREAD_VARIABLES, launcher
+from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
 from calcidem.sweep.heartbeat import HeartbeatMonitor
 from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
+from calcidem.sweep.signals import find_signals
 
 MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""
@@ -47,17 +48,17 @@ POLL_INTERVAL = 1.0
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
 FORWARDED = {
-    signal.SIGUSR1: signal.SIGUSR1,
-    signal.SIGUSR2: signal.SIGUSR2,
-    signal.SIGTERM: signal.SIGUSR2,
-    signal.SIGINT: signal.SIGUSR2,
-    signal.SIGHUP: signal.SIGUSR2,
+    "SIGUSR1": "SIGUSR1",
+    "SIGUSR2": "SIGUSR2",
+    "SIGTERM": "SIGUSR2",
+    "SIGINT": "SIGUSR2",
+    "SIGHUP": "SIGUSR2",
 }
 
 
 def default_ranks() -> int:
     """Number of ranks: one for each core of this process, or task of its Slurm job, and one that coordinates."""
-    return int(os.environ.get("SLURM_NTASKS") or len(os.sched_getaffinity(0))) + 1
+    return int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +93,9 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     Raises
     ------
     LaunchError
-        If there is no launcher, or this process was started by one.
+        If there is no launcher, or this process was started by one, or this is not Linux.
     """
+    refuse_ranks_off_linux()
     if launcher() is not None:
         raise LaunchError(f"--ranks {ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}")
     mpirun = find_mpirun()
@@ -203,7 +205,7 @@ class Relay:
 
     def __enter__(self) -> Self:
         """Install the handlers."""
-        self._former = {number: signal.signal(number, self._note) for number in FORWARDED}
+        self._former = {number: signal.signal(number, self._note) for number in find_signals(*FORWARDED)}
         return self
 
     def __exit__(
@@ -236,4 +238,4 @@ class Relay:
 
     def _forward(self) -> None:
         if self._process is not None and self._number is not None:
-            self._process.send_signal(FORWARDED[self._number])
+            self._process.send_signal(signal.Signals[FORWARDED[self._number.name]])

@@ -4,6 +4,7 @@ import math
 import os
 import platform
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import measure_commits
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.lease import FileLock
-from calcidem.sweep.environment import THREAD_VARIABLES, launcher
+from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher
 from calcidem.sweep.progress import pluralize
 
 COMMITS = 20
@@ -37,7 +38,8 @@ def findings(folder: Path) -> Iterator[Finding]:
     yield Finding(
         FindingLevel.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}"
     )
-    yield cores_finding(len(os.sched_getaffinity(0)), read_or_empty(CPU_QUOTA))
+    if sys.platform == "linux":  # elsewhere a campaign takes one
+        yield cores_finding(available_cores(), read_or_empty(CPU_QUOTA))
     yield from thread_findings(os.environ)
     yield from slurm_findings(os.environ)
     yield from folder_findings(folder)
@@ -120,7 +122,7 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
         yield Finding(FindingLevel.PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
         return
     network = is_network_filesystem(where)
-    kind = filesystem_type(where) or "unknown"
+    kind = filesystem_type(where) or "an unknown file system"
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
             journal, rate = measure_commits(Path(trial) / "trial.db", COMMITS)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
 from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.sweep import LaunchError
-from calcidem.sweep.environment import LAUNCHER_VARIABLES, mpi_library_version
+from calcidem.sweep.environment import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 
 RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
@@ -21,10 +21,10 @@ INSTALL = (
 )
 
 RANK_PROGRAM = """
-import json, os
+import json
 from mpi4py import MPI
-from calcidem.sweep.environment import fault_tolerance_enabled
-print(json.dumps([MPI.COMM_WORLD.Get_size(), len(os.sched_getaffinity(0)), fault_tolerance_enabled()]), flush=True)
+from calcidem.sweep.environment import available_cores, fault_tolerance_enabled
+print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_enabled()]), flush=True)
 """
 """What each of the two ranks does: tell how many they are, how many cores it may use, whether ULFM is on."""
 
@@ -50,6 +50,12 @@ class Rank:
 
 def mpi_findings() -> Iterator[Finding]:
     """Check the MPI library, the launcher, and whether they work together."""
+    try:
+        refuse_ranks_off_linux()
+    except LaunchError as error:
+        fact, _, cure = str(error).partition(": ")
+        yield Finding(FindingLevel.WARNING, "MPI ranks", fact, cure)
+        return
     library = mpi_library_version()
     if library is None:
         yield Finding(FindingLevel.WARNING, "MPI library", "none can be loaded, so only one core can be used", INSTALL)
@@ -104,7 +110,7 @@ def rank_findings(mpirun: str) -> Iterator[Finding]:
         return
     yield Finding(FindingLevel.OK, "two ranks", "start and know about each other")
     yield fault_tolerance_finding(ranks)
-    yield binding_finding(ranks, len(os.sched_getaffinity(0)))
+    yield binding_finding(ranks, available_cores())
 
 
 def start_ranks(mpirun: str) -> list[Rank]:

@@ -5,7 +5,6 @@ between machines, where locks on network file systems can't be relied on.
 """
 
 import errno
-import fcntl
 import os
 import socket
 import uuid
@@ -19,6 +18,13 @@ from sqlalchemy.orm import Session
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
 from calcidem.storage.sql.models import LeaseRow
 from calcidem.storage.store import STALE_AFTER, LeaseGrant, LeaseHolder
+
+try:
+    import fcntl
+except ImportError:
+    HAS_LOCKS = False  # Windows
+else:
+    HAS_LOCKS = True
 
 
 class FileLock:
@@ -43,9 +49,11 @@ class FileLock:
     def acquire(self) -> bool:
         """Try to lock without waiting; False if another process has the lock.
 
-        A file system without locks (some cluster mounts) counts as success with `held` False: the row alone
-        decides then.
+        A file system without locks (some cluster mounts), or a system without them (Windows), counts as success with
+        `held` False: the row alone decides then.
         """
+        if not HAS_LOCKS:
+            return True
         while not self.held:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
             try:
