@@ -51,8 +51,8 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
     system = system or sys.platform
     if system != "linux":
         raise LaunchError(
-            f"MPI ranks need Linux, and this is {system}: leave out --ranks and mpirun to compute in one process, or use"
-            " Linux, in a container or WSL 2 for instance"
+            f"MPI ranks need Linux, and this is {system}: leave out --ranks and mpirun to compute in one process, or"
+            " use Linux, in a container or WSL 2 for instance"
         )
 
 

@@ -1,4 +1,4 @@
-"""Off Linux a campaign in one process works and ranks are refused; here Linux is made to lack what those systems lack."""
+"""Off Linux a campaign in one process works and ranks are refused; here Linux is made to lack what they lack."""
 
 from typing import TYPE_CHECKING
 
