@@ -59,7 +59,7 @@ class DamagedStoreError(StoreError):
 
 
 class CampaignMismatchError(StoreError):
-    """A campaign of that name exists with another physical configuration."""
+    """A campaign is there with another physical configuration, or another packing."""
 
 
 class UnknownCampaignError(StoreError):

@@ -236,13 +236,19 @@ class Store(ABC):
     # Writing
 
     @abstractmethod
-    def save_packing(self, packing: PackingRecord) -> None:
-        """Store a packing under its index; one with the same hash is left as it is.
+    def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
+        """Store a packing under its index; the same one is left as it is, but gets a content hash that it lacks.
+
+        Parameters
+        ----------
+        packing : PackingRecord
+        replace_state : bool
+            Whether its state takes the place of a stored one, which is damaged.
 
         Raises
         ------
         CampaignMismatchError
-            If the index has a packing with another hash.
+            If the index has another packing; the message names the content hashes of both.
         """
 
     @abstractmethod
@@ -313,8 +319,12 @@ class Store(ABC):
         """Return a packing, or None if there is none of that index."""
 
     @abstractmethod
+    def content_hashes(self) -> dict[int, str | None]:
+        """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
+
     def packing_indices(self) -> tuple[int, ...]:
         """Return the indices of the stored packings, ascending."""
+        return tuple(self.content_hashes())
 
     @abstractmethod
     def pending(

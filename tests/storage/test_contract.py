@@ -191,6 +191,28 @@ def test_packing_round_trip(store: SqlStore, records: "Records") -> None:
         store.save_packing(records.packing(0, hash="another"))
 
 
+def test_another_packing_of_the_same_origin_is_refused(store: SqlStore, records: "Records") -> None:
+    """Disks that lie elsewhere, another box or another content hash are another packing; the error names both."""
+    packing = records.packing(content_hash="mine")
+    store.save_packing(packing)
+    for changes in ({"x": packing.x * (1.0 + 1e-15)}, {"height": 0.3}, {"content_hash": "yours"}):
+        other = dataclasses.replace(packing, **changes)
+        with pytest.raises(CampaignMismatchError, match=f"content hash mine .* and {other.content_hash} "):
+            store.save_packing(other)
+    assert store.load_packing() == packing
+    assert store.content_hashes() == {0: "mine"}
+
+
+def test_a_packing_gets_what_it_lacks(store: SqlStore, records: "Records") -> None:
+    """A packing of an earlier calcidem gets its content hash, and a damaged state is replaced if that is wanted."""
+    store.save_packing(records.packing(state=b"damaged"))
+    assert store.content_hashes() == {0: None}
+    store.save_packing(records.packing(content_hash="mine"))
+    assert store.load_packing() == records.packing(content_hash="mine", state=b"damaged")
+    store.save_packing(records.packing(), replace_state=True)
+    assert store.load_packing() == records.packing(content_hash="mine")
+
+
 def test_status_counts(store: SqlStore, records: "Records") -> None:
     """Counts by content and status add up to the plan."""
     store.record_results([records.done(0, 5.0), records.done(1, 5.0), records.failed(2, 5.0)])

@@ -91,11 +91,12 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
     connection.close()
 
 
-def test_former_database_is_read_as_it_is(tmp_path: Path) -> None:
-    """A reader finds in a database of schema 0003 what it finds once that is upgraded, and leaves the file as it is."""
+@pytest.mark.parametrize("schema", ["0003", "0004"])
+def test_former_database_is_read_as_it_is(tmp_path: Path, schema: str) -> None:
+    """A reader finds in a database of a former schema what it finds once that is upgraded, and leaves it as it is."""
     former, upgraded = tmp_path / "former.db", tmp_path / "upgraded.db"
     for path in (former, upgraded):
-        shutil.copy(ASSETS / "schema_0003.db", path)
+        shutil.copy(ASSETS / f"schema_{schema}.db", path)
     before = former.read_bytes()
     open_store(upgraded).close()
     with open_stored_campaign(former) as one, open_stored_campaign(upgraded) as other:

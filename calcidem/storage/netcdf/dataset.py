@@ -85,7 +85,7 @@ def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str
     matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])
     if not any(matrix.size for matrix in matrices.values()):
         raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
-    return xr.Dataset(matrices, attrs=_global_attributes(campaign, store.runs()))
+    return xr.Dataset(matrices, attrs=_global_attributes(store, campaign))
 
 
 def _values_and_gap(quantity: Quantity, values: NDArray[Any]) -> tuple[NDArray[Any], Any]:
@@ -110,7 +110,7 @@ def _attributes(quantity: Quantity) -> dict[str, Any]:
     return attributes
 
 
-def _global_attributes(campaign: CampaignRecord, runs: Sequence[tuple[int, RunRecord]]) -> dict[str, Any]:
+def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]:
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": "CF-1.11",
@@ -123,7 +123,8 @@ def _global_attributes(campaign: CampaignRecord, runs: Sequence[tuple[int, RunRe
         "calcidem_campaign_hash": campaign.hash,
         "calcidem_created": campaign.created.isoformat(),
         "calcidem_config": campaign.config,
-        "calcidem_runs": json.dumps([_run_as_json(number, run) for number, run in runs]),
+        "calcidem_packing_content_hash": " ".join(found or "unknown" for found in store.content_hashes().values()),
+        "calcidem_runs": json.dumps([_run_as_json(number, run) for number, run in store.runs()]),
     }
 
 

@@ -164,6 +164,7 @@ def append_packing(file: Group, packing: PackingRecord) -> None:
     columns = {
         "index": ("1", "index of the packing", np.array([packing.index], dtype=np.int32)),
         "hash": ("", "hash of what it was made from", texts([packing.hash])),
+        "content_hash": ("", "hash of its own bits: disks, walls and forces", texts([packing.content_hash])),
         "wall_stress": (
             "",
             "normal stress on each wall in Pa, as JSON",
@@ -198,6 +199,7 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
         yield PackingRecord(
             index=int(columns["index"][i]),
             hash=str(columns["hash"][i]),
+            content_hash=str(columns["content_hash"][i]) or None if "content_hash" in columns else None,
             wall_stress=json.loads(columns["wall_stress"][i]),
             state=read_columns(group, "state_byte", of_state)["state"].tobytes(),
             **values,

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.cell import canonical_content
 
@@ -21,7 +22,7 @@ class PackingRecord(ComparedByValue):
     index : int
         0 to k - 1 when a campaign has k packings.
     hash : str
-        Hash of everything the packing was made from.
+        Hash of everything the packing was made from. It decides the packing's bits only on machines that compute alike.
     x, y, radius : (grains,) arrays
         Centres and radii of the disks [m].
     width, height : float
@@ -40,6 +41,9 @@ class PackingRecord(ComparedByValue):
         Time it took to make [s].
     state : bytes
         Complete state as its maker wrote it, to restore the packing bit for bit; opaque here.
+    content_hash : str or None
+        Identity of the packing itself, down to its bits; its maker knows how to tell. None in what an earlier calcidem
+        stored.
     """
 
     index: int
@@ -58,6 +62,7 @@ class PackingRecord(ComparedByValue):
     unbalanced_ratio: float
     seconds: float
     state: bytes = b""
+    content_hash: str | None = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
@@ -74,6 +79,28 @@ class PackingRecord(ComparedByValue):
         for wall, stress in self.wall_stress.items():
             if not math.isfinite(stress):
                 raise ValueError(f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa.")
+
+    def is_same_packing(self, other: "PackingRecord") -> bool:
+        """Whether two records are of one packing; where a content hash is missing, disks and box decide."""
+        known = {self.content_hash, other.content_hash} - {None}
+        numbers = all(getattr(self, name) == getattr(other, name) for name in ("index", "hash", "width", "height"))
+        arrays = all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("x", "y", "radius"))
+        return numbers and arrays and len(known) < 2  # noqa: PLR2004 - two hashes that differ
+
+
+def refuse_other_packing(
+    one: PackingRecord, other: PackingRecord, places: tuple[str, str] = ("the database", "what is to be stored")
+) -> None:
+    """Raise `CampaignMismatchError` unless records from two places, which the message names, are of one packing."""
+    if one.is_same_packing(other):
+        return
+    hashes = [packing.content_hash or "unknown" for packing in (one, other)]
+    origins = "" if one.hash == other.hash else f" (they are made from {one.hash} and {other.hash})"
+    raise CampaignMismatchError(
+        f"Packing {one.index} has the content hash {hashes[0]} in {places[0]} and {hashes[1]} in {places[1]}{origins}.",
+        "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
+        "database goes on with its packing; new databases get one packing from one folder CALCIDEM_CACHE.",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -172,6 +172,7 @@ class PackingRow(Base):
     unbalanced_ratio: Mapped[float]
     seconds: Mapped[float]
     state: Mapped[bytes] = mapped_column(LargeBinary)
+    content_hash: Mapped[str | None]
 
 
 class CellRow(Base):

@@ -20,12 +20,14 @@ CREATE TEMP VIEW signal AS
 SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
 """  # noqa: S608 - constants
 
+PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
 PACKINGS_OF_0003 = """
 CREATE TEMP VIEW packing AS
-SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap FROM main.packing
+SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap, NULL AS content_hash
+FROM main.packing
 """
 
-READ_AS_CURRENT = {"0003": (SIGNALS_OF_0003, PACKINGS_OF_0003)}
+READ_AS_CURRENT = {"0003": (SIGNALS_OF_0003, PACKINGS_OF_0003), "0004": (PACKINGS_OF_0004,)}
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 
 UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose

@@ -206,9 +206,9 @@ class SqlStore(Store):
     # Writing
 
     @override
-    def save_packing(self, packing: PackingRecord) -> None:
+    def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
         with self._writing() as session:
-            writing.save_packing(session, self._campaign, packing)
+            writing.save_packing(session, self._campaign, packing, replace_state=replace_state)
 
     @override
     def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
@@ -245,10 +245,11 @@ class SqlStore(Store):
             return None if row is None else rows.packing_from_row(row)
 
     @override
-    def packing_indices(self) -> tuple[int, ...]:
+    def content_hashes(self) -> dict[int, str | None]:
         with self._reading() as session:
-            statement = select(PackingRow.number).where(PackingRow.campaign_id == self._campaign)
-            return tuple(session.scalars(statement.order_by(PackingRow.number)))
+            statement = select(PackingRow.number, PackingRow.content_hash)
+            statement = statement.where(PackingRow.campaign_id == self._campaign).order_by(PackingRow.number)
+            return {row.number: row.content_hash for row in session.execute(statement)}
 
     @override
     def pending(

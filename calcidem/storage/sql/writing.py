@@ -18,6 +18,7 @@ from calcidem.storage.records import (
     CellStatus,
     PackingRecord,
 )
+from calcidem.storage.records.campaign import refuse_other_packing
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql import rows
 from calcidem.storage.sql.models import (
@@ -76,18 +77,18 @@ def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], content
     return len(new)
 
 
-def save_packing(session: Session, campaign_id: int, packing: PackingRecord) -> None:
+def save_packing(session: Session, campaign_id: int, packing: PackingRecord, *, replace_state: bool) -> None:
     """See `Store.save_packing`."""
-    stored = session.scalar(
-        select(PackingRow.hash).where(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
+    row = session.scalar(
+        select(PackingRow).where(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
     )
-    if stored is None:
+    if row is None:
         session.add(rows.row_from_packing(campaign_id, packing))
-    elif stored != packing.hash:
-        raise CampaignMismatchError(
-            f"Packing {packing.index} is stored with hash {stored}, the given one has {packing.hash}.",
-            "Continue with the stored packing (load_packing), or start a new database.",
-        )
+        return
+    refuse_other_packing(rows.packing_from_row(row), packing)
+    row.content_hash = row.content_hash or packing.content_hash
+    if replace_state:
+        row.state = packing.state
 
 
 class _Known(NamedTuple):
