@@ -11,8 +11,8 @@ that an idle rank costs next to nothing and a dead or silent partner cannot hold
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
 
-The collective operations (`barrier`, `broadcast`, `once_per_node`) sleep as well while they wait: the blocking ones of
-MPI keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
+The collective operations (`barrier`, `broadcast`, `gather`, `once_per_node`) sleep as well while they wait: the blocking
+ones of MPI keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
 import pickle
@@ -165,6 +165,18 @@ def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:
     wait_until(comm.Ibcast([payload, MPI.BYTE], MASTER).Test)
     received: ValueT = pickle.loads(payload)  # noqa: S301 - written by rank 0 of the same program
     return received
+
+
+def gather(comm: MPI.Comm, value: ValueT) -> list[ValueT]:
+    """Return on rank 0 the picklable values that all ranks give, in the order of the ranks, and none elsewhere."""
+    payload = np.frombuffer(pickle.dumps(value, pickle.HIGHEST_PROTOCOL), dtype=np.uint8)
+    sizes = np.zeros(comm.Get_size(), dtype=np.int64)
+    wait_until(comm.Igather(np.array([payload.size], dtype=np.int64), sizes, MASTER).Test)
+    received = np.empty(sizes.sum(), dtype=np.uint8)
+    wait_until(comm.Igatherv(payload, [received, sizes, MPI.BYTE], MASTER).Test)
+    ends = np.cumsum(sizes)
+    parts = (received[end - size : end] for end, size in zip(ends, sizes, strict=True))
+    return [pickle.loads(part.tobytes()) for part in parts] if comm.Get_rank() == MASTER else []  # noqa: S301 - as above
 
 
 def once_per_node(comm: MPI.Comm, action: Callable[[], object]) -> None:

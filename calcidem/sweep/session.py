@@ -123,6 +123,14 @@ class Session:
 
         return broadcast(self.comm, value)
 
+    def gather(self, value: ValueT) -> list[ValueT]:
+        """Return on rank 0 the values that all ranks give, in the order of the ranks, and none on the others."""
+        if self.comm is None:
+            return [value]
+        from calcidem.sweep.protocol import gather  # noqa: PLC0415 - as above
+
+        return gather(self.comm, value)
+
     def once_per_node(self, action: Callable[[], object]) -> None:
         """Call `action` on one rank of each node, for instance to compile; return once all are done."""
         if self.comm is None:

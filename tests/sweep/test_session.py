@@ -17,6 +17,7 @@ def test_a_program_alone_has_rank_0_of_1() -> None:
         assert session.broadcast("value") == "value"
         with pytest.raises(ValueError, match="value is None on rank 0"):
             session.broadcast(None)
+        assert session.gather("value") == ["value"]
         called: list[int] = []
         session.once_per_node(lambda: called.append(1))
         assert called == [1]
@@ -36,6 +37,15 @@ def test_a_broadcast_value_arrives_on_all_ranks(campaign: "Campaign", ulfm: bool
     """3 MB from rank 0 arrive unchanged everywhere."""
     launch = campaign.start("broadcast", ranks=4, ulfm=ulfm, program="session_program.py").wait()
     assert launch.exit_code == 0, launch.errors
+
+
+@pytest.mark.mpi
+@ULFM
+def test_values_of_all_ranks_arrive_on_rank_0(campaign: "Campaign", ulfm: bool) -> None:
+    """Values of different sizes arrive in the order of the ranks, and on rank 0 only."""
+    launch = campaign.start("gather", ranks=4, ulfm=ulfm, program="session_program.py").wait()
+    assert launch.exit_code == 0, launch.errors
+    assert sorted(launch.output.splitlines()) == ["[0, 100000, 200000, 300000]", "[]", "[]", "[]"]
 
 
 @pytest.mark.mpi

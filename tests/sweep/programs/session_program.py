@@ -14,6 +14,8 @@ def main() -> None:
             received = session.broadcast({"big": b"x" * 3_000_000} if session.rank == 0 else None)
             assert received is not None
             assert received["big"] == b"x" * 3_000_000
+        elif what == "gather":
+            sys.stdout.write(f"{[len(text) for text in session.gather('x' * (session.rank * 100_000))]}\n")
         elif what == "once":
             session.once_per_node(lambda: sys.stdout.write("once\n"))
         elif what == "raise" and session.rank == 1:
