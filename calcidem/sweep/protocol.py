@@ -11,8 +11,8 @@ that an idle rank costs next to nothing and a dead or silent partner cannot hold
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
 
-The collective operations (`barrier`, `broadcast`, `gather`, `once_per_node`) sleep as well while they wait: the blocking
-ones of MPI keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
+The collective operations (`barrier`, `broadcast`, `gather`, `once_per_node`) sleep while they wait, too: those of MPI
+that block keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
 import pickle
