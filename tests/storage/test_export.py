@@ -1,5 +1,6 @@
 """NetCDF export and the way back."""
 
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -15,6 +16,7 @@ import xarray as xr
 
 from calcidem.storage.errors import (
     CampaignMismatchError,
+    DamagedStoreError,
     ForeignDatabaseError,
     NewerSchemaError,
     StoreUnavailableError,
@@ -25,6 +27,7 @@ from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
+from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
@@ -99,6 +102,52 @@ def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path,
         copy.begin_campaign(records.campaign({"packing": {"friction": 0.5}}))
         with pytest.raises(CampaignMismatchError, match="friction"):
             import_netcdf(exported, copy)
+
+
+def test_an_edited_configuration_is_refused(exported: Path, tmp_path: Path) -> None:
+    """A file whose configuration is no longer the one of its hash is refused; both hashes are named."""
+    with netCDF4.Dataset(exported, "a") as file:
+        file.calcidem_config = file.calcidem_config.replace("0.2", "0.3")
+        named = (
+            f"has the hash {canonical_hash(json.loads(file.calcidem_config))}, .* hash {file.calcidem_campaign_hash}"
+        )
+    with open_store(tmp_path / "copy.db") as copy:
+        with pytest.raises(DamagedStoreError, match=named):
+            import_netcdf(exported, copy)
+        assert copy.campaigns() == ()
+
+
+def test_cells_without_their_packing_are_refused(exported: Path, tmp_path: Path) -> None:
+    """A file without the packing that its cells were computed on is refused."""
+    with netCDF4.Dataset(exported, "a") as file:
+        file["packings/index"][0] = 2
+    with open_store(tmp_path / "copy.db") as copy:
+        with pytest.raises(DamagedStoreError, match="packing 0, on which cells were computed, is missing"):
+            import_netcdf(exported, copy)
+        assert copy.campaigns() == ()
+
+
+def test_another_packing_is_refused(filled: Filled, exported: Path, tmp_path: Path, records: "Records") -> None:
+    """A store that has the campaign on another packing refuses the file, names both hashes and stays as it is."""
+    campaign = filled[1]
+    with open_store(tmp_path / "copy.db") as copy:
+        copy.begin_campaign(dataclasses.replace(campaign, seeds=(1,), contents=(5.0,)))
+        copy.save_packing(records.packing(0, y=records.packing(1).y, content_hash="yours"))
+        with pytest.raises(CampaignMismatchError, match=r"yours in the database and unknown in .*campaign\.nc"):
+            import_netcdf(exported, copy)
+        assert (copy.packing_indices(), copy.runs(), len(copy.statuses())) == ((0,), (), 1)
+
+
+def test_content_hashes_are_exported(store: SqlStore, records: "Records", tmp_path: Path) -> None:
+    """The file names the content hash of each packing, and its import keeps it."""
+    for index, content_hash in enumerate(("mine", None)):
+        store.save_packing(records.packing(index, content_hash=content_hash))
+    file = export_netcdf(store, store.use_campaign(), tmp_path / "campaign.nc")
+    with xr.open_dataset(file) as found:
+        assert found.attrs["calcidem_packing_content_hash"] == "mine unknown"
+    with open_store(tmp_path / "copy.db") as copy:
+        import_netcdf(file, copy)
+        assert copy.content_hashes() == {0: "mine", 1: None}
 
 
 def test_plain_xarray_opens_it(filled: Filled, exported: Path) -> None:

@@ -3,7 +3,8 @@
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
+from calcidem.storage.errors import DamagedStoreError, ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
 from calcidem.storage.netcdf.dataset import FORMAT_VERSION
 from calcidem.storage.netcdf.groups import Group, open_cement, open_paths, open_signals, read_attempts, read_packings
 from calcidem.storage.records import (
@@ -23,9 +24,12 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     GraphSummary,
+    PackingRecord,
     PathFeatures,
     RunRecord,
 )
+from calcidem.storage.records.campaign import refuse_other_packing
+from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
 
@@ -37,18 +41,26 @@ VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "c
 PATH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(PATH_PREFIX))
 GRAPH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(GRAPH_PREFIX))
 STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
+WITHOUT_OUTCOME = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
+CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
 
 
-def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
+def import_netcdf(
+    path: str | os.PathLike[str],
+    store: Store,
+    identify: Callable[[PackingRecord], PackingRecord] = lambda packing: packing,
+) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
     Importing into a store that has the campaign already adds what is missing and leaves done cells as they
-    are; runs are added each time.
+    are; runs are added each time. Configuration and packings are checked before anything is written.
 
     Parameters
     ----------
     path : str or path
     store : Store
+    identify : callable
+        Checks the state of a packing and adds the content hash, which is beyond the store.
 
     Returns
     -------
@@ -63,8 +75,10 @@ def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
         If calcidem didn't write it.
     NewerSchemaError
         If a later calcidem did, in another layout.
+    DamagedStoreError
+        If its configuration is not the one that its hash was made of, or cells have a packing that it lacks.
     CampaignMismatchError
-        If the store has a campaign of that name with another hash.
+        If the store has a campaign of that name with another hash, or that campaign with another packing.
     """
     with _open(Path(path)) as file:
         campaign = CampaignRecord(
@@ -75,13 +89,17 @@ def import_netcdf(path: str | os.PathLike[str], store: Store) -> CampaignRecord:
             seeds=(),
             created=datetime.fromisoformat(file.calcidem_created),
         )
+        _check_hash(path, campaign)
+        packings = [identify(packing) for packing in read_packings(file)]
+        _check_packings_of_cells(path, file, packings)
         store.begin_campaign(campaign)
+        _refuse_other_packings(path, store, packings, identify)
+        for packing in packings:
+            store.save_packing(packing)
         status = _extend_plan(file, store)
         run_numbers = {
             run.pop("number"): store.begin_run(_run_from_json(run)) for run in json.loads(file.calcidem_runs)
         }
-        for packing in read_packings(file):
-            store.save_packing(packing)
         store.restore_attempts(read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
     return store.use_campaign(campaign.name)
@@ -103,6 +121,43 @@ def _open(path: Path) -> Group:
         f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION} and before.",
         "Use the calcidem that wrote it, or a later one.",
     )
+
+
+def _check_hash(path: str | os.PathLike[str], campaign: CampaignRecord) -> None:
+    try:
+        found = canonical_hash(json.loads(campaign.config))
+    except ValueError as error:
+        raise DamagedStoreError(f"{path}: its configuration is no JSON text ({error}).", CURE_OF_CHANGE) from error
+    if found != campaign.hash:
+        raise DamagedStoreError(
+            f"{path}: its configuration has the hash {found}, but its cells were computed with the one of hash "
+            f"{campaign.hash}.",
+            CURE_OF_CHANGE,
+        )
+
+
+def _check_packings_of_cells(path: str | os.PathLike[str], file: Group, packings: Sequence[PackingRecord]) -> None:
+    with_outcome = ~np.isin(file["status"][:], WITHOUT_OUTCOME)
+    lacking = set(np.asarray(file["packing_index"][:])[with_outcome].tolist()) - {packing.index for packing in packings}
+    if lacking:
+        raise DamagedStoreError(
+            f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", CURE_OF_CHANGE
+        )
+
+
+def _refuse_other_packings(
+    path: str | os.PathLike[str],
+    store: Store,
+    packings: Sequence[PackingRecord],
+    identify: Callable[[PackingRecord], PackingRecord],
+) -> None:
+    """Refuse packings other than those of the store's campaign; all are compared before any is stored."""
+    for packing in packings:
+        stored = store.load_packing(packing.index)
+        if stored is not None:
+            with suppress(DamagedStoreError):  # its disks and box can still be compared
+                stored = identify(stored)
+            refuse_other_packing(stored, packing, ("the database", str(path)))
 
 
 def _extend_plan(file: Group, store: Store) -> NDArray[np.int8]:
@@ -128,12 +183,11 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
     paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
-    without_outcome = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
     for start in range(0, len(seeds), SEEDS_IN_MEMORY):
         rows = slice(start, start + SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
         columns = {name: _python_values(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
-        for i, j in np.argwhere(~np.isin(status[rows], without_outcome)).tolist():
+        for i, j in np.argwhere(~np.isin(status[rows], WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
             values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
             values |= {name: column[i, j] for name, column in columns.items()}
