@@ -43,7 +43,7 @@ Filled = tuple[SqlStore, CampaignRecord]
 def filled(store: SqlStore, records: "Records") -> Filled:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
-    store.begin_run(records.run())
+    store.begin_run(records.run(workers=records.workers()))
     for index in (0, 1):
         store.save_packing(records.packing(index))
     store.record_results(records.with_arrays(seed, content) for seed in (0, 1) for content in (0.0, 0.3, 5.0))

@@ -103,6 +103,7 @@ def test_former_database_is_read_as_it_is(tmp_path: Path, schema: str) -> None:
         assert list(one.select(with_arrays=True)) == list(other.select(with_arrays=True))
         assert one.signal(seed=1, content=5.0) == other.signal(seed=1, content=5.0)
         assert one.packing() == other.packing()
+        assert one.runs() == other.runs()
         assert one.to_xarray().equals(other.to_xarray())
         export_netcdf(one.store, one.record, tmp_path / "former.nc")
         with pytest.raises(ReadOnlyStoreError):

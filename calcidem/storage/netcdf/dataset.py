@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -131,7 +132,8 @@ def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]
 def _run_as_json(number: int, run: RunRecord) -> dict[str, Any]:
     values = {name: getattr(run, name) for name in RunRecord.__slots__}
     plain = {name: value.isoformat() if isinstance(value, datetime) else value for name, value in values.items()}
-    return {"number": number, **plain, "versions": dict(run.versions)}
+    workers = [asdict(worker) for worker in run.workers]
+    return {"number": number, **plain, "versions": dict(run.versions), "workers": workers}
 
 
 def _own_version() -> str:

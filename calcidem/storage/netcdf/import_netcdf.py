@@ -27,6 +27,7 @@ from calcidem.storage.records import (
     PackingRecord,
     PathFeatures,
     RunRecord,
+    WorkerRecord,
 )
 from calcidem.storage.records.campaign import refuse_other_packing
 from calcidem.storage.records.canonical import canonical_hash
@@ -176,7 +177,8 @@ def _run_from_json(values: dict[str, Any]) -> RunRecord:
     for name in ("started", "ended"):
         if values[name] is not None:
             values[name] = datetime.fromisoformat(values[name])
-    return RunRecord(**values)
+    workers = tuple(WorkerRecord(**worker) for worker in values.pop("workers", ()))  # earlier files have none
+    return RunRecord(**values, workers=workers)
 
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:

@@ -4,7 +4,7 @@ They are frozen, hold SI units (contents in percent of the sand's mass), and a m
 NaN; what happened to a cell is its `CellStatus`.
 """
 
-from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord
+from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord, WorkerRecord
 from calcidem.storage.records.cell import (
     NOT_PLANNED,
     STATUS_CODES,
@@ -36,5 +36,6 @@ __all__ = [
     "PathFeatures",
     "RunRecord",
     "Signal",
+    "WorkerRecord",
     "canonical_content",
 ]

@@ -141,6 +141,45 @@ class CampaignRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class WorkerRecord:
+    """What bits could depend on in the processes of a run, once for all that are alike.
+
+    Attributes
+    ----------
+    ranks : tuple of int
+        Ranks that are like this.
+    hosts : tuple of str
+        Machines that they are on.
+    architecture : str
+        Family of the processor, such as ``x86_64``.
+    processor : str
+        LLVM's name of the processor that kernels are compiled for, such as ``znver4``.
+    features : tuple of str
+        LLVM's names of its features that kernels may use.
+    blas_core : str or None
+        Processor that OpenBLAS has chosen its kernels for; None for another BLAS.
+    numpy_simd : tuple of str
+        Instruction sets beyond its baseline for which numpy has chosen functions.
+    versions : mapping of str to str
+        Of Python, calcidem, its physics and the libraries that numbers depend on.
+    """
+
+    ranks: tuple[int, ...]
+    hosts: tuple[str, ...]
+    architecture: str
+    processor: str
+    features: tuple[str, ...]
+    blas_core: str | None
+    numpy_simd: tuple[str, ...]
+    versions: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        """Take lists, as JSON has them, for tuples."""
+        for name in ("ranks", "hosts", "features", "numpy_simd"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+
+
+@dataclass(frozen=True, slots=True)
 class RunRecord:
     """Provenance of one run of the program on a campaign.
 
@@ -167,6 +206,8 @@ class RunRecord:
         None while it runs, and for ever if it was killed.
     exit_state : str or None
         How it ended, as the program said it.
+    workers : tuple of WorkerRecord
+        What its processes were, one record for all that are alike; empty if that was not recorded.
     """
 
     versions: Mapping[str, str]
@@ -181,6 +222,7 @@ class RunRecord:
     slurm_job_id: str | None = None
     ended: datetime | None = None
     exit_state: str | None = None
+    workers: tuple[WorkerRecord, ...] = ()
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""

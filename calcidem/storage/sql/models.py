@@ -70,6 +70,7 @@ class Base(DeclarativeBase):
         datetime: UtcDateTime,
         dict[str, Any]: JSON,
         list[int]: JSON,
+        list[dict[str, Any]]: JSON,
     }
 
 
@@ -138,6 +139,7 @@ class RunRow(Base):
     slurm_job_id: Mapped[str | None]
     ended: Mapped[datetime | None]
     exit_state: Mapped[str | None]
+    workers: Mapped[list[dict[str, Any]] | None]
 
 
 class PackingRow(Base):

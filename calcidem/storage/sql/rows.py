@@ -1,6 +1,6 @@
 """Translation between database rows and frozen records, both ways."""
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from datetime import datetime
 from typing import Any
 
@@ -16,6 +16,7 @@ from calcidem.storage.records import (
     PathFeatures,
     RunRecord,
     Signal,
+    WorkerRecord,
 )
 from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
 from calcidem.storage.sql.models import (
@@ -146,9 +147,11 @@ def packing_from_row(row: PackingRow) -> PackingRecord:
 def row_from_run(campaign_id: int, run: RunRecord) -> RunRow:
     """Row of a run."""
     values = {name: getattr(run, name) for name in RUN_FIELDS}
-    return RunRow(campaign_id=campaign_id, **(values | {"versions": dict(run.versions)}))
+    values |= {"versions": dict(run.versions), "workers": [asdict(worker) for worker in run.workers]}
+    return RunRow(campaign_id=campaign_id, **values)
 
 
 def run_from_row(row: RunRow) -> RunRecord:
     """Inverse of `row_from_run`."""
-    return RunRecord(**{name: getattr(row, name) for name in RUN_FIELDS})
+    values = {name: getattr(row, name) for name in RUN_FIELDS}
+    return RunRecord(**(values | {"workers": tuple(WorkerRecord(**worker) for worker in row.workers or ())}))

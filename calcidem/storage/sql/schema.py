@@ -20,6 +20,7 @@ CREATE TEMP VIEW signal AS
 SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
 """  # noqa: S608 - constants
 
+RUNS_OF_0004 = "CREATE TEMP VIEW run AS SELECT *, NULL AS workers FROM main.run"
 PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
 PACKINGS_OF_0003 = """
 CREATE TEMP VIEW packing AS
@@ -27,7 +28,10 @@ SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_rela
 FROM main.packing
 """
 
-READ_AS_CURRENT = {"0003": (SIGNALS_OF_0003, PACKINGS_OF_0003), "0004": (PACKINGS_OF_0004,)}
+READ_AS_CURRENT = {
+    "0003": (SIGNALS_OF_0003, PACKINGS_OF_0003, RUNS_OF_0004),
+    "0004": (PACKINGS_OF_0004, RUNS_OF_0004),
+}
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 
 UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
