@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 PROBE = """<script>
 addEventListener("load", () => {
   const pictures = [...document.images];

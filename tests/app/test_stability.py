@@ -23,14 +23,15 @@ from calcidem.dem.wave.scene import wave_scene
 SCENES = 512
 
 
-def test_no_extreme_scene_gives_a_wrong_velocity_in_silence() -> None:
-    """Of 512 scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
-    judgements = [judge_scene(scene) for scene in draw_scenes(SCENES, seed=1)]
+@pytest.mark.parametrize("scenes", [SCENES // 8, pytest.param(SCENES, marks=pytest.mark.full)])
+def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
+    """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
+    judgements = [judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
     assert all(
-        count[verdict] >= 20
+        count[verdict] >= 20 * scenes // SCENES
         for verdict in (StabilityVerdict.STABLE, StabilityVerdict.REFUSED, StabilityVerdict.DETECTED)
     ), count
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)

@@ -8,7 +8,7 @@ import pytest
 if TYPE_CHECKING:
     from conftest import Campaign
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.full]
 
 
 def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> dict[str, float]:

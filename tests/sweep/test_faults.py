@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.mpi
 
 BAD_CELL = (5, 2.55)
+FULL = pytest.mark.full
 LIMITED = ("--time-limit", "0.6", "--seconds", "0.02")
 
 
@@ -49,7 +50,9 @@ def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: "Campaign"
 
 
 @pytest.mark.parametrize("moment", ["start", "end"])
-@pytest.mark.parametrize("fault", ["kill", "segfault", "stop", "loop"])
+@pytest.mark.parametrize(
+    "fault", ["kill", pytest.param("segfault", marks=FULL), pytest.param("stop", marks=FULL), "loop"]
+)
 def test_a_lost_worker_costs_nothing_but_time(
     campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str, moment: str
 ) -> None:
@@ -77,7 +80,9 @@ def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
     resume_twice(campaign, expected, *options)
 
 
-@pytest.mark.parametrize("fault", ["hard-exit", "kill", "segfault", "stop", "loop"])
+@pytest.mark.parametrize(
+    "fault", ["hard-exit", "kill", *(pytest.param(fault, marks=FULL) for fault in ("segfault", "stop", "loop"))]
+)
 def test_a_lost_worker_without_ulfm_ends_the_run(
     campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str
 ) -> None:
@@ -116,7 +121,7 @@ def test_losses_count_over_restarts(campaign: "Campaign", expected: "Values") ->
 
 
 @pytest.mark.parametrize("moment", ["before", "while", "after"])
-@pytest.mark.parametrize("fault", ["kill", "segfault", "raise"])
+@pytest.mark.parametrize("fault", ["kill", pytest.param("segfault", marks=FULL), "raise"])
 def test_a_lost_master_loses_nothing_acknowledged(
     campaign: "Campaign", expected: "Values", fault: str, moment: str
 ) -> None:

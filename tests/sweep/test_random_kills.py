@@ -11,15 +11,16 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.mpi
 
-KILLS = 20
 
-
-def test_random_kills_lose_nothing_acknowledged(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
-    """After each of 20 kills of a random rank or of mpirun, all cells told of as stored are in the database."""
+@pytest.mark.parametrize("kills", [4, pytest.param(100, marks=pytest.mark.full)])
+def test_random_kills_lose_nothing_acknowledged(
+    campaign: "Campaign", capsys: pytest.CaptureFixture[str], kills: int
+) -> None:
+    """After each of the kills of a random rank or of mpirun, all cells told of as stored are in the database."""
     random_numbers = random.Random(2026)
     acknowledged: set[tuple[int, float]] = set()
     survived = ended = 0
-    for _ in range(KILLS):
+    for _ in range(kills):
         launch = campaign.start("--seeds", "20000", "--seconds", "0.02", "--blob", "5000", ranks=4)
         launch.wait_for_line("stored")
         time.sleep(random_numbers.uniform(0.0, 0.3))
@@ -33,9 +34,9 @@ def test_random_kills_lose_nothing_acknowledged(campaign: "Campaign", capsys: py
         acknowledged |= launch.wait().stored()
         assert campaign.leaves_no_process()
         assert acknowledged <= campaign.values().keys()
-    assert survived + ended == KILLS
+    assert survived + ended == kills
     with capsys.disabled():
         print(  # noqa: T201 - the counts are what one wants to see
-            f"\n{KILLS} random kills: {ended} ended the run, {survived} cost one worker; "
+            f"\n{kills} random kills: {ended} ended the run, {survived} cost one worker; "
             f"{len(acknowledged)} acknowledged cells, none lost, {len(campaign.values())} stored"
         )

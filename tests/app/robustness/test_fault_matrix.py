@@ -1,4 +1,4 @@
-"""A selection of the fault matrix with the real mpirun; benchmarks/faults/run.py runs all of it."""
+"""The fault matrix with the real mpirun."""
 
 import shutil
 import sys
@@ -18,15 +18,12 @@ pytestmark = [
     ),
 ]
 
-SELECTION = [
-    Case("exception", "worker", "before"),
-    Case("endless loop", "worker", "before"),
+SELECTION = (
     Case("SIGKILL", "worker", "while"),
-    Case("segfault", "worker", "before", ulfm=False),
-    Case("exception", "master", "while"),
     Case("SIGKILL", "master", "while"),
     Case("SIGKILL", "mpirun", "after"),
-]
+)
+"""One case of each victim for every commit; the others belong to the full run."""
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +38,11 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, fault_cache: Path) -> 
     return reference(tmp_path_factory.mktemp("undisturbed"), fault_cache)
 
 
-@pytest.mark.parametrize("case", SELECTION, ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [case if case in SELECTION else pytest.param(case, marks=pytest.mark.full) for case in all_cases()],
+    ids=str,
+)
 def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, fault_cache: Path, undisturbed: Cells) -> None:
     """The exit code tells it, no process is left, nothing stored is lost, and continuing twice gives the same bits."""
     trial = Trial(tmp_path, fault_cache)

@@ -27,6 +27,7 @@ PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol")
 
 pytestmark = [
     pytest.mark.mpi,
+    pytest.mark.full,
     pytest.mark.skipif(
         os.geteuid() != 0 or any(shutil.which(program) is None for program in PROGRAMS),
         reason="no Slurm to start: needs root and apt-get install --no-install-recommends slurm-wlm munge",
