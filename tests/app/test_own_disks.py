@@ -64,7 +64,7 @@ def test_own_disks_make_a_campaign(workshop: "Workshop", own: Path, monkeypatch:
         assert "file_sha256" in campaign.record.config
         assert str(own) not in campaign.record.config
         found = list(verify(campaign, random_cells(campaign, 2), campaign.experiment, lanes=2))
-    assert [verification.differences for verification in found] == [(), ()]
+    assert [verification.differences for verification in found] == [{}, {}]
 
     # Elsewhere, under another name: it is the content that counts. What is stored is not computed again.
     (own / "disks.csv").rename(own / "same.csv")

@@ -17,6 +17,9 @@ from calcidem.sweep import EXIT_ERROR, LaunchError
 EXIT_BAD_INPUT = 2
 """Bad configuration or arguments."""
 
+EXIT_ROUNDING = 3
+"""`calcidem verify`: what is stored is what is computed, but for rounding."""
+
 USER_ERRORS = (ConfigurationError, LaunchError, PackingError, StoreError, OSError)
 
 BAD_INPUT = (

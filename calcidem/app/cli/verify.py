@@ -1,5 +1,7 @@
 """``calcidem verify``: compute stored cells again and compare."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -7,7 +9,12 @@ import typer
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.studies.verify import Verification, random_cells, verify
+from calcidem.app.cli.exit_codes import EXIT_ROUNDING
+from calcidem.app.studies.verify import Agreement, Verification, random_cells, verify, worst_agreement
+from calcidem.sweep import EXIT_ERROR
+from calcidem.sweep.progress import pluralize
+
+EXIT_CODE_OF = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
 
 
 def verify_command(
@@ -19,9 +26,12 @@ def verify_command(
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Compute random cells of a campaign again and compare: to the last bit on the same kind of CPU.
+    """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
 
-    Ends with 1 if a cell differs.
+    Compared are status, readings, step, cement and (where stored) signals.
+
+    Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 cells that
+    can't be compared, such as those of another physics version.
     """
     with open_campaign(database, campaign) as opened:
         keys = random_cells(opened, cells, choice)
@@ -30,22 +40,34 @@ def verify_command(
             typer.echo(verification_line(verification))
             found.append(verification)
     typer.echo(verification_summary(found))
-    if not all(verification.agreement.good for verification in found):
-        raise typer.Exit(1)
+    if code := EXIT_CODE_OF[worst_agreement(found)]:
+        raise typer.Exit(code)
 
 
 def verification_line(verification: Verification) -> str:
-    """What came of one cell."""
+    """What came of one cell, and which quantity differs most."""
     key = verification.stored.key
     text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"
     if not verification.differences:
         return text
-    change = verification.relative_difference
-    difference = "" if change is None else f"; relative difference of Vs {change:+.2g}"
-    return f"{text} ({', '.join(verification.differences)}{difference})"
+    others = len(verification.differences) - 1
+    also = f"; {others} other{'s' if others > 1 else ''} differ{'' if others > 1 else 's'}" if others else ""
+    return f"{text} ({describe_largest(verification)}{also})"
+
+
+def describe_largest(verification: Verification) -> str:
+    """Name the quantity that differs most, and say by how much."""
+    name = verification.most_different
+    size = verification.differences[name]
+    if math.isfinite(size):
+        return f"most of all {name}, relative difference {size:.2g}"
+    stored, computed = (getattr(result, name, None) for result in (verification.stored, verification.computed))
+    values = "" if stored is computed is None else f": stored {stored}, computed {computed}"
+    return f"most of all {name}{values}"
 
 
 def verification_summary(found: Sequence[Verification]) -> str:
     """The last line."""
-    good = sum(verification.agreement.good for verification in found)
-    return f"{good} of {len(found)} cells confirmed."
+    counts = Counter(verification.agreement for verification in found)
+    verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
+    return f"{pluralize(len(found), 'cell')}: {verdicts}."

@@ -1,20 +1,22 @@
 """Computing stored cells again, to see whether what the database says is still what the program gives."""
 
+import math
 import random
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from enum import StrEnum
 
 import numpy as np
+import numpy.typing as npt
 
-from calcidem.app.campaign.provenance import cpu_model
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, Signal
 
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
@@ -22,26 +24,31 @@ ExperimentOf = Callable[[int], Experiment]
 REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes that physics decides; the others depend on the machine of the day."""
 
-IN_ANY_CASE = 1e-6
-"""Relative difference of Vs that is allowed on another kind of CPU where no error estimate is stored."""
+ROUNDING_TOLERANCE = 1e-9
+"""Largest relative difference that counts as rounding.
 
-COMPARED_TO_THE_BIT = (
-    *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation", "frequency", "time_step", "stability_limit"),
-    *("steps", "content_reached", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
+The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on them; what
+chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
+"""
+
+READINGS = ("peak", "first_arrival", "cross_correlation")
+
+VERIFIED_NUMBERS = (
+    *("vs", *(f"vs_{name}" for name in READINGS)),
+    *("frequency", "time_step", "stability_limit", "content_reached"),
 )
+VERIFIED_SHARES = (*(f"quality_{name}" for name in READINGS), "error_estimate")
+"""Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
+
+VERIFIED_COUNTS = ("steps", "p_contacts", "c_contacts", "clusters", "bonded_contacts")
 
 
 class Agreement(StrEnum):
-    """What came out of the comparison; the value is the sentence for the user."""
+    """What came out of a comparison, from the best to the worst; the value is the word for the user."""
 
-    IDENTICAL = "the same to the last bit"
-    WITHIN_ERROR = "another kind of CPU, the same within the error estimate"
+    SAME_BITS = "same bits"
+    ROUNDING = "same to rounding"
     DIFFERENT = "different"
-
-    @property
-    def good(self) -> bool:
-        """Whether the database is confirmed."""
-        return self is not Agreement.DIFFERENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +59,33 @@ class Verification:
     ----------
     stored, computed
         Both outcomes.
-    same_cpu
-        Whether the kind of CPU is the one that the stored outcome was computed on.
-    agreement
-        What follows.
     differences
-        Names of the quantities that are not the same to the last bit.
+        What does not have the same bits, and how large its relative difference is: infinite where something is missing,
+        or is no number and another.
     """
 
     stored: CellResult
     computed: CellResult
-    same_cpu: bool
-    agreement: Agreement
-    differences: tuple[str, ...]
+    differences: Mapping[str, float]
 
     @property
-    def relative_difference(self) -> float | None:
-        """Of Vs, computed over stored less 1; None where one of them is missing."""
-        if self.stored.vs is None or self.computed.vs is None:
-            return None
-        return self.computed.vs / self.stored.vs - 1.0
+    def agreement(self) -> Agreement:
+        """What follows."""
+        if not self.differences:
+            return Agreement.SAME_BITS
+        size = self.differences[self.most_different]
+        return Agreement.ROUNDING if size <= ROUNDING_TOLERANCE else Agreement.DIFFERENT
+
+    @property
+    def most_different(self) -> str:
+        """Name of the quantity that differs most, the first of equals; empty if none does."""
+        return max(self.differences, key=lambda name: self.differences[name], default="")
+
+
+def worst_agreement(found: Iterable[Verification]) -> Agreement:
+    """What came out for all cells together: what came out for the worst of them."""
+    order = list(Agreement)
+    return max((verification.agreement for verification in found), key=order.index, default=Agreement.SAME_BITS)
 
 
 def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
@@ -112,15 +126,18 @@ def verify(
     keys
         Cells with an outcome.
     experiment_of
-        Gives what the cells of a packing share, such as `OpenedCampaign.experiment`.
+        Gives what the cells of a packing share, such as `OpenedCampaign.experiment`: the stored packing and physics.
     lanes
         Cells side by side; what a cell gives does not depend on it.
 
     Raises
     ------
+    CampaignMismatchError
+        If the campaign was computed with another version of the physics.
     UnknownCellError
         If a cell has no outcome.
     """
+    refuse_other_physics(campaign.record)
     together: defaultdict[tuple[int, float], list[CellResult]] = defaultdict(list)
     for key in keys:
         stored = campaign.cell(seed=key.seed, content=key.content)
@@ -128,59 +145,64 @@ def verify(
     for (packing_index, content), cells in sorted(together.items(), key=lambda item: item[0]):
         experiment = experiment_of(packing_index)
         for start in range(0, len(cells), lanes):
-            yield from verify_batch(campaign, experiment, content, cells[start : start + lanes], lanes)
+            yield from verify_batch(experiment, content, cells[start : start + lanes], lanes)
 
 
 def verify_batch(
-    campaign: StoredCampaign, experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
+    experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
 ) -> Iterator[Verification]:
     """Compute cells of one content and one packing."""
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
         computed = cell_result(measurement, experiment.packing.pairs, store_signals=stored.signal is not None)
-        yield compare_outcomes(stored, computed, same_cpu=cpu_of(campaign, stored) == cpu_model())
+        yield compare_outcomes(stored, computed)
 
 
-def cpu_of(campaign: StoredCampaign, stored: CellResult) -> str | None:
-    """Return the kind of CPU that a cell was computed on; None if that is not known.
-
-    It is that of rank 0 of its run: clusters whose nodes differ have to be told apart by their partitions.
-    """
-    attempts = campaign.history(seed=stored.key.seed, content=stored.key.content)
-    number = next((attempt.run_id for attempt in attempts if attempt.number == stored.attempt), None)
-    return next((run.cpu for run_id, run in campaign.runs() if run_id == number), None)
-
-
-def compare_outcomes(stored: CellResult, computed: CellResult, *, same_cpu: bool) -> Verification:
-    """Compare two outcomes of one cell: to the last bit on the same kind of CPU, else within the error estimate."""
-    differences = tuple(different_quantities(stored, computed))
-    agreement = Agreement.IDENTICAL
-    if differences:
-        tolerated = not same_cpu and within_error(stored, computed)
-        agreement = Agreement.WITHIN_ERROR if tolerated else Agreement.DIFFERENT
-    return Verification(stored, computed, same_cpu, agreement, differences)
+def compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
+    """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
+    differences = dict(different_quantities(stored, computed))
+    if stored.cement is not None:
+        differences |= different_arrays("cement", stored.cement, computed.cement)
+    if stored.signal is not None:
+        differences |= different_arrays("signal", stored.signal, computed.signal)
+    return Verification(stored, computed, differences)
 
 
-def different_quantities(stored: CellResult, computed: CellResult) -> Iterator[str]:
-    """Name what is not the same to the last bit; arrays only where they were stored."""
+def different_quantities(stored: CellResult, computed: CellResult) -> Iterator[tuple[str, float]]:
+    """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
-        yield "status"
-    for name in COMPARED_TO_THE_BIT:
-        if getattr(stored, name) != getattr(computed, name):
-            yield name
-    for name in ("cement", "signal"):
-        if getattr(stored, name) is not None and getattr(stored, name) != getattr(computed, name):
-            yield name
+        yield "status", math.inf
+    for name in (*VERIFIED_NUMBERS, *VERIFIED_SHARES, *VERIFIED_COUNTS):
+        one, other = getattr(stored, name), getattr(computed, name)
+        if one == other:
+            continue
+        if one is None or other is None:
+            yield name, math.inf
+        else:
+            yield name, abs(other - one) / (1.0 if name in VERIFIED_SHARES else max(abs(one), abs(other)))
 
 
-def within_error(stored: CellResult, computed: CellResult) -> bool:
-    """Whether two outcomes say the same: equal status and cement, and a Vs within the stored error estimate."""
-    if (
-        stored.status != computed.status
-        or stored.p_contacts != computed.p_contacts
-        or stored.clusters != computed.clusters
-    ):
-        return False
-    if stored.vs is None or computed.vs is None:
-        return True
-    return bool(np.isclose(computed.vs, stored.vs, rtol=stored.error_estimate or IN_ANY_CASE, atol=0.0))
+def different_arrays(
+    name: str, stored: CementPattern | Signal, computed: CementPattern | Signal | None
+) -> dict[str, float]:
+    """Name the fields that differ between two records of arrays, and by how much."""
+    if computed is None:
+        return {name: math.inf}
+    pairs = {field.name: (getattr(stored, field.name), getattr(computed, field.name)) for field in fields(stored)}
+    arrays = {field: (np.asarray(one), np.asarray(other)) for field, (one, other) in pairs.items()}
+    return {
+        f"{name}.{field}": array_difference(one, other)
+        for field, (one, other) in arrays.items()
+        if one.shape != other.shape or one.tobytes() != other.tobytes()
+    }
+
+
+def array_difference(stored: npt.NDArray[np.generic], computed: npt.NDArray[np.generic]) -> float:
+    """Return the largest difference of two arrays over their largest magnitude.
+
+    Infinite for other shapes, and for whole numbers, which name disks or kinds, that are not the same.
+    """
+    if stored.shape != computed.shape or stored.dtype.kind != "f":
+        return math.inf
+    largest = max(np.abs(stored).max(initial=0.0), np.abs(computed).max(initial=0.0))
+    return float(np.abs(computed - stored).max(initial=0.0) / largest) if largest > 0.0 else 0.0
