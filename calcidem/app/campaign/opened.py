@@ -18,6 +18,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
@@ -96,6 +97,27 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     except BaseException:
         store.close()
         raise
+
+
+def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "OpenedCampaign":
+    """Open the campaign of a configuration in a database: the only one there is, or the one of its name.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If it is of another configuration; the message names the hashes of both.
+    StoreError
+        If the database can't be read or has no such campaign.
+    """
+    store = open_store(path_or_url, read_only=True)
+    try:
+        several = len(store.campaigns()) > 1
+        record = store.use_campaign(configuration.campaign.name if several else None)
+        refuse_other_configuration(record, configuration)
+    except BaseException:
+        store.close()
+        raise
+    return OpenedCampaign(store, record)
 
 
 class OpenedCampaign(StoredCampaign):

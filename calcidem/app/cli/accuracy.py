@@ -1,6 +1,5 @@
 """``calcidem accuracy``: error against run time."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -8,6 +7,7 @@ import typer
 from calcidem.app.cli.arguments import (
     DEFAULT_CONFIGURATION,
     ConfigurationFile,
+    JudgedDatabase,
     OnlyContents,
     StudyAsJson,
     StudyFolder,
@@ -31,14 +31,15 @@ def accuracy_command(
     target: Annotated[
         str | None, typer.Option(help="Error of Vs, such as 0.5%: also name the cheapest setting that meets it.")
     ] = None,
-    db: Annotated[
-        Path | None,
-        typer.Option(help="Database from which to take the scatter of the samples; otherwise some are computed."),
-    ] = None,
+    db: JudgedDatabase = None,
     out: StudyFolder = None,
     as_json: StudyAsJson = False,
 ) -> None:
-    """Measure error against run time of every numerical setting, on cells of the campaign."""
+    """Measure error against run time of every numerical setting, on cells of the campaign.
+
+    With --db these are cells of the campaign in the database, on its own packing, and the scatter of the samples is
+    that of its velocities. A campaign of another configuration is refused.
+    """
     task = plan_task(load_configuration(configuration), content or (), seeds, db, tell)
     try:
         choose_settings(task.experiment, only or ())

@@ -12,6 +12,14 @@ Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or data
 CampaignName = Annotated[
     str | None, typer.Option("--campaign", metavar="NAME", help="Which campaign, if the database has several.")
 ]
+JudgedDatabase = Annotated[
+    str | None,
+    typer.Option(
+        "--db",
+        metavar="DB",
+        help="SQLite file or database URL of this campaign: its own packing is taken; otherwise one is made.",
+    ),
+]
 OnlyContents = Annotated[
     list[float] | None, typer.Option("--content", help="Only this content, percent; may be repeated.")
 ]

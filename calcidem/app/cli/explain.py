@@ -8,8 +8,9 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase
 from calcidem.app.cli.tables import make_console
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
@@ -27,18 +28,23 @@ def explain_command(
     accuracy: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out' for this campaign.")
     ] = None,
+    db: JudgedDatabase = None,
 ) -> None:
     """Show which parts of the computation each content needs, and why leaving out the others is safe and what it saves.
 
-    Times and differences are measured now, on cells of the campaign; errors are those that 'calcidem accuracy' measured
-    against a converged reference.
+    Times and differences are measured now, on cells of the campaign, with --db on the packing in the database; errors
+    are those that 'calcidem accuracy' measured against a converged reference.
     """
     loaded = load_configuration(configuration)
     try:
         measured = measured_errors(loaded.hash, accuracy)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    packing = provide_packing(loaded, None, typer.echo)
+    if db is None:
+        packing = provide_packing(loaded, None, typer.echo)
+    else:
+        with open_campaign_of(loaded, db) as opened:
+            packing = opened.experiment().packing
     contents = sorted(loaded.campaign.contents)
     chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
     seeds = loaded.campaign.seed_numbers[: min(DEFAULT_CELLS, loaded.run.lanes)]

@@ -1,62 +1,181 @@
-"""`calcidem verify`: a small campaign is computed, and computed again."""
+"""`calcidem verify`, and the studies that judge a stored campaign: a small campaign is computed, and computed again."""
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sqlalchemy import create_engine, text
 
+from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.config.schema import CampaignPlan, Configuration
+from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.schema import PHYSICS_VERSION
+from calcidem.app.studies.accuracy.command import plan_task
 from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
-from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records import CellKey
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.records import CellKey, CellResult
 
 Invoke = Callable[..., str]
+Change = Callable[..., Path]
+SMALL_PACKING = Path(__file__).parents[2] / "assets" / "small_packing.npz"
 
-CONFIGURATION = Configuration(
-    campaign=CampaignPlan(name="small", seeds=2, contents=(0.0, 0.66)),
-    packing=PackingRule(width=0.02, height=0.03),
-    wave=WaveRule(transmitter_half_width=0.005, receiver_half_width=0.006, boundary_thickness=0.005),
-)
+CONFIGURATION = """
+[campaign]
+name = "small"
+seeds = 2
+contents = [0.0, 0.66]
+[packing]
+width = 0.03
+height = 0.06
+unbalanced_force_ratio = 1e-5
+[sand]
+wave_stiffness_factor = 13.0
+[pattern]
+p_share = {p_share}
+[wave]
+transmitter_half_width = 0.01
+receiver_half_width = 0.012
+boundary_thickness = 0.012
+listening_depth = 0.006
+[run]
+lanes = 2
+"""
+
+OF_ONE_CELL = "WHERE cell_id IN (SELECT id FROM cell WHERE seed = 1 AND content = 0.66)"
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compute a campaign of a hundred disks and four cells."""
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the configuration of the small campaign."""
+    path = tmp_path_factory.mktemp("configuration") / "small.toml"
+    path.write_text(CONFIGURATION.format(p_share=0.77), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def small(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Compute the campaign of 280 disks and four cells, on the packing that is kept with the tests."""
     folder = tmp_path_factory.mktemp("small")
+    configuration = load_configuration(toml)
+    shutil.copy(SMALL_PACKING, folder / f"packing-{configuration.packing_hash[:32]}.npz")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CALCIDEM_CACHE", str(folder / "cache"))
-        run(CONFIGURATION, db=folder / "small.db").close()
+        patch.setenv("CALCIDEM_CACHE", str(folder))
+        run(configuration, db=folder / "small.db").close()
     return folder / "small.db"
 
 
-def test_what_was_computed_here_comes_out_the_same(small: Path, invoke: Invoke) -> None:
-    """On the machine that computed them all cells come out the same to the last bit, signals and cement too."""
+@pytest.fixture
+def change(small: Path, tmp_path: Path) -> Change:
+    """Give a copy of the database in which columns of one cell were set, by table."""
+
+    def changed(**assignments: str) -> Path:
+        path = Path(shutil.copy(small, tmp_path / "changed.db"))
+        engine = create_engine(f"sqlite:///{path}")
+        with engine.begin() as connection:
+            for table, values in assignments.items():
+                statement = f"UPDATE {table} SET {values} {OF_ONE_CELL}"  # noqa: S608 - from this file
+                connection.execute(text(statement))
+        engine.dispose()
+        return path
+
+    return changed
+
+
+@pytest.fixture
+def stored(small: Path) -> CellResult:
+    """Give a cell with a velocity."""
+    with open_campaign(small) as campaign:
+        return next(campaign.select(status="done", content=0.66, with_arrays=True))
+
+
+@pytest.fixture
+def no_packing_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the cache empty and fail whoever makes a packing."""
+
+    def fail(*_: object) -> Packing:
+        raise AssertionError
+
+    monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "empty"))
+    monkeypatch.setattr("calcidem.app.campaign.packing.make_packing", fail)
+
+
+@pytest.mark.usefixtures("no_packing_is_made")
+def test_what_was_computed_comes_out_the_same(small: Path, invoke: Invoke) -> None:
+    """All cells come out the same to the last bit, signals and cement too, on the packing of the database."""
     with open_campaign(small) as campaign:
         found = list(verify(campaign, random_cells(campaign, 100), campaign.experiment))
     assert len(found) == 4
-    assert all(verification.same_cpu for verification in found)
     assert all(verification.stored.signal is not None for verification in found)
-    assert [verification.differences for verification in found] == [()] * 4
-    assert "2 of 2 cells confirmed" in invoke("verify", small, "--cells", 2, "--choice", 1)
+    assert [dict(verification.differences) for verification in found] == [{}] * 4
+    output = invoke("verify", small, "--cells", 2, "--choice", 1)
+    assert "2 cells: 2 same bits, 0 same to rounding, 0 different." in output
 
 
-def test_a_changed_database_is_found_out(small: Path, invoke: Invoke, tmp_path: Path) -> None:
-    """A velocity that somebody changed by a millionth is reported, and the command ends with 1."""
-    changed = tmp_path / "changed.db"
-    changed.write_bytes(small.read_bytes())
-    engine = create_engine(f"sqlite:///{changed}")
-    with engine.begin() as connection:
-        connection.execute(text("UPDATE result SET vs = vs * 1.000001"))
-    engine.dispose()
+def test_rounding_is_told_with_its_size(change: Change, invoke: Invoke) -> None:
+    """A velocity that is off by 1e-12 is the same to rounding; the command names it and ends with 3."""
+    changed = change(result="vs_peak = vs_peak * (1.0 + 1e-12)")
+    output = invoke("verify", changed, "--cells", 4, exit_code=EXIT_ROUNDING)
+    assert "seed 1, 0.66 %: same to rounding (most of all vs_peak, relative difference 1e-12)" in output
+    assert "4 cells: 3 same bits, 1 same to rounding, 0 different." in output
+
+
+def test_a_changed_number_is_found_out(change: Change, invoke: Invoke) -> None:
+    """A velocity that is off by 1e-3 is different even beside one that is off by rounding; the command ends with 1."""
+    changed = change(result="vs = vs * 1.001, vs_peak = vs_peak * (1.0 + 1e-12)")
     output = invoke("verify", changed, "--cells", 4, exit_code=1)
-    assert "different (vs" in output
+    assert "seed 1, 0.66 %: different (most of all vs, relative difference 0.001; 1 other differs)" in output
+    assert "4 cells: 3 same bits, 0 same to rounding, 1 different." in output
+
+
+def test_a_changed_status_is_found_out(change: Change, invoke: Invoke) -> None:
+    """A cell that was done and is stored as without an arrival is different, whatever else agrees."""
+    changed = change(result="status = 'no_arrival', vs = NULL", attempt="reason = 'changed'")
+    output = invoke("verify", changed, "--cells", 4, exit_code=1)
+    assert "different (most of all status: stored no_arrival, computed done; 1 other differs)" in output
+
+
+def test_another_version_of_the_physics_is_refused(
+    small: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What another version of the physics computed is not compared: the message names both versions."""
+    monkeypatch.setattr(identity, "PHYSICS_VERSION", 99)
+    with pytest.raises(
+        CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
+    ) as refused:
+        invoke("verify", small)
+    assert exit_code_of(refused.value) == 2
+
+
+def test_signals_and_cement_are_compared(stored: CellResult) -> None:
+    """A signal off by little of its largest value is rounding; one cemented contact more is different."""
+    signal, cement = stored.signal, stored.cement
+    assert signal is not None
+    assert cement is not None
+    force = np.array(signal.received_force)
+    force[0] += 1e-12 * np.abs(force).max()
+    near = compare_outcomes(
+        stored, dataclasses.replace(stored, signal=dataclasses.replace(signal, received_force=force))
+    )
+    assert near.agreement is Agreement.ROUNDING
+    assert near.most_different == "signal.received_force"
+    assert near.differences[near.most_different] == pytest.approx(1e-12, rel=0.1)
+    far = dataclasses.replace(signal, received_velocity=1.001 * signal.received_velocity)
+    assert compare_outcomes(stored, dataclasses.replace(stored, signal=far)).agreement is Agreement.DIFFERENT
+    fewer = dataclasses.replace(cement, contacts=cement.contacts[1:], kind=cement.kind[1:])
+    other = compare_outcomes(stored, dataclasses.replace(stored, cement=fewer))
+    assert other.agreement is Agreement.DIFFERENT
+    assert set(other.differences) == {"cement.contacts", "cement.kind"}
+    without = dataclasses.replace(stored, signal=None, cement=None)
+    assert compare_outcomes(without, stored).agreement is Agreement.SAME_BITS
+    assert compare_outcomes(stored, without).agreement is Agreement.DIFFERENT
 
 
 def test_why_a_sample_was_sent_again_is_kept(small: Path) -> None:
@@ -70,22 +189,43 @@ def test_why_a_sample_was_sent_again_is_kept(small: Path) -> None:
     assert cell_result(again, pairs, store_signals=False).retry == "the energy grew"
 
 
-def test_another_kind_of_cpu_may_differ_within_the_error(small: Path) -> None:
-    """On another kind of CPU a Vs within the stored error estimate is accepted, one beyond it is not."""
-    with open_campaign(small) as campaign:
-        stored = next(campaign.select(status="done", with_arrays=True))
-    assert stored.vs is not None
-    assert stored.error_estimate is not None
-    near = dataclasses.replace(stored, vs=stored.vs * (1.0 + 0.5 * stored.error_estimate))
-    far = dataclasses.replace(stored, vs=stored.vs * (1.0 + 2.0 * stored.error_estimate))
-    assert compare_outcomes(stored, stored, same_cpu=False).agreement is Agreement.IDENTICAL
-    assert compare_outcomes(stored, near, same_cpu=False).agreement is Agreement.WITHIN_ERROR
-    assert compare_outcomes(stored, far, same_cpu=False).agreement is Agreement.DIFFERENT
-    assert compare_outcomes(stored, near, same_cpu=True).agreement is Agreement.DIFFERENT
-
-
 def test_choice_of_cells(small: Path) -> None:
     """The same seed chooses the same cells, and never more than there are."""
     with open_campaign(small) as campaign:
         assert random_cells(campaign, 2, 7) == random_cells(campaign, 2, 7)
         assert random_cells(campaign, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
+
+
+@pytest.mark.usefixtures("no_packing_is_made")
+def test_accuracy_judges_the_packing_of_the_database(
+    small: Path, toml: Path, small_packing: Packing, invoke: Invoke
+) -> None:
+    """With --db the cells are those of the stored packing, at its own unbalanced-force ratio too; none is made."""
+    configuration = load_configuration(toml)
+    task = plan_task(configuration, (), 1, small, lambda _: None)
+    assert task.experiment.packing.content_hash == small_packing.content_hash
+    assert task.packing_of(configuration.packing.unbalanced_force_ratio) is task.experiment.packing
+    assert task.stored is not None
+    assert set(task.stored) == {0.0, 0.66}
+    limits = ("--content", 0.66, "--seeds", 1, "--only", "precision float32")
+    assert "precision float32" in invoke("accuracy", toml, "--db", small, *limits)
+
+
+@pytest.mark.usefixtures("no_packing_is_made")
+def test_explain_judges_the_packing_of_the_database(small: Path, toml: Path, invoke: Invoke) -> None:
+    """With --db the cells are those of the stored packing; none is made."""
+    assert "disks out of reach" in invoke("explain", toml, "--db", small, "--content", 0.66)
+
+
+@pytest.mark.parametrize("command", ["accuracy", "explain"])
+def test_a_database_of_another_configuration_is_refused(
+    small: Path, toml: Path, tmp_path: Path, invoke: Invoke, command: str
+) -> None:
+    """Before anything is measured; the message names both hashes and what differs."""
+    other = tmp_path / "other.toml"
+    other.write_text(CONFIGURATION.format(p_share=0.5), encoding="utf-8")
+    with pytest.raises(CampaignMismatchError, match=r"pattern\.p_share: 0\.77 -> 0\.5") as refused:
+        invoke(command, other, "--db", small)
+    assert load_configuration(toml).hash in str(refused.value)
+    assert load_configuration(other).hash in str(refused.value)
+    assert exit_code_of(refused.value) == 2

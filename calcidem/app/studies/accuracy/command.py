@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
@@ -18,7 +19,7 @@ from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.campaign import StoredCampaign
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +35,7 @@ class Task:
     campaign_seeds
         All seeds of the campaign.
     packing_of
-        Makes the experiment's packing for another unbalanced-force ratio.
+        Gives the experiment's packing for an unbalanced-force ratio; another than its own has to be made.
     stored
         Velocities of a stored campaign at each content, m/s; None measures some samples instead.
     lanes
@@ -69,35 +70,49 @@ def plan_task(
     seeds
         How many.
     database
-        Where the campaign is stored, for the scatter of its samples.
+        Where the campaign is stored: its packing is taken, and its velocities for the scatter of its samples. None
+        takes the packing from the cache, or makes it.
     progress
         Told what is done.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If the database has a campaign of another configuration.
     """
+    plan = configuration.campaign
+    contents = contents or sorted(plan.contents)
+    velocities = None
+    if database is None:
+        packing = provide_packing(configuration, None, progress)
+    else:
+        with open_campaign_of(configuration, database) as campaign:
+            packing = campaign.experiment().packing
+            velocities = stored_velocities(campaign, contents)
 
     def packing_of(ratio: float) -> Packing:
+        if ratio == configuration.packing.unbalanced_force_ratio:
+            return packing
         rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
         return provide_packing(replace(configuration, packing=rule), None, progress)
 
-    plan = configuration.campaign
-    contents = contents or sorted(plan.contents)
     return Task(
-        experiment=configuration.experiment(provide_packing(configuration, None, progress)),
+        experiment=configuration.experiment(packing),
         contents=contents,
         seeds=plan.seed_numbers[:seeds],
         campaign_hash=configuration.hash,
         campaign_seeds=plan.seed_numbers,
         packing_of=packing_of,
-        stored=None if database is None else stored_velocities(database, contents),
+        stored=velocities,
         lanes=configuration.run.lanes,
     )
 
 
-def stored_velocities(database: str | os.PathLike[str], contents: Sequence[float]) -> dict[float, list[float]]:
+def stored_velocities(campaign: StoredCampaign, contents: Sequence[float]) -> dict[float, list[float]]:
     """Velocities of a stored campaign at those of some contents that it has, m/s."""
-    with open_stored_campaign(database) as campaign:
-        vs = campaign.vs()
-        known = [value for value in contents if value in vs.content.to_numpy()]
-        return {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
+    vs = campaign.vs()
+    known = [value for value in contents if value in vs.content.to_numpy()]
+    return {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
 
 
 def accuracy(
