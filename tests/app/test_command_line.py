@@ -142,7 +142,7 @@ def test_run_in_process_gives_the_campaign(
     assert workshop.cells() == {key: cell for key, cell in expected.items() if key in {(2, 5.0), (3, 5.0)}}
 
 
-@pytest.mark.skipif("CALCIDEM_TEST_INSTALL" not in os.environ, reason="installs for minutes: set CALCIDEM_TEST_INSTALL")
+@pytest.mark.full
 def test_an_installed_package_needs_no_checkout(workshop: "Workshop", tmp_path_factory: pytest.TempPathFactory) -> None:
     """`pip install .` into an empty environment, outside the checkout: `calcidem init && calcidem run` works."""
     place = tmp_path_factory.mktemp("environment")
