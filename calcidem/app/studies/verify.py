@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -197,7 +198,7 @@ def different_arrays(
     }
 
 
-def array_difference(stored: npt.NDArray[np.generic], computed: npt.NDArray[np.generic]) -> float:
+def array_difference(stored: npt.NDArray[Any], computed: npt.NDArray[Any]) -> float:
     """Return the largest difference of two arrays over their largest magnitude.
 
     Infinite for other shapes, and for whole numbers, which name disks or kinds, that are not the same.
