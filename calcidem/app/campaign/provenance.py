@@ -20,7 +20,7 @@ def describe_run(ranks: int) -> RunRecord:
     """Provenance of the run that begins now, on rank 0 of so many."""
     commit, dirty = source_tree_state()
     return RunRecord(
-        versions={"python": platform.python_version()} | {name: version_of(name) for name in LIBRARIES},
+        versions=library_versions(),
         host=platform.node(),
         cpu=cpu_model(),
         ranks=ranks,
@@ -31,6 +31,12 @@ def describe_run(ranks: int) -> RunRecord:
         git_dirty=dirty,
         slurm_job_id=os.environ.get("SLURM_JOB_ID"),
     )
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of Python, of what the numbers and the files depend on, and of the C library where it tells its own."""
+    versions = {"python": platform.python_version()} | {name: version_of(name) for name in LIBRARIES}
+    return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 
 def version_of(name: str) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
+from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker, worker_text
 from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.app.doctor.mpi import mpi_findings
 from calcidem.storage.errors import StoreError
@@ -38,6 +39,7 @@ def findings(folder: Path) -> Iterator[Finding]:
     yield Finding(
         FindingLevel.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}"
     )
+    yield processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
         yield cores_finding(available_cores(), read_or_empty(CPU_QUOTA))
     yield from thread_findings(os.environ)
@@ -54,6 +56,19 @@ def read_or_empty(path: Path) -> str:
         return path.read_text(encoding="ascii")
     except OSError:
         return ""
+
+
+def processor_finding() -> Finding:
+    """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
+    worker = describe_worker(rank=0)
+    if worker.architecture in PORTABLE_ARCHITECTURES:
+        return Finding(FindingLevel.OK, "processor", f"{worker_text(worker)}; no bit of a result depends on it")
+    return Finding(
+        FindingLevel.WARNING,
+        "processor",
+        f"{worker_text(worker)}; nobody has compared the bits of such processors",
+        "compute a campaign on machines of one kind",
+    )
 
 
 def cores_finding(cores: int, quota: str) -> Finding:

@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from llvmlite import binding
 from numba import njit
+from numba.core import codegen, config
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -20,3 +22,10 @@ def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa:
 
 # Only compiled code calls these, so they need no entry for Python; making those took a third of the compile time.
 inline = compile_function(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def target_processor() -> tuple[str, tuple[str, ...]]:
+    """LLVM's names of the processor that kernels are compiled for and of its features, numba's settings included."""
+    name = config.CPU_NAME or binding.get_host_cpu_name()
+    features = codegen.get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
+    return str(name), tuple(part[1:] for part in features.split(",") if part.startswith("+"))

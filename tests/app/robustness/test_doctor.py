@@ -13,7 +13,17 @@ from calcidem.app.doctor import mpi as checkup_mpi
 def test_a_healthy_machine_has_no_problem(tmp_path: Path, invoke: Callable[..., str]) -> None:
     """With the launcher of the environment every point is checked, and none is a problem."""
     output = invoke("doctor", tmp_path)
-    subjects = ("cores", "threads", "Slurm", "file system", "SQLite", "packing cache", "compile cache", "two ranks")
+    subjects = (
+        "processor",
+        "cores",
+        "threads",
+        "Slurm",
+        "file system",
+        "SQLite",
+        "packing cache",
+        "compile cache",
+        "two ranks",
+    )
     assert all(f" {subject}: " in output for subject in subjects)
     assert "journal mode WAL" in output
     assert list(tmp_path.iterdir()) == []

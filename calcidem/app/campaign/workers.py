@@ -1,0 +1,144 @@
+"""What the processes of a run are, as far as bits could depend on it, and whether they do."""
+
+import ctypes
+import platform
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from importlib import import_module
+from types import ModuleType
+
+from calcidem.app.campaign.provenance import library_versions
+from calcidem.app.config.schema import PHYSICS_VERSION
+from calcidem.dem.kernels.compiling import target_processor
+from calcidem.storage.records import WorkerRecord
+
+PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
+"""Families of processors on each of which a bit is the same everywhere; see `describe_doubt`."""
+
+OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
+"""What Windows and macOS call a family of processors, and Linux."""
+
+NAMED_HOSTS = 3
+"""Machines of one kind that are named where there are many."""
+
+CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
+"""Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
+
+
+def describe_worker(rank: int) -> WorkerRecord:
+    """What this process is."""
+    processor, features = target_processor()
+    machine = platform.machine().lower()
+    return WorkerRecord(
+        ranks=(rank,),
+        hosts=(platform.node(),),
+        architecture=OTHER_NAMES.get(machine, machine),
+        processor=processor,
+        features=features,
+        blas_core=blas_core(),
+        numpy_simd=numpy_simd(),
+        versions=library_versions() | {"physics": str(PHYSICS_VERSION)},
+    )
+
+
+def numpy_core() -> ModuleType:
+    """The module of numpy in machine code, where numpy has it since version 2, or else before."""
+    try:
+        return import_module("numpy._core._multiarray_umath")
+    except ImportError:
+        return import_module("numpy.core._multiarray_umath")
+
+
+def numpy_simd() -> tuple[str, ...]:
+    """Instruction sets beyond its baseline for which numpy chooses functions here; none if it does not tell."""
+    core = numpy_core()
+    found = getattr(core, "__cpu_features__", {})
+    return tuple(name for name in getattr(core, "__cpu_dispatch__", ()) if found.get(name))
+
+
+def blas_core() -> str | None:
+    """Processor that numpy's OpenBLAS has chosen its kernels for; None for another BLAS, or if it can't be asked."""
+    try:
+        library = ctypes.CDLL(str(numpy_core().__file__))  # what it is linked to is searched, too
+    except OSError:
+        return None
+    function = next((getattr(library, name) for name in CORE_FUNCTIONS if hasattr(library, name)), None)
+    if function is None:
+        return None
+    function.restype = ctypes.c_char_p
+    core: bytes | None = function()
+    return None if core is None else core.decode("ascii", "replace")
+
+
+def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
+    """One record for all that are alike, with their ranks and hosts."""
+    groups: list[WorkerRecord] = []
+    for worker in workers:
+        alike = next((i for i, group in enumerate(groups) if is_alike(group, worker)), None)
+        if alike is None:
+            groups.append(worker)
+        else:
+            group = groups[alike]
+            hosts = tuple(dict.fromkeys((*group.hosts, *worker.hosts)))
+            groups[alike] = replace(group, ranks=(*group.ranks, *worker.ranks), hosts=hosts)
+    return tuple(groups)
+
+
+def is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
+    """Whether two records differ in nothing but where the workers are."""
+    return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
+
+
+def worker_text(worker: WorkerRecord) -> str:
+    """What a worker is, in a line."""
+    blas = "BLAS unknown" if worker.blas_core is None else f"OpenBLAS {worker.blas_core}"
+    simd = worker.numpy_simd[-1] if worker.numpy_simd else "baseline"
+    return f"{worker.processor} ({worker.architecture}, {len(worker.features)} features), {blas}, numpy {simd}"
+
+
+def hosts_text(worker: WorkerRecord) -> str:
+    """The machines of a worker, only the first of many."""
+    more = len(worker.hosts) - NAMED_HOSTS
+    return ", ".join(worker.hosts[:NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
+
+
+def differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
+    """Names of what these workers have in several versions."""
+    names = dict.fromkeys(name for worker in workers for name in worker.versions)
+    return tuple(name for name in names if len({worker.versions.get(name) for worker in workers}) > 1)
+
+
+def describe_doubt(workers: Sequence[WorkerRecord]) -> str:
+    """Why a cell could have other bits on one of these workers than on another; empty if it can't.
+
+    What decides a bit is arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
+    that calcidem brings itself. So it depends neither on the features of the processor, nor on BLAS, numpy's vector
+    functions, the C library, or versions of libraries: `tests/dem/bits` compares them on x86-64. Nothing in it is of
+    x86-64 alone, so aarch64 has the same bits by construction, but a campaign on both at once nobody has compared.
+    """
+    architectures = sorted({worker.architecture for worker in workers})
+    if len(architectures) > 1:
+        return f"nobody has compared the bits of {' and '.join(architectures)}"
+    if not set(architectures) <= set(PORTABLE_ARCHITECTURES):
+        return f"nobody has compared the bits of different processors of {architectures[0]}"
+    ours = [name for name in ("physics", "calcidem") if name in differing_versions(workers)]
+    return f"they have several versions of {' and '.join(ours)}" if ours else ""
+
+
+def describe_unlike(workers: Sequence[WorkerRecord]) -> str:
+    """Sentence for a run whose workers are of several kinds, a warning if bits could differ; empty for one kind."""
+    if len(workers) == 1:
+        return ""
+    several = differing_versions(workers)
+    kinds = "; ".join(
+        ", ".join([worker_text(worker), *(f"{name} {worker.versions.get(name, 'none')}" for name in several)])
+        + f" on {hosts_text(worker)}"
+        for worker in workers
+    )
+    doubt = describe_doubt(workers)
+    if doubt:
+        return (
+            f"Warning: the ranks are not alike, and {doubt}, so a cell could have other bits on one than on another: "
+            f"{kinds}. Use machines of one kind, with one installation."
+        )
+    return f"The ranks are not alike, but no bit of a result depends on it: {kinds}."
