@@ -20,3 +20,6 @@ def test_wheel_contains_the_migrations(tmp_path: Path) -> None:
     }
     assert {"calcidem/storage/sql/migrations/versions/v0004_sample_times.py"} < needed <= names
     assert "calcidem/app/config/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"
+    packings = {name for name in names if name.startswith("calcidem/app/config/presets/packings/")}
+    in_tree = (ROOT / "calcidem" / "app" / "config" / "presets" / "packings").glob("*.npz")
+    assert packings == {str(path.relative_to(ROOT)) for path in in_tree} != set(), "the packings of the examples"

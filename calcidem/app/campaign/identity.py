@@ -8,9 +8,14 @@ from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.canonical import canonical_json, config_difference
 
 
+def physics_version(record: CampaignRecord) -> object:
+    """`PHYSICS_VERSION` of the program that a stored campaign was computed with."""
+    return json.loads(record.config).get("physics_version", "unknown")
+
+
 def refuse_other_physics(record: CampaignRecord) -> None:
     """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`."""
-    stored = json.loads(record.config).get("physics_version", "unknown")
+    stored = physics_version(record)
     if stored != PHYSICS_VERSION:
         raise CampaignMismatchError(
             f"The campaign '{record.name}' was computed with physics version {stored}, this calcidem has version "

@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
+from calcidem.app.campaign.identity import physics_version
+from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records.campaign import refuse_other_packing
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Store
+from calcidem.storage.store import Selection, Store
 
 COMPARED = (
     *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
@@ -181,7 +182,7 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
         If configurations or packings differ.
     """
     refuse_other_campaigns(sources)
-    refuse_other_packings(sources)
+    packings = join_packings(sources)
     outcomes = [outcomes_of(source) for source in sources]
     cells = sorted(set().union(*(source.store.statuses() for source in sources)))
     choice = {key: best for key in cells if (best := choose_source(key, outcomes, prefer)) is not None}
@@ -197,10 +198,10 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
     if conflicts and prefer is None:
         return merged
     target.begin_campaign(replace(sources[0].record, seeds=(), contents=()))
+    for packing in packings:
+        target.save_packing(packing)
     for source in sources:
         copy_plan(source.store, target)
-        for index in source.store.packing_indices():
-            target.save_packing(source.packing(index))
     numbers = copy_history(sources, target)
     for position, source in enumerate(sources):
         copy_outcomes(source, position, target, choice, numbers)
@@ -208,9 +209,16 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
 
 
 def refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
-    """Raise `CampaignMismatchError` unless all sources have the same physical configuration."""
+    """Raise `CampaignMismatchError` unless all sources have the same physics version and configuration."""
     first = sources[0].record
-    for record in (source.record for source in sources[1:]):
+    for position, record in enumerate((source.record for source in sources), 1):
+        if physics_version(record) != physics_version(first):
+            raise CampaignMismatchError(
+                f"The campaign '{first.name}' has physics version {physics_version(first)} in database 1 and "
+                f"{physics_version(record)} in database {position}: the same cells have other bits in the two.",
+                "Cells of two versions can't be in one campaign: compute those of one database again with the "
+                "calcidem of the other.",
+            )
         if record.hash != first.hash:
             differences = config_difference(first.config, record.config) or ["(none in the configurations' text)"]
             raise CampaignMismatchError(
@@ -221,20 +229,30 @@ def refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
             )
 
 
-def refuse_other_packings(sources: Sequence[StoredCampaign]) -> None:
-    """Raise `CampaignMismatchError` if two sources have different disks under the same number."""
-    first: dict[int, PackingRecord] = {}
-    for source in sources:
-        for index in source.store.packing_indices():
-            packing = source.packing(index)
-            other = first.setdefault(index, packing)
-            same = all(np.array_equal(getattr(packing, name), getattr(other, name)) for name in ("x", "y", "radius"))
-            if not same or packing.hash != other.hash:
-                raise CampaignMismatchError(
-                    f"Packing {index} differs between the databases: it was made on different kinds of CPU.",
-                    "Their cells can't be compared. Let all runs take the packing from one place: make it once with "
-                    "'calcidem packing CONFIG' and give all of them the same folder CALCIDEM_CACHE.",
-                )
+def join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
+    """All packings of the sources.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If two sources have different ones under the same number, or one lacks a packing of its cells.
+    """
+    first: dict[int, tuple[PackingRecord, str]] = {}
+    for position, source in enumerate(sources, 1):
+        place = f"database {position}"
+        indices = source.packing_indices()
+        used = source.store.table(("packing_index",), Selection(where="packing_index is not None"))["packing_index"]
+        if lacking := set(used.astype(int).tolist()) - set(indices):
+            raise CampaignMismatchError(
+                f"Packing {min(lacking)}, on which cells were computed, is missing in {place}.",
+                "So it can't be told whether their packing is that of the other cells; leave this database out.",
+            )
+        for index in indices:
+            record = source.packing(index)
+            packing = replace(record, content_hash=content_hash_of(record))
+            other, other_place = first.setdefault(index, (packing, place))
+            refuse_other_packing(other, packing, (other_place, place))
+    return [packing for packing, _ in first.values()]
 
 
 def outcomes_of(source: StoredCampaign) -> dict[CellKey, StoredOutcome]:

@@ -19,7 +19,7 @@ from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.identity import refuse_other_configuration
-from calcidem.app.campaign.packing import DamagedPackingError, stored_packing
+from calcidem.app.campaign.packing import content_hash_of, stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -29,7 +29,7 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.campaign import StoredCampaign
-from calcidem.storage.errors import DamagedStoreError, StoreError, UnknownCellError
+from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CementPattern
 from calcidem.storage.sql.store import open_store
@@ -211,15 +211,21 @@ class OpenedCampaign(StoredCampaign):
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        record = self.packing(packing_index)
-        try:
-            packing = stored_packing(record)
-        except DamagedPackingError as error:
-            raise DamagedStoreError(
-                f"The stored state of packing {packing_index} can't be used: {error}.",
-                "The samples can't be rebuilt from this database; their results can be read as before.",
-            ) from error
+        packing = stored_packing(self.packing(packing_index))
         return Configuration.from_physics(self.config).experiment(packing)
+
+    def content_hash(self, packing_index: int = 0) -> str | None:
+        """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
+
+        All cells of a campaign that have this packing were computed on these very disks and forces.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.content_hash() == campaign.experiment().packing.content_hash
+        True
+        """
+        return content_hash_of(self.packing(packing_index))
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

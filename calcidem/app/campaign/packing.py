@@ -4,17 +4,20 @@ import io
 import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
+from calcidem.app.config.presets import preset_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.store import Store
@@ -43,7 +46,9 @@ def cache_folder() -> Path:
 def provide_packing(
     configuration: Configuration, store: Store | None, tell: Tell, check: Callable[[], None] = lambda: None
 ) -> Packing:
-    """The packing of a campaign, made only if neither its database nor the cache has it.
+    """The packing of a campaign: of its database, of calcidem itself, or of the cache; made only if none has it.
+
+    A packing whose stored state is damaged is replaced by one of the same content, and by no other.
 
     Parameters
     ----------
@@ -60,11 +65,32 @@ def provide_packing(
     ------
     PackingError
         If it has to be made and does not come to rest.
+    CampaignMismatchError
+        If the stored one is damaged and what is found or made is another one.
     """
     record = store.load_packing() if store is not None else None
-    if record is not None and record.hash == configuration.packing_hash and record.state:
+    if store is None or record is None:
+        return find_packing(configuration, tell, check)
+    try:
+        packing = stored_packing(record)
+    except DamagedStoreError as error:
+        tell(f"Packing: {error.problem}")
+    else:
         tell("Packing: taken from the database.")
-        return stored_packing(record)
+        return packing
+    packing = find_packing(configuration, tell, check)
+    found = packing_record(packing, index=record.index, packing_hash=configuration.packing_hash)
+    store.save_packing(found, replace_state=True)
+    tell("Packing: it is the one of the database, whose state has been replaced.")
+    return packing
+
+
+def find_packing(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Packing:
+    """The packing that comes with calcidem or is in the cache, or else a new one; see `provide_packing`."""
+    archive = preset_packing(configuration.packing_hash)
+    if archive is not None:
+        tell("Packing: comes with calcidem.")
+        return packing_from_bytes(archive)
     path = cache_folder() / f"packing-{configuration.packing_hash[:32]}.npz"
     packing = read_cache(path, tell)
     if packing is not None:
@@ -146,6 +172,8 @@ def packing_from_bytes(archive: bytes) -> Packing:
     DamagedPackingError
         If the bytes have been changed or cut off, or are something else.
     """
+    if not archive:
+        raise DamagedPackingError("it is empty")
     start = len(HEADING) + DIGEST_LENGTH + 1
     head, body = archive[:start], archive[start:]
     if head != HEADING + sha256(body).hexdigest().encode() + b"\n":
@@ -185,6 +213,7 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
         unbalanced_ratio=report.unbalanced_ratio,
         seconds=report.seconds,
         state=packing_to_bytes(packing),
+        content_hash=packing.content_hash,
     )
 
 
@@ -193,7 +222,42 @@ def stored_packing(record: PackingRecord) -> Packing:
 
     Raises
     ------
-    DamagedPackingError
-        If the record's state is missing or damaged.
+    DamagedStoreError
+        If the record's state is missing or damaged, or of another packing than the rest of the record.
     """
-    return packing_from_bytes(record.state)
+    try:
+        packing = packing_from_bytes(record.state)
+        check_record(record, packing)
+    except DamagedPackingError as error:
+        raise DamagedStoreError(
+            f"The stored state of packing {record.index} can't be used: {error}.",
+            "Samples can't be rebuilt from it; the results can be read as before.",
+        ) from error
+    return packing
+
+
+def check_record(record: PackingRecord, packing: Packing) -> None:
+    """Raise `DamagedPackingError` if a record says something else than the packing in its state."""
+    for name in ("x", "y", "radius", "width", "height"):
+        if not np.array_equal(getattr(packing, name), getattr(record, name)):
+            raise DamagedPackingError(f"its {name} is not that of the record")
+    if record.content_hash not in {None, packing.content_hash}:
+        raise DamagedPackingError(f"its content hash is {packing.content_hash}, not {record.content_hash}")
+
+
+def identify_packing(record: PackingRecord) -> PackingRecord:
+    """A record whose state, if there is one, was checked, with the content hash that an earlier calcidem did not store.
+
+    Raises
+    ------
+    DamagedStoreError
+        As `stored_packing`.
+    """
+    return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
+
+
+def content_hash_of(record: PackingRecord) -> str | None:
+    """Content hash of a stored packing, also of one that an earlier calcidem stored; None where that can't be told."""
+    with suppress(DamagedStoreError):
+        record = identify_packing(record)
+    return record.content_hash

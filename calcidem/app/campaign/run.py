@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from types import TracebackType
 from typing import Self
 
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.provenance import describe_run
@@ -145,6 +146,8 @@ class CampaignRun:
             path.parent.mkdir(parents=True, exist_ok=True)
         store = open_store(configuration.database)
         try:
+            for namesake in (found for found in store.campaigns() if found.name == configuration.campaign.name):
+                refuse_other_physics(namesake)
             store.begin_campaign(
                 CampaignRecord(
                     hash=configuration.hash,

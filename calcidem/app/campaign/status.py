@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.analysis.intervals import Interval, mean_interval
+from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
@@ -81,6 +82,8 @@ class CampaignStatus:
     ----------
     name, hash, seeds
         Of the campaign.
+    content_hashes
+        Of its packings, by index; None where it can't be told.
     contents
         One for each content, ascending.
     counts
@@ -99,6 +102,7 @@ class CampaignStatus:
 
     name: str
     hash: str
+    content_hashes: Mapping[int, str | None]
     seeds: tuple[int, ...]
     contents: tuple[ContentStatus, ...]
     counts: Mapping[CellStatus, int]
@@ -155,6 +159,10 @@ def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatu
     return CampaignStatus(
         name=campaign.record.name,
         hash=campaign.record.hash,
+        content_hashes={
+            index: known or content_hash_of(campaign.packing(index))
+            for index, known in campaign.store.content_hashes().items()
+        },
         seeds=campaign.record.seeds,
         contents=statuses,
         counts=counts,

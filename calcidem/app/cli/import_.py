@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.packing import identify_packing
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.sql.store import open_store
 
@@ -15,8 +16,11 @@ def import_command(
         str, typer.Option("--db", metavar="DB", help="SQLite file or database URL; created if it does not exist.")
     ],
 ) -> None:
-    """Rebuild a campaign's database from its exported file; what a database already has is kept."""
+    """Rebuild a campaign's database from its exported file; what a database already has is kept.
+
+    A file that was changed, and one whose cells are on another packing than the database's, are refused.
+    """
     with open_store(database) as store:
-        campaign = import_netcdf(file, store)
+        campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
     typer.echo(f"Campaign '{campaign.name}' ({cells}) is in {database}.")

@@ -9,6 +9,6 @@ from calcidem.app.config.reader import load_configuration
 
 
 def packing_command(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
-    """Make the packing of a campaign, keep it in the cache, and report on it."""
+    """Report on the packing of a campaign; unless it comes with calcidem, it is made and kept in the cache."""
     for line in packing_lines(provide_packing(load_configuration(configuration), None, typer.echo)):
         typer.echo(line)

@@ -51,6 +51,7 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
     """What the campaign is, its progress, and how its last run went."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
+        + "".join(f", packing {(found or 'unknown')[:12]}" for found in status.content_hashes.values())
     )
     total = sum(status.counts.values())
     finished = total - status.pending
@@ -169,6 +170,7 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
     return {
         "campaign": status.name,
         "hash": status.hash,
+        "packing_content_hashes": list(status.content_hashes.values()),
         "running": status.running,
         "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": {kind.value: number for kind, number in sorted(status.counts.items())},

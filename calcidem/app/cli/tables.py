@@ -55,6 +55,7 @@ def packing_lines(packing: Packing) -> Iterator[str]:
         f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
         f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
     )
+    yield f"  content hash {packing.content_hash}"
 
 
 def vs_table(store: Store, selection: Selection) -> Table:

@@ -6,6 +6,7 @@ from typing import Any
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
+from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
 
@@ -157,6 +158,7 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
             ("unbalanced-force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
             ("grains at transmitter, receiver", _ends, "ends of the paths"),
+            ("content hash", lambda g: content_hash_of(g.packing) or UNKNOWN, "of all bits of disks, walls and forces"),
             ("time to make", lambda g: time_span(g.packing.seconds), ""),
         )
     ]

@@ -1,6 +1,8 @@
 """`calcidem merge`: the union of databases of one campaign, and no silent choice between different values."""
 
+import json
 import shutil
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,9 +10,11 @@ from pathlib import Path
 import pytest
 
 from calcidem.app.campaign.merge import MergeConflictError, merge_databases
+from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import open_store
 
 
@@ -94,14 +98,54 @@ def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: P
 
 
 def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, tmp_path: Path) -> None:
-    """Campaigns whose disks lie elsewhere are refused although their configurations are equal."""
+    """Campaigns whose disks lie elsewhere are refused although their configurations are equal; both are named."""
     first, other = part("a.db", {1}), tmp_path / "other.db"
     with open_store(complete, read_only=True) as whole, open_store(other) as store:
         store.begin_campaign(whole.use_campaign())
-        packing = whole.load_packing()
-        assert packing is not None
+        record = whole.load_packing()
+        assert record is not None
+        packing = stored_packing(record)
+        moved = replace(packing, x=packing.x * (1 + 1e-15))
+        store.save_packing(packing_record(moved, index=0, packing_hash=record.hash))
+    hashes = f"{packing.content_hash} in database 1 and {moved.content_hash} in database 2"
+    with pytest.raises(CampaignMismatchError, match=rf"{hashes}.*\n?.*CALCIDEM_CACHE"):
+        merge_databases([str(first), str(other)], tmp_path / "out.db")
+    assert not (tmp_path / "out.db").exists()
+
+
+def test_a_record_that_was_edited_is_another_packing(part: Callable[..., Path], tmp_path: Path) -> None:
+    """Disks that no longer are those of the packing's state are not taken for the packing."""
+    first, other = part("a.db", {1}), part("b.db", {2})
+    with open_stored_campaign(other) as campaign:
+        record, packing = campaign.record, campaign.packing()
+    with open_store(tmp_path / "edited.db") as store:
+        store.begin_campaign(record)
         store.save_packing(replace(packing, x=packing.x * (1 + 1e-15)))
     with pytest.raises(CampaignMismatchError, match="CALCIDEM_CACHE"):
+        merge_databases([str(first), str(tmp_path / "edited.db")], tmp_path / "out.db")
+
+
+def test_cells_on_an_unknown_packing_are_refused(part: Callable[..., Path], tmp_path: Path) -> None:
+    """A database that has lost its packing cannot be merged: nobody knows what its cells were computed on."""
+    first, other = part("a.db", {1}), part("b.db", {2})
+    with sqlite3.connect(other) as connection:
+        connection.execute("DELETE FROM packing")
+    connection.close()
+    with pytest.raises(CampaignMismatchError, match=r"Packing 0, on which .* missing in database 2"):
+        merge_databases([str(first), str(other)], tmp_path / "out.db")
+
+
+def test_another_physics_version_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
+    """Campaigns of two physics versions are refused in a sentence that names both."""
+    first, other = part("a.db", {1}), tmp_path / "other.db"
+    with open_store(first, read_only=True) as store:
+        record = store.use_campaign()
+    config = json.loads(record.config)
+    stored = config["physics_version"]
+    config["physics_version"] = stored + 1
+    with open_store(other) as store:
+        store.begin_campaign(replace(record, hash=canonical_hash(config), config=canonical_json(config)))
+    with pytest.raises(CampaignMismatchError, match=f"version {stored} in database 1 and {stored + 1} in database 2"):
         merge_databases([str(first), str(other)], tmp_path / "out.db")
 
 
