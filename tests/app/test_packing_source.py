@@ -1,6 +1,9 @@
 """The packing of a campaign: kept, found again, and made anew when what was kept is damaged."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
@@ -8,18 +11,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calcidem.app.campaign import packing as packing_source
+from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import (
     DamagedPackingError,
     cache_folder,
+    identify_packing,
     packing_from_bytes,
     packing_record,
     packing_to_bytes,
     provide_packing,
     stored_packing,
 )
+from calcidem.app.cli.init import Preset
+from calcidem.app.config import presets
 from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.presets import preset_packing, preset_text
+from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.sql.store import SqlStore, open_store
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))
 """Some 60 disks, made in less than a second."""
@@ -96,6 +111,84 @@ def test_another_seed_is_another_packing(told: list[str], packing: Packing) -> N
     other = provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), None, told.append)
     assert ["being made" in line for line in told] == [True, True]
     assert not np.array_equal(other.x, packing.x)
+
+
+@pytest.mark.parametrize("preset", list(Preset))
+def test_the_packing_of_a_preset_comes_with_calcidem(
+    told: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: Preset
+) -> None:
+    """Nobody has to make the packing of an example, so everybody has the same; nor is it put into the cache."""
+    monkeypatch.setattr(packing_source, "make_packing", None)
+    (tmp_path / "c.toml").write_text(preset_text(preset), encoding="utf-8")
+    configuration = load_configuration(tmp_path / "c.toml")
+    found = provide_packing(configuration, None, told.append)
+    assert told == ["Packing: comes with calcidem."]
+    assert not cache_folder().exists()
+    check_against_packing(configuration, found)
+
+
+def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) -> None:
+    """Whoever computes the preset gets the shipped numbers: its packing is the one that they were computed on."""
+    with open_store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
+        import_netcdf(path, store, identify_packing)
+        record = store.load_packing()
+    assert record is not None
+    archive = preset_packing(record.hash)
+    assert archive is not None
+    assert packing_from_bytes(archive).content_hash == record.content_hash
+
+
+@pytest.fixture
+def store(packing: Packing, tmp_path: Path) -> Iterator[SqlStore]:
+    """Give a store that has the tiny packing."""
+    with open_store(tmp_path / "tiny.db") as opened:
+        config = canonical_json(TINY.physics)
+        opened.begin_campaign(CampaignRecord(TINY.hash, "tiny", config, (), (), datetime.now(UTC)))
+        opened.save_packing(packing_record(packing, index=0, packing_hash=TINY.packing_hash))
+        yield opened
+
+
+def put_into_cache(packing: Packing) -> None:
+    """Put a packing where the tiny one would be."""
+    cache_folder().mkdir()
+    (cache_folder() / f"packing-{TINY.packing_hash[:32]}.npz").write_bytes(packing_to_bytes(packing))
+
+
+def test_the_database_comes_before_the_cache(store: SqlStore, told: list[str], packing: Packing) -> None:
+    """A run goes on with the packing of its database, whatever the cache holds."""
+    put_into_cache(replace(packing, x=packing.x * (1.0 + 1e-15)))
+    assert provide_packing(TINY, store, told.append).content_hash == packing.content_hash
+    assert told == ["Packing: taken from the database."]
+
+
+def damage_state(store: SqlStore) -> None:
+    """Change a byte of the state."""
+    record = store.load_packing()
+    assert record is not None
+    store.save_packing(replace(record, state=record.state[:-1] + b"?"), replace_state=True)
+
+
+def test_a_damaged_state_is_replaced_by_the_same_packing(store: SqlStore, told: list[str], packing: Packing) -> None:
+    """A packing of the same content takes the place of a stored one whose state can't be used."""
+    damage_state(store)
+    put_into_cache(packing)
+    assert same_bits(provide_packing(TINY, store, told.append), packing)
+    assert "can't be used: the checksum does not fit" in told[0]
+    assert "its state in the database has been replaced" in told[-1]
+    record = store.load_packing()
+    assert record is not None
+    assert same_bits(stored_packing(record), packing)
+
+
+def test_a_damaged_state_is_not_replaced_by_another_packing(store: SqlStore, told: list[str], packing: Packing) -> None:
+    """A packing of another content is refused in its place; the message names both."""
+    damage_state(store)
+    shear = packing.preload.shear.copy()
+    shear[0] = np.nextafter(shear[0], 1.0)
+    other = replace(packing, preload=replace(packing.preload, shear=shear))
+    put_into_cache(other)
+    with pytest.raises(CampaignMismatchError, match=rf"{packing.content_hash} in .* and {other.content_hash} in "):
+        provide_packing(TINY, store, told.append)
 
 
 @pytest.mark.parametrize("damage", ["cut off", "changed", "emptied", "replaced by a folder"])

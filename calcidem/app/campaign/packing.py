@@ -81,7 +81,7 @@ def provide_packing(
     packing = find_packing(configuration, tell, check)
     found = packing_record(packing, index=record.index, packing_hash=configuration.packing_hash)
     store.save_packing(found, replace_state=True)
-    tell("Packing: it is the one of the database, whose state has been replaced.")
+    tell("Packing: it is the same, and its state in the database has been replaced.")
     return packing
 
 
