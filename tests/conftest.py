@@ -1,5 +1,6 @@
 """Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import pytest
 
 from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration
 from calcidem.app.report import analyse, write_report
 from calcidem.dem.sample.cement import CementRule
@@ -75,7 +77,8 @@ def small_database(
                 now,
             )
         )
-        store.begin_run(RunRecord({"python": "3", "calcidem": "test"}, "here", "some CPU", 1, "pytest", now))
+        run = RunRecord({"python": "3", "calcidem": "test"}, "here", "some CPU", 1, "pytest", now)
+        store.begin_run(replace(run, workers=(describe_worker(rank=0),)))
         store.save_packing(packing_record(small_packing, index=0, packing_hash=small_configuration.packing_hash))
         for content in CONTENTS:
             measured = measure(experiment, content, SEEDS)

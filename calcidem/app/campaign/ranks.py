@@ -8,6 +8,7 @@ from typing import NoReturn, Protocol
 from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.store_sink import HeartbeatProgress
 from calcidem.app.campaign.task import cell_computation, compile_kernels
+from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.sweep import (
@@ -58,10 +59,11 @@ def run_on_ranks(load: Callable[[], Configuration], view: RunView) -> NoReturn:
     with Session() as session:
         work: CampaignRun | None = None
         code = 0
+        workers = session.gather(describe_worker(session.rank))
         if session.rank == 0:
             try:
                 refuse_singletons(session.size)
-                work = CampaignRun(load(), session.size, view.say, partial(end_in_haste, session.stop_request))
+                work = CampaignRun(load(), workers, view.say, partial(end_in_haste, session.stop_request))
             except SweepInterrupted:
                 request = session.stop_request.explanation
                 view.say(f"{request}: ended before the packing was made; run it again to go on.")

@@ -1,7 +1,7 @@
 """One campaign from its configuration to its database: the same in one process and on many ranks."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import TracebackType
@@ -13,10 +13,11 @@ from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
 from calcidem.app.campaign.task import cell_computation, expected_effort
+from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
@@ -73,7 +74,7 @@ def run(
         configuration = replace(configuration, run=options)
     else:
         configuration = load_configuration(configuration, {"database": database, "output": folder})
-    with CampaignRun(configuration, ranks=1, tell=lambda _: None) as work:
+    with CampaignRun(configuration, [describe_worker(rank=0)], tell=lambda _: None) as work:
         compute = cell_computation(configuration, work.packing, work.lease_keeper)
         # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
         work.end = run_sweep(
@@ -100,8 +101,8 @@ class CampaignRun:
     ----------
     configuration
         What to compute.
-    ranks
-        Number of MPI ranks that do.
+    workers
+        What each rank is.
     tell
         Takes sentences for the user.
     check
@@ -122,7 +123,11 @@ class CampaignRun:
     """
 
     def __init__(
-        self, configuration: Configuration, ranks: int, tell: Tell, check: Callable[[], None] = lambda: None
+        self,
+        configuration: Configuration,
+        workers: Sequence[WorkerRecord],
+        tell: Tell,
+        check: Callable[[], None] = lambda: None,
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
@@ -132,7 +137,7 @@ class CampaignRun:
             check_against_packing(configuration, self.packing)
             store = store or self._master(tell)
             self.store: Store = store
-            self._begin(ranks)
+            self._begin(workers, tell)
         except BaseException:
             if store is not None:
                 store.close()
@@ -166,7 +171,7 @@ class CampaignRun:
             tell(f"Taken over from {former}, which ended without saying so.")
         return store
 
-    def _begin(self, ranks: int) -> None:
+    def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
         """Plan the cells and the batches."""
         plan, run = self.configuration.campaign, self.configuration.run
         record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
@@ -182,7 +187,10 @@ class CampaignRun:
             lambda content: expected_effort(self.configuration, content),
             self.sink.losses,
         )
-        self.store.begin_run(describe_run(ranks))
+        kinds = group_workers(workers)
+        self.store.begin_run(replace(describe_run(len(workers)), workers=kinds))
+        if unlike := describe_unlike(kinds):
+            tell(unlike)
 
     def __enter__(self) -> Self:
         """Use it in a `with` statement."""

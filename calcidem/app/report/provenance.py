@@ -7,6 +7,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
 from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
 
@@ -120,12 +121,13 @@ def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
+            "; ".join(f"{worker_text(worker)} on {hosts_text(worker)}" for worker in run.workers) or UNKNOWN,
             ", ".join(f"{name} {version}" for name, version in run.versions.items()),
             _source(run),
         )
         for run_number, run in runs
     )
-    header = ("run", "started", "took", "ended", "ranks", "host", "versions", "source")
+    header = ("run", "started", "took", "ended", "ranks", "host", "workers", "versions", "source")
     return Table("Runs of the program on this campaign.", header, rows)
 
 

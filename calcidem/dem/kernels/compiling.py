@@ -26,6 +26,8 @@ inline = compile_function(forceinline=True, no_cpython_wrapper=True, no_cfunc_wr
 
 def target_processor() -> tuple[str, tuple[str, ...]]:
     """LLVM's names of the processor that kernels are compiled for and of its features, numba's settings included."""
-    name = config.CPU_NAME or binding.get_host_cpu_name()
-    features = codegen.get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
-    return str(name), tuple(part[1:] for part in features.split(",") if part.startswith("+"))
+    name, features = (getattr(config, setting) for setting in ("CPU_NAME", "CPU_FEATURES"))
+    if features is None:
+        features = codegen.get_host_cpu_features()  # type: ignore[no-untyped-call]
+    known = tuple(part[1:] for part in features.split(",") if part.startswith("+"))
+    return name or binding.get_host_cpu_name(), known
