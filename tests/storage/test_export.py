@@ -104,6 +104,14 @@ def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path,
             import_netcdf(exported, copy)
 
 
+def test_import_into_the_campaign_by_another_name(exported: Path, tmp_path: Path, records: "Records") -> None:
+    """A store that has the campaign by another name takes the cells, and keeps its name."""
+    with open_store(tmp_path / "copy.db") as copy:
+        copy.begin_campaign(records.campaign(name="mine"))
+        assert import_netcdf(exported, copy).name == "mine"
+        assert copy.packing_indices() == (0, 1)
+
+
 def test_an_edited_configuration_is_refused(exported: Path, tmp_path: Path) -> None:
     """A file whose configuration is no longer the one of its hash is refused; both hashes are named."""
     with netCDF4.Dataset(exported, "a") as file:

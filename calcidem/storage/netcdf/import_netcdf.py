@@ -93,7 +93,7 @@ def import_netcdf(
         _check_hash(path, campaign)
         packings = [identify(packing) for packing in read_packings(file)]
         _check_packings_of_cells(path, file, packings)
-        store.begin_campaign(campaign)
+        name = store.begin_campaign(campaign).name
         _refuse_other_packings(path, store, packings, identify)
         for packing in packings:
             store.save_packing(packing)
@@ -103,7 +103,7 @@ def import_netcdf(
         }
         store.restore_attempts(read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
-    return store.use_campaign(campaign.name)
+    return store.use_campaign(name)
 
 
 def _open(path: Path) -> Group:
