@@ -16,16 +16,24 @@ REASONS: dict[str, str] = {}
 """Names that may stand in several modules, and why."""
 
 
+def names_of(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement at the top of a module defines."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        yield node.name
+    elif isinstance(node, ast.Assign | ast.AnnAssign) and not is_type_variable(node):
+        for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+            yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
+
+
+def is_type_variable(node: ast.Assign | ast.AnnAssign) -> bool:
+    """Whether a statement makes a type variable."""
+    return isinstance(node.value, ast.Call) and ast.unparse(node.value.func).endswith("TypeVar")
+
+
 def defined_names(source: str) -> Iterator[str]:
     """Names of the functions, classes and constants at the top of a module."""
     for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            yield node.name
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            if isinstance(node.value, ast.Call) and ast.unparse(node.value.func).endswith("TypeVar"):
-                continue
-            for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
-                yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
+        yield from names_of(node)
 
 
 def duplicate_names(package: Path = PACKAGE) -> dict[str, list[str]]:
