@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.laws import NO_OVERLAP
+from calcidem.dem.kernels.laws import SMALLEST_ROOT
 from calcidem.dem.kernels.layout import (
     REFERENCE_OVERLAP,
     SPEEDS,
@@ -208,14 +208,14 @@ def assemble_pairs(
         cemented=bits,
         intact=bits.copy(),
         shear=aligned_zeros((count, lanes), dtype),
-        inverse_root=inverse_roots(np.zeros(count), lanes, dtype),
+        root=overlap_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
     )
 
 
-def inverse_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
-    """(M, L) inverse square roots of overlaps (M,), the same in all lanes."""
-    values = 1.0 / np.sqrt(np.maximum(overlap, NO_OVERLAP))
+def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
+    """(M, L) square roots of overlaps (M,), the same in all lanes."""
+    values = np.maximum(np.sqrt(np.maximum(overlap, 0.0)), SMALLEST_ROOT)
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
 
 
@@ -263,7 +263,7 @@ def assemble_wall_pairs(
         hertz=aligned_copy(hertz.astype(dtype)),
         tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         shear=aligned_zeros((len(disk), lanes), dtype),
-        inverse_root=inverse_roots(np.zeros(len(disk)), lanes, dtype),
+        root=overlap_roots(np.zeros(len(disk)), lanes, dtype),
     )
 
 
