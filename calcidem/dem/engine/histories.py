@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import Assembly, assemble, lanes_of_bits, overlap_roots, pair_keys
 from calcidem.dem.engine.material import require
+from calcidem.dem.engine.portable import three_halves
 from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL, NORMAL_PATH, OVERLAP, REFERENCE_OVERLAP, SHEAR, Floats, Integers
@@ -37,7 +38,7 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
         return
     overlap = pairs.geometry[:, OVERLAP]
     cemented = lanes_of_bits(pairs.cemented, features.lanes)
-    carried = pairs.hertz * np.maximum(overlap, 0.0) ** 1.5
+    carried = pairs.hertz * three_halves(np.maximum(overlap, 0.0))
     if scene.bonds.installation != "preserve":
         pairs.shear[cemented] = 0.0
         pairs.linear[:, REFERENCE_OVERLAP] = overlap if scene.bonds.installation == "zero" else 0.0
