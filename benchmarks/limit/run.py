@@ -66,7 +66,7 @@ def bytes_of_a_step(state: State) -> tuple[int, int]:
         changed += [pairs.shear]
         read += [pairs.hertz, pairs.mindlin, pairs.friction]
     if features.rescaling:
-        changed += [pairs.inverse_root]
+        changed += [pairs.root]
     if features.bonds:
         read += [pairs.bond, pairs.intact]
         changed += [] if features.linear else [pairs.bond_force]

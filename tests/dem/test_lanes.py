@@ -7,9 +7,7 @@ from scenes import GROUPED, jumble, throw
 import calcidem.dem.engine.state as state_module
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import Precision, State, advance, start
-from calcidem.dem.kernels.compiling import compile_function
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import inverse_root_of, load, store
 from calcidem.dem.kernels.layout import Floats, Integers
 
 WIDTH = 8
@@ -129,22 +127,3 @@ def test_steps_in_flight_together_change_no_bit(
     assert 3 * state_module.make_front(in_flight).block <= scene.count
     for lane in range(WIDTH):
         assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)
-
-
-@compile_function()
-def inverse_roots_of(lanes: Features, values: Floats, results: Floats) -> None:
-    """Compiled loop over rows of lanes."""
-    for item in range(values.shape[0]):
-        store(results, (item,), inverse_root_of(load(values, (item,), lanes.lanes)))
-
-
-@pytest.mark.parametrize("lanes", [1, 4, 8, 16, 32])
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_inverse_roots_are_accurate_in_every_width(precision: Precision, lanes: int) -> None:
-    """From the smallest overlap that counts to the square of a large distance, to four units in the last place."""
-    exponents = np.random.default_rng(1).uniform(-30.0, 6.0, (200, lanes))
-    values = (10.0**exponents).astype(precision)
-    results = np.zeros_like(values)
-    inverse_roots_of(Features(lanes=lanes), values, results)
-    exact = 1.0 / np.sqrt(values.astype(np.longdouble))
-    assert np.abs(results / exact - 1.0).max() < 4.0 * np.finfo(precision).eps / 2.0

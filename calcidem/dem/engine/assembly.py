@@ -8,8 +8,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.material import require
+from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.laws import NO_OVERLAP
+from calcidem.dem.kernels.laws import SMALLEST_ROOT
 from calcidem.dem.kernels.layout import (
     REFERENCE_OVERLAP,
     SPEEDS,
@@ -71,8 +72,11 @@ def memory_order(scene: Scene) -> Integers:
 
 def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
     """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second."""
-    found = cKDTree(centres).query_pairs(2.0 * float(radius.max()) + skin, output_type="ndarray")
-    gap = np.hypot(*(centres[found[:, 0]] - centres[found[:, 1]]).T) - radius[found].sum(axis=1)
+    # The tree looks a little further than need be: which of its pairs are near enough is decided here.
+    reach = (2.0 * float(radius.max()) + skin) * (1.0 + 1e-9)
+    found = cKDTree(centres).query_pairs(reach, output_type="ndarray")
+    apart = centres[found[:, 0]] - centres[found[:, 1]]
+    gap = length(apart[:, 0], apart[:, 1]) - (radius[found[:, 0]] + radius[found[:, 1]])
     found = np.sort(found[gap < skin], axis=1)
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
@@ -173,7 +177,7 @@ def assemble_pairs(
     count = len(listed)
     first, second = np.divmod(listed, scene.count)
     apart = reference[second] - reference[first]
-    distance = np.hypot(apart[:, 0], apart[:, 1])
+    distance = length(apart[:, 0], apart[:, 1])
     require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
     overlap = radius[first] + radius[second] - distance
     arms = radius[np.column_stack([first, second])] - 0.5 * overlap[:, None]
@@ -208,14 +212,14 @@ def assemble_pairs(
         cemented=bits,
         intact=bits.copy(),
         shear=aligned_zeros((count, lanes), dtype),
-        inverse_root=inverse_roots(np.zeros(count), lanes, dtype),
+        root=overlap_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
     )
 
 
-def inverse_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
-    """(M, L) inverse square roots of overlaps (M,), the same in all lanes."""
-    values = 1.0 / np.sqrt(np.maximum(overlap, NO_OVERLAP))
+def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
+    """(M, L) square roots of overlaps (M,), the same in all lanes."""
+    values = np.maximum(np.sqrt(np.maximum(overlap, 0.0)), SMALLEST_ROOT)
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
 
 
@@ -263,7 +267,7 @@ def assemble_wall_pairs(
         hertz=aligned_copy(hertz.astype(dtype)),
         tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         shear=aligned_zeros((len(disk), lanes), dtype),
-        inverse_root=inverse_roots(np.zeros(len(disk)), lanes, dtype),
+        root=overlap_roots(np.zeros(len(disk)), lanes, dtype),
     )
 
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import Assembly, assemble, inverse_roots, lanes_of_bits, pair_keys
+from calcidem.dem.engine.assembly import Assembly, assemble, lanes_of_bits, overlap_roots, pair_keys
 from calcidem.dem.engine.material import require
+from calcidem.dem.engine.portable import three_halves
 from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL, NORMAL_PATH, OVERLAP, REFERENCE_OVERLAP, SHEAR, Floats, Integers
@@ -29,15 +30,15 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
         # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
         gaps = pairs.geometry[:, OVERLAP] <= 0.0
         pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
-    pairs.inverse_root[...] = inverse_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
-    wall_pairs.inverse_root[...] = inverse_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
+    pairs.root[...] = overlap_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
+    wall_pairs.root[...] = overlap_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
     if preload is not None:
         pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
     if scene.bonds is None:
         return
     overlap = pairs.geometry[:, OVERLAP]
     cemented = lanes_of_bits(pairs.cemented, features.lanes)
-    carried = pairs.hertz * np.maximum(overlap, 0.0) ** 1.5
+    carried = pairs.hertz * three_halves(np.maximum(overlap, 0.0))
     if scene.bonds.installation != "preserve":
         pairs.shear[cemented] = 0.0
         pairs.linear[:, REFERENCE_OVERLAP] = overlap if scene.bonds.installation == "zero" else 0.0
@@ -87,11 +88,11 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
     fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old.walls.motion[:, NORMAL_PATH].astype(float))
     new_keys, old_keys = (pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old))
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("intact", "linear", "shear", "inverse_root", "bond_force"):
+    for name in ("intact", "linear", "shear", "root", "bond_force"):
         getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
     new_keys, old_keys = (wall_keys(assembly) for assembly in (fresh, old))
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("shear", "inverse_root"):
+    for name in ("shear", "root"):
         getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
     return replace(fresh, walls=old.walls)
 

@@ -4,11 +4,11 @@ The equations are those of PFC 7.0 (Itasca), https://docs.itascacg.com/pfc700/co
 (hertz/doc/manual/cmhertz.html) and 'linearpbond' (linearpbond/doc/manual/cmlinearpbond.html).
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from calcidem.dem.engine.portable import tangent_of_degrees
 from calcidem.dem.kernels.layout import Floats
 
 
@@ -114,7 +114,14 @@ class Cement:
         bond_radius = np.minimum(radius_first, radius_second)
         per_area = self.bond_modulus / (np.asarray(radius_first) + np.asarray(radius_second))
         normal = per_area * 2.0 * bond_radius
-        return np.stack([normal, normal / self.bond_stiffness_ratio, per_area * 2.0 * bond_radius**3 / 3.0], axis=-1)
+        return np.stack(
+            [
+                normal,
+                normal / self.bond_stiffness_ratio,
+                per_area * 2.0 * (bond_radius * bond_radius * bond_radius) / 3.0,
+            ],
+            axis=-1,
+        )
 
     def linear_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Stiffness of the linear group: (M, 2) normal and shear, N/m; ``k_n = 2 E R_min / (R1 + R2)``."""
@@ -125,6 +132,6 @@ class Cement:
     def strength(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Bond radius, tensile strength, cohesion and tangent of the friction angle: (M, 4)."""
         bond_radius = np.minimum(radius_first, radius_second)
-        slope = math.tan(math.radians(self.friction_angle))
+        slope = tangent_of_degrees(self.friction_angle)
         rest = np.broadcast_to([self.tensile_strength, self.cohesion, slope], (len(bond_radius), 3))
         return np.column_stack([bond_radius, rest])

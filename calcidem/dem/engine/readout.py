@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.dem.engine.histories import listed_pairs
+from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.state import State, duplicate, no_recording, run_kernel
 from calcidem.dem.kernels.layout import (
     CONTACT_LOSS,
@@ -120,8 +121,8 @@ def overlaps(state: State) -> Floats:
     )
     further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
     if state.features.finite:
-        now = np.hypot(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
-        further = (2.0 * distance * further + np.sum(apart**2, axis=1)) / (now + distance)
+        now = length(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
+        further = (2.0 * distance * further + (apart[:, X] ** 2 + apart[:, Y] ** 2)) / (now + distance)
     return overlap - further
 
 
@@ -143,7 +144,7 @@ def contact_forces(state: State, lane: int = 0) -> ContactForces:
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
     intact = lane_of(pairs.intact, lane)
-    normal = pairs.hertz * np.maximum(depth, 0.0) ** 1.5
+    normal = pairs.hertz * three_halves(np.maximum(depth, 0.0))
     if state.features.linear_group:
         pressed = np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) * pairs.linear[:, NORMAL]
         normal = np.where(lane_of(pairs.cemented, lane), pressed, normal)
@@ -190,9 +191,9 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
     """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
     net = net_forces(state, lane)
     contacts = contact_forces(state, lane)
-    magnitude = 2.0 * float(np.hypot(contacts.normal, contacts.shear).sum())
+    magnitude = 2.0 * float(length(contacts.normal, contacts.shear).sum())
     magnitude += float(np.abs(wall_reactions(state, lane)).sum())
-    unbalanced = float(np.hypot(net[:, X], net[:, Y]).sum())
+    unbalanced = float(length(net[:, X], net[:, Y]).sum())
     return unbalanced / magnitude if magnitude > 0.0 else 0.0
 
 

@@ -306,12 +306,10 @@ def duplicate(state: State) -> State:
         pairs=pairs._replace(
             intact=pairs.intact.copy(),
             shear=aligned_copy(pairs.shear),
-            inverse_root=aligned_copy(pairs.inverse_root),
+            root=aligned_copy(pairs.root),
             bond_force=aligned_copy(pairs.bond_force),
         ),
-        wall_pairs=wall_pairs._replace(
-            shear=aligned_copy(wall_pairs.shear), inverse_root=aligned_copy(wall_pairs.inverse_root)
-        ),
+        wall_pairs=wall_pairs._replace(shear=aligned_copy(wall_pairs.shear), root=aligned_copy(wall_pairs.root)),
         walls=walls._replace(motion=aligned_copy(walls.motion), reaction=aligned_copy(walls.reaction)),
     )
     motion = Motion(*(aligned_copy(array) for array in state.motion))

@@ -9,8 +9,8 @@ what the auto-vectoriser believes about aliasing.
 Augmented assignment (``+=``) is left out on purpose: NumPy would change the array under every name
 it has, a vector register would not, and the two meanings must be the same.
 
-Arithmetic may be contracted (multiply-add) but never re-associated: a lane's bits do not depend on
-what the other lanes hold.
+Every operation is a plain one of IEEE 754, in the order it is written: a lane's bits depend neither on what the other
+lanes hold nor on how many there are, nor on the processor.
 """
 
 # ruff: noqa: ARG005, PLW0108 - numba wants two levels: the outer function sees types, the inner one is compiled
@@ -26,17 +26,14 @@ from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.vectors import (
     absolute_vector,
     bits_to_mask,
+    copy_sign,
     fill_with_scalar,
-    flush_tiny,
-    has_estimates,
-    inverse_root_estimate,
     load_scalar,
     load_vector,
     mask_to_bits,
     select_lanes,
     sqrt_vector,
     store_vector,
-    write_control_word,
     zero_vector,
 )
 
@@ -91,18 +88,14 @@ def square_root(value: Vector) -> Vector:
         return np.sqrt(value)
 
 
-def inverse_root_of(value: Vector) -> Vector:
-    """Inverse of the square root lane by lane, of positive values; to within two units in the last place.
-
-    On AVX-512 it starts from the processor's estimate and refines it: a fraction of the time of a square root and a
-    division, which wait for one slow unit.
-    """
-    return 1.0 / np.sqrt(value)
-
-
 def magnitude(value: Vector) -> Vector:
     """Absolute value lane by lane."""
     return np.abs(value)
+
+
+def with_sign(value: Vector, sign: Vector) -> Vector:
+    """Absolute value of the first with the sign of the second, lane by lane."""
+    return np.copysign(value, sign)
 
 
 def larger(a: Vector, b: Vector) -> Vector:
@@ -115,36 +108,10 @@ def smaller(a: Vector, b: Vector) -> Vector:
     return np.where(a < b, a, b)
 
 
-def flush_tiny_numbers() -> Vector:
-    """Let the processor take denormal numbers (below 2e-308, or 1e-38 in single precision) for zero.
-
-    Ahead of a wave front amplitudes fall off without end, and each operation on a denormal costs a hundred ordinary
-    ones. Returns the control word to give back to `restore_control_word`. Does nothing with the JIT off and on
-    processors other than x86.
-    """
-    return np.uint32(0)
-
-
-def restore_control_word(word: Vector) -> None:
-    """Undo `flush_tiny_numbers`."""
-    del word
-
-
 @inline
 def row(item: Vector, component: Vector) -> Vector:
     """Row of one of the three components of an item (x, y, rotation of a disk) in an array of shape (3 items, L)."""
     return 3 * item + component
-
-
-@inline
-def refine_inverse_root(value: Vector, guess: Vector) -> Vector:
-    """1 / sqrt(value) from an estimate y with an error r = 1 - value y^2 of about 2^-13.
-
-    ``y (1 - r)^(-1/2) = y (1 + r / 2 + 3 r^2 / 8 + 5 r^3 / 16 + ...)``; what is left out is below 2^-53.
-    """
-    rest = 1.0 - (value * guess) * guess
-    series = (0.5 + 0.375 * rest) + (rest * rest) * 0.3125
-    return guess + (guess * rest) * series
 
 
 # The Python bodies above are the meaning, the overloads the machine code.
@@ -159,15 +126,7 @@ overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, wid
 overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))
 overload(select)(lambda mask, if_true, if_false: lambda mask, if_true, if_false: select_lanes(mask, if_true, if_false))
 overload(square_root)(lambda value: lambda value: sqrt_vector(value))
-overload(inverse_root_of)(
-    lambda value: (
-        (lambda value: refine_inverse_root(value, inverse_root_estimate(value)))
-        if has_estimates(value)
-        else (lambda value: 1.0 / sqrt_vector(value))
-    )
-)
 overload(magnitude)(lambda value: lambda value: absolute_vector(value))
+overload(with_sign)(lambda value, sign: lambda value, sign: copy_sign(value, sign))
 overload(larger)(lambda a, b: lambda a, b: select_lanes(a > b, a, b))
 overload(smaller)(lambda a, b: lambda a, b: select_lanes(a < b, a, b))
-overload(flush_tiny_numbers)(lambda: flush_tiny)
-overload(restore_control_word)(lambda word: lambda word: write_control_word(np.uint32(word)))

@@ -10,21 +10,20 @@ https://docs.itascacg.com/pfc700/common/contactmodel/hertz/doc/manual/cmhertz.ht
 """
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.lanes import Vector, inverse_root_of, larger, magnitude, select, smaller
+from calcidem.dem.kernels.lanes import Vector, larger, magnitude, select, smaller, square_root, with_sign
 
-NO_OVERLAP = 1.0e-30  # m: stands for zero where the inverse of the overlap's root is needed
+SMALLEST_ROOT = 1.0e-15  # m^0.5: stands for zero where something is divided by the root of an overlap
 
 
 @inline
-def hertz_normal(overlap: Vector, coefficient: Vector) -> tuple[Vector, Vector, Vector]:
-    """Hertz force, square root of the overlap and its inverse (1e15 where the disks don't touch).
+def hertz_normal(overlap: Vector, coefficient: Vector) -> tuple[Vector, Vector]:
+    """Hertz force and square root of the overlap (zero where the disks don't touch).
 
     ``F_n = h_n overlap^1.5`` where the disks overlap, else zero: the formula of spheres, as in PFC also for disks.
     """
     pressed = larger(overlap, 0.0)
-    inverse_root = inverse_root_of(larger(pressed, NO_OVERLAP))
-    root = pressed * inverse_root
-    return coefficient * (pressed * root), root, inverse_root
+    root = square_root(pressed)
+    return (coefficient * pressed) * root, root
 
 
 @inline
@@ -34,13 +33,13 @@ def mindlin_shear(shear: Vector, slide: Vector, stiffness: Vector) -> Vector:
 
 
 @inline
-def rescale_shear(shear: Vector, root: Vector, inverse_root: Vector, previous_inverse_root: Vector) -> Vector:
+def rescale_shear(shear: Vector, root: Vector, previous_root: Vector, previous_inverse: Vector) -> Vector:
     """Shear force carried over a step in which the normal force fell (PFC shear rescaling mode 1).
 
     The old force is multiplied by k_s,new / k_s,old, which for Hertz is the ratio of the roots of the
     overlaps. Without it a cycle of loading, sliding and unloading creates energy.
     """
-    return shear * select(inverse_root > previous_inverse_root, root * previous_inverse_root, 1.0)
+    return shear * select(root < previous_root, root * previous_inverse, 1.0)
 
 
 @inline
@@ -77,5 +76,4 @@ def damp_force(force: Vector, velocity: Vector, damping: Vector) -> Vector:
     Cundall (1987), Distinct element models of rock and soil structure, in E. T. Brown (ed.), Analytical and
     Computational Methods in Engineering Rock Mechanics; PFC's 'local damping'.
     """
-    drag = damping * magnitude(force)
-    return select(velocity > 0.0, force - drag, select(velocity < 0.0, force + drag, force))
+    return select(velocity != 0.0, force - with_sign(damping * force, velocity), force)

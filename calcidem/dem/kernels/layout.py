@@ -117,8 +117,8 @@ class Pairs(NamedTuple):
         (M,) bit l: its bond is not broken.
     shear
         (M, L) shear force of the frictional part on the second disk, N/m.
-    inverse_root
-        (M, L) inverse square root of the previous overlap (1e15 where there was none), for shear rescaling only.
+    root
+        (M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling only.
     bond_force
         (3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond.
     """
@@ -137,7 +137,7 @@ class Pairs(NamedTuple):
     cemented: Integers
     intact: Integers
     shear: Floats
-    inverse_root: Floats
+    root: Floats
     bond_force: Floats
 
 
@@ -152,7 +152,7 @@ class WallPairs(NamedTuple):
         (V,) the two bodies.
     overlap
         (V,) overlap in the reference geometry, m.
-    hertz, tangent, shear, inverse_root
+    hertz, tangent, shear, root
         (V,), (V, 2), (V, L) and (V, L), as in `Pairs`.
     """
 
@@ -163,7 +163,7 @@ class WallPairs(NamedTuple):
     hertz: Floats
     tangent: Floats
     shear: Floats
-    inverse_root: Floats
+    root: Floats
 
 
 class Walls(NamedTuple):

@@ -8,16 +8,24 @@ from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
     fill_lanes,
-    inverse_root_of,
+    larger,
     load,
     mask_of_bits,
     row,
     scalar,
     select,
+    square_root,
     store,
     zero_like,
 )
-from calcidem.dem.kernels.laws import bond_fails, coulomb_limit, hertz_normal, mindlin_shear, rescale_shear
+from calcidem.dem.kernels.laws import (
+    SMALLEST_ROOT,
+    bond_fails,
+    coulomb_limit,
+    hertz_normal,
+    mindlin_shear,
+    rescale_shear,
+)
 from calcidem.dem.kernels.layout import (
     APART_X,
     APART_Y,
@@ -55,11 +63,13 @@ class Geometry(NamedTuple):
     normal_x, normal_y
         Unit vector from the first to the second disk.
     overlap
-        m.
+        m; in the linear regime by how much the disks have moved apart.
     first_arm, second_arm
         From the centres to the contact, m.
     curvature
         Inverse of the distance of the centres, 1/m; zero where normals do not turn.
+    inverse_root
+        Inverse of `layout.Pairs.root`, m^-0.5, where that is in use.
     """
 
     normal_x: Vector
@@ -68,6 +78,7 @@ class Geometry(NamedTuple):
     first_arm: Vector
     second_arm: Vector
     curvature: Vector
+    inverse_root: Vector
 
 
 class Increment(NamedTuple):
@@ -89,15 +100,49 @@ class Increment(NamedTuple):
 
 
 @inline
-def pair_forces(features: Features, pair: int, level: int, dt: Vector, system: System) -> None:
+def add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Vector, system: System) -> None:
+    """Add the forces of the pairs ``begin`` to ``end - 1`` to their disks."""
+    if features.linear:
+        for pair in range(begin, end):
+            add_linear_forces(features, pair, level, system)
+    elif begin < end:
+        # Roots and quotients make a pair wait for long; the next one's are begun before this one's forces are taken.
+        geometry = pair_geometry(features, begin, system)
+        for pair in range(begin, end):
+            following = pair_geometry(features, min(pair + 1, end - 1), system)
+            add_general_forces(features, pair, geometry, level, dt, system)
+            geometry = following
+
+
+@inline
+def add_linear_forces(features: Features, pair: int, level: int, system: System) -> None:
+    """Add the force of one pair of constant stiffness to its two disks."""
+    pairs, front = system.pairs, system.front
+    first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
+    geometry = pair_geometry(features, pair, system)
+    pull, drag, moment = linear_law(features, first, second, pair, geometry, system.motion, pairs)
+    along_x = pull * geometry.normal_x - drag * geometry.normal_y
+    along_y = pull * geometry.normal_y + drag * geometry.normal_x
+    add_force(features, first, X, level, along_x, front)
+    add_force(features, first, Y, level, along_y, front)
+    add_force(features, second, X, level, -along_x, front)
+    add_force(features, second, Y, level, -along_y, front)
+    if features.rotation and features.bonds:
+        add_force(features, first, ROTATION, level, moment + drag * geometry.first_arm, front)
+        add_force(features, second, ROTATION, level, drag * geometry.second_arm - moment, front)
+    elif features.rotation:
+        add_force(features, first, ROTATION, level, drag * geometry.first_arm, front)
+        add_force(features, second, ROTATION, level, drag * geometry.second_arm, front)
+
+
+@inline
+def add_general_forces(
+    features: Features, pair: int, geometry: Geometry, level: int, dt: Vector, system: System
+) -> None:
     """Add the force of one pair to its two disks."""
     pairs, front = system.pairs, system.front
     first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
-    geometry = pair_geometry(features, first, second, pair, system)
-    if features.linear:
-        normal, shear, moment = linear_law(features, first, second, pair, geometry, system.motion, pairs)
-    else:
-        normal, shear, moment = general_law(features, first, second, pair, dt, geometry, system)
+    normal, shear, moment = general_law(features, first, second, pair, dt, geometry, system)
     along_x = normal * geometry.normal_x - shear * geometry.normal_y
     along_y = normal * geometry.normal_y + shear * geometry.normal_x
     add_force(features, first, X, level, -along_x, front)
@@ -113,7 +158,7 @@ def pair_forces(features: Features, pair: int, level: int, dt: Vector, system: S
 
 
 @inline
-def pair_geometry(features: Features, first: int, second: int, pair: int, system: System) -> Geometry:
+def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     """Return the contact of two disks at their present positions.
 
     The overlap is the reference overlap less the *change* of the distance, which keeps single precision
@@ -121,30 +166,36 @@ def pair_geometry(features: Features, first: int, second: int, pair: int, system
     the middle of the overlap, so the arms add up to the distance and angular momentum is conserved.
     """
     table, radius = system.pairs.geometry, system.grains.radius
+    first, second = scalar(system.pairs.first, (pair,)), scalar(system.pairs.second, (pair,))
     overlap = scalar(table, (pair, OVERLAP))
     apart_x, apart_y = relative_translation(features, first, second, system.motion.displacement)
     if features.finite:
         distance_before = scalar(table, (pair, DISTANCE))
         before_x, before_y = scalar(table, (pair, APART_X)), scalar(table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
-        square = x * x + y * y
-        inverse = inverse_root_of(square)
-        # By how much the distance grew: the root of a large number first, then one of Newton's steps on
-        # ``longer (2 before + longer) = x^2 - before^2``, whose right side is free of cancellation.
+        # By how much the distance grew, free of cancellation: ``longer (distance + before) = x^2 - before^2``.
         grown = (x + before_x) * apart_x + (y + before_y) * apart_y
-        distance = square * inverse
-        longer = distance - distance_before
-        longer = longer + 0.5 * inverse * (grown - longer * (distance + distance_before))
-        depth = overlap - longer
+        distance = square_root(x * x + y * y)
+        both = distance + distance_before
+        # One division, the slowest operation, makes three inverses.
+        root = load(system.pairs.root, (pair,), features.lanes)
+        distance_root = distance * root
+        share = 1.0 / (both * distance_root)
+        inverse = share * (both * root)
+        depth = overlap - grown * (share * distance_root)
         first_arm = scalar(radius, (first,)) - 0.5 * depth
         second_arm = scalar(radius, (second,)) - 0.5 * depth
-        return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse)
+        return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
     normal_x = fill_lanes(scalar(table, (pair, NORMAL_X)), features.lanes)
     normal_y = fill_lanes(scalar(table, (pair, NORMAL_Y)), features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
     first_arm = fill_lanes(scalar(table, (pair, FIRST_ARM)), features.lanes)
     second_arm = fill_lanes(scalar(table, (pair, SECOND_ARM)), features.lanes)
-    return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, zero_like(along))
+    flat = zero_like(along)
+    if features.linear:
+        return Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
+    inverse_root = 1.0 / load(system.pairs.root, (pair,), features.lanes) if features.rescaling else flat
+    return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
 
 
 @inline
@@ -177,10 +228,13 @@ def slide_and_twist(
 def linear_law(
     features: Features, first: int, second: int, pair: int, geometry: Geometry, motion: Motion, pairs: Pairs
 ) -> tuple[Vector, Vector, Vector]:
-    """Return normal force, shear force and moment that constant stiffnesses add to the reference state."""
+    """Return tension, shear force and moment that constant stiffnesses add to the reference state.
+
+    Unlike those of the other laws they are the ones on the first disk, which saves three changes of sign.
+    """
     lanes = features.lanes
     slide, twist = slide_and_twist(features, first, second, geometry, motion.displacement)
-    closer = geometry.overlap - scalar(pairs.geometry, (pair, OVERLAP))
+    apart = geometry.overlap
     sand_normal, sand_shear = scalar(pairs.tangent, (pair, NORMAL)), scalar(pairs.tangent, (pair, SHEAR))
     if features.bonds:
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
@@ -191,8 +245,8 @@ def linear_law(
         normal = select(intact, fill_lanes(cement_normal, lanes), sand_normal)
         shear = select(intact, fill_lanes(cement_shear, lanes), sand_shear)
         bending = select(intact, fill_lanes(scalar(pairs.bond, (pair, MOMENT)), lanes), 0.0)
-        return normal * closer, -(shear * slide), -(bending * twist)
-    return closer * sand_normal, -(slide * sand_shear), zero_like(slide)
+        return normal * apart, shear * slide, bending * twist
+    return apart * sand_normal, slide * sand_shear, zero_like(slide)
 
 
 @inline
@@ -204,34 +258,34 @@ def general_law(
     speed, spin = slide_and_twist(features, first, second, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:
-        normal, shear = frictional_law(features, pair, geometry.overlap, slide, pairs, watch)
+        normal, shear = frictional_law(features, pair, geometry, slide, pairs, watch)
         return normal, shear, zero_like(slide)
     approach = relative_approach(features, first, second, geometry, dt, motion)
     moved = Increment(approach, slide, spin * dt)
     normal, shear, moment = bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
     if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
         # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
-        friction = frictional_law(features, pair, geometry.overlap, slide, pairs, watch)
+        friction = frictional_law(features, pair, geometry, slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
     return normal, shear, moment
 
 
 @inline
 def frictional_law(
-    features: Features, pair: int, overlap: Vector, slide: Vector, pairs: Pairs, watch: Watch
+    features: Features, pair: int, geometry: Geometry, slide: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector]:
     """Return normal and shear force of the part with friction: the sand's contact, or the cement's linear group.
 
     Without a linear group an intact bond takes the place of the sand's contact; a broken one gives it back.
     """
-    lanes = features.lanes
-    normal, root, inverse_root = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
+    lanes, overlap = features.lanes, geometry.overlap
+    normal, root = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
     stiffness = root * scalar(pairs.mindlin, (pair,))
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
     if features.rescaling:
-        carried = rescale_shear(old, root, inverse_root, load(pairs.inverse_root, (pair,), lanes))
+        carried = rescale_shear(old, root, load(pairs.root, (pair,), lanes), geometry.inverse_root)
     if features.linear_group:
         cemented = mask_of_bits(scalar(pairs.cemented, (pair,)), lanes)
         depth = overlap - scalar(pairs.linear, (pair, REFERENCE_OVERLAP))
@@ -251,12 +305,12 @@ def frictional_law(
         shear = select(intact, 0.0, shear)
     store(pairs.shear, (pair,), shear)
     if features.account:
-        before = scalar(pairs.mindlin, (pair,)) / load(pairs.inverse_root, (pair,), lanes)
+        before = scalar(pairs.mindlin, (pair,)) * load(pairs.root, (pair,), lanes)
         if features.linear_group:
             before = select(mask_of_bits(scalar(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)
     if features.rescaling or features.account:
-        store(pairs.inverse_root, (pair,), inverse_root)
+        store(pairs.root, (pair,), larger(root, SMALLEST_ROOT))
     return normal, shear
 
 
@@ -344,6 +398,6 @@ def add_breakage_loss(
     lost = lost + bond[1] * bond[1] / scalar(pairs.bond, (pair, SHEAR))
     lost = 0.5 * (lost + bond[2] * bond[2] / scalar(pairs.bond, (pair, MOMENT)))
     if not features.linear_group:
-        normal, _, _ = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
+        normal, _ = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
         lost = lost - 0.4 * normal * overlap
     add_energy(features, CONTACT_LOSS, select(broken, lost, 0.0), watch)

@@ -25,16 +25,14 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
-    flush_tiny_numbers,
     load,
-    restore_control_word,
     row,
     scalar,
     store,
 )
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System, Y
 from calcidem.dem.kernels.motion import integrate
-from calcidem.dem.kernels.pair import pair_forces
+from calcidem.dem.kernels.pair import add_pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
 
@@ -57,10 +55,7 @@ def advance_steps(features: Features, steps: int, time_step: Floats, system: Sys
     -------
     Steps done: fewer than ``steps`` when a disk has moved so far that the pair list must be renewed.
     """
-    word = flush_tiny_numbers()
-    done = take_steps(features, steps, time_step, system)
-    restore_control_word(word)
-    return done
+    return take_steps(features, steps, time_step, system)
 
 
 @inline
@@ -106,8 +101,8 @@ def step_together(features: Features, together: int, dt: Vector, system: System)
         for level in range(max(0, leading - blocks + 1), min(together, leading + 1)):
             begin = (leading - level) * block
             end = min(count, begin + block)
-            for pair in range(scalar(pair_start, (begin,)), scalar(pair_start, (end,))):
-                pair_forces(features, pair, level, dt, system)
+            first, last = scalar(pair_start, (begin,)), scalar(pair_start, (end,))
+            add_pair_forces(features, first, last, level, dt, system)
             for pair in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
                 wall_forces(features, pair, level, dt, system)
             for grain in range(begin, end):

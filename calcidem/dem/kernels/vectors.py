@@ -1,6 +1,7 @@
 """Machine code of lane vectors: their numba types, arithmetic and instructions. `lanes` is what kernels use of it.
 
-Arithmetic may be contracted (multiply-add) but never re-associated.
+Every operation is the plain one of IEEE 754, rounded once: no contraction (multiply-add), no re-association, no
+estimates, no flushing of denormal numbers, nothing that asks which processor it is. All processors give the same bits.
 """
 
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
@@ -9,12 +10,9 @@ Arithmetic may be contracted (multiply-add) but never re-associated.
 # mypy: disable-error-code="var-annotated, unreachable"
 
 import operator
-import platform
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
-from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv import Conversion
@@ -22,12 +20,6 @@ from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
-
-CONTRACT = ("contract",)
-ON_X86 = platform.machine().lower() in {"x86_64", "amd64"}
-ON_AVX512 = ON_X86 and bool(get_host_cpu_features().get("avx512f"))
-REGISTER_BITS = 512
-FLUSH_BITS = 0x8040  # of MXCSR: flush results to zero, take operands as zero
 
 
 class LaneType(types.Type):
@@ -115,7 +107,7 @@ def register_arithmetic(function: Any, instruction: str) -> None:
     @lower_builtin(function, *[LaneType] * (1 if instruction == "fneg" else 2))
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
-        return getattr(builder, instruction)(*args, flags=CONTRACT)
+        return getattr(builder, instruction)(*args)
 
 
 def register_comparison(function: Any, symbol: str) -> None:
@@ -159,7 +151,13 @@ for _function, _instruction in (
     (operator.neg, "fneg"),
 ):
     register_arithmetic(_function, _instruction)
-for _function, _symbol in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
+for _function, _symbol in (
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.ne, "!="),
+):
     register_comparison(_function, _symbol)
 for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), (operator.invert, "not_")):
     register_logic(_function, _instruction)
@@ -302,105 +300,32 @@ def unary_intrinsic(name: str) -> Any:
 
         def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
             del context, sig
-            vector = args[0].type
-            # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.
-            mangled = f"{name}.v{value.width}f{value.dtype.bitwidth}"
-            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector]), mangled)
-            return builder.call(function, args)
+            return call_vector_function(builder, name, value, args)
 
         return value(value), codegen
 
     return call
 
 
-def has_estimates(lane: LaneType) -> bool:
-    """Whether the processor estimates inverses of a lane type: AVX-512, and one, two or four whole registers of it."""
-    return ON_AVX512 and lane.width * lane.dtype.bitwidth in {REGISTER_BITS, 2 * REGISTER_BITS, 4 * REGISTER_BITS}
-
-
 @intrinsic
-def inverse_root_estimate(typingctx: Any, value: Any) -> Any:
-    """1 / sqrt(x) to 14 bits, by an instruction of AVX-512."""
+def copy_sign(typingctx: Any, value: Any, sign: Any) -> Any:
+    """Compiled side of `with_sign`."""
     del typingctx
-    size = REGISTER_BITS // value.dtype.bitwidth
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
-        register, mask = ir.VectorType(args[0].type.element, size), ir.IntType(size)
-        kind = ir.FunctionType(register, [register, register, mask])
-        letter = "d" if value.dtype == types.float64 else "s"
-        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.x86.avx512.rsqrt14.p{letter}.512")
-        parts = [
-            builder.call(function, [part, ir.Constant(register, None), ir.Constant(mask, -1)])
-            for part in split_vector(builder, args[0], size)
-        ]
-        return join_vectors(builder, parts)
+        return call_vector_function(builder, "llvm.copysign", value, args)
 
-    return value(value), codegen
+    return value(value, sign), codegen
 
 
-def pick_lanes(builder: Any, first: Any, second: Any, lanes: range) -> Any:
-    """Lanes of two LLVM vectors, numbered through, as one vector."""
-    numbers = ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
-    return builder.shuffle_vector(first, second, numbers)
-
-
-def split_vector(builder: Any, value: Any, size: int) -> list[Any]:
-    """An LLVM vector in pieces of ``size`` lanes."""
-    return [pick_lanes(builder, value, value, range(at, at + size)) for at in range(0, value.type.count, size)]
-
-
-def join_vectors(builder: Any, parts: list[Any]) -> Any:
-    """One LLVM vector of the lanes of 1, 2 or 4 equal ones."""
-    if len(parts) == 1:
-        return parts[0]
-    half = len(parts) // 2
-    first, second = join_vectors(builder, parts[:half]), join_vectors(builder, parts[half:])
-    return pick_lanes(builder, first, second, range(2 * first.type.count))
-
-
-@intrinsic
-def read_control_word(typingctx: Any) -> Any:
-    """Control word MXCSR of the vector unit; 0 on other processors."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del context, sig, args
-        place = cgutils.alloca_once_value(builder, ir.Constant(ir.IntType(32), 0))
-        call_with_pointer(builder, "llvm.x86.sse.stmxcsr", place)
-        return builder.load(place)
-
-    return types.uint32(), codegen
-
-
-@intrinsic
-def write_control_word(typingctx: Any, word: Any) -> Any:
-    """Set the control word MXCSR; nothing on other processors."""
-    del typingctx
-
-    def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        del sig
-        call_with_pointer(builder, "llvm.x86.sse.ldmxcsr", cgutils.alloca_once_value(builder, args[0]))
-        return context.get_dummy_value()
-
-    return types.void(word), codegen
-
-
-def call_with_pointer(builder: Any, name: str, place: Any) -> None:
-    """Call an x86 instruction that takes the address of a 32-bit word."""
-    if not ON_X86:
-        return
-    byte_pointer = ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [byte_pointer])
-    function = cgutils.get_or_insert_function(builder.module, kind, name)
-    builder.call(function, [builder.bitcast(place, byte_pointer)])
-
-
-def flush_tiny() -> Any:
-    """Compiled side of `flush_tiny_numbers`."""
-    word = read_control_word()
-    write_control_word(np.uint32(word | np.uint32(FLUSH_BITS)))
-    return word
+def call_vector_function(builder: Any, name: str, lane: LaneType, args: tuple[Any, ...]) -> Any:
+    """Call the form of an LLVM function that takes and returns lane vectors."""
+    vector = args[0].type
+    # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.
+    mangled = f"{name}.v{lane.width}f{lane.dtype.bitwidth}"
+    kind = ir.FunctionType(vector, [vector] * len(args))
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, mangled), args)
 
 
 sqrt_vector = unary_intrinsic("llvm.sqrt")

@@ -19,7 +19,7 @@ from calcidem.dem.kernels.lanes import (
     store,
     zero_like,
 )
-from calcidem.dem.kernels.laws import coulomb_limit, hertz_normal, mindlin_shear, rescale_shear
+from calcidem.dem.kernels.laws import SMALLEST_ROOT, coulomb_limit, hertz_normal, mindlin_shear, rescale_shear
 from calcidem.dem.kernels.layout import (
     GAIN,
     NORMAL,
@@ -55,14 +55,15 @@ def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: S
     normal_x, normal_y = scalar(walls.normal, (wall, X)), scalar(walls.normal, (wall, Y))
     field = motion.displacement
     away = normal_x * load(field, (row(grain, X),), lanes) + normal_y * load(field, (row(grain, Y),), lanes)
-    depth = overlap + (load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) - away)
+    closer = load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) - away
+    depth = overlap + closer
     arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
     if features.finite:
         arm = scalar(grains.radius, (grain,)) - 0.5 * depth
     if features.linear:
         rim = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes)
         slide = wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
-        normal = (depth - overlap) * scalar(wall_pairs.tangent, (pair, NORMAL))
+        normal = closer * scalar(wall_pairs.tangent, (pair, NORMAL))
         stiffness = fill_lanes(scalar(wall_pairs.tangent, (pair, NORMAL)), lanes)
         shear = slide * -scalar(wall_pairs.tangent, (pair, SHEAR))
     else:
@@ -99,22 +100,23 @@ def wall_law(
     lanes = features.lanes
     wall_pairs, shear_ratio = system.wall_pairs, system.grains.shear_ratio
     hertz = scalar(wall_pairs.hertz, (pair,))
-    normal, root, inverse_root = hertz_normal(depth, hertz)
+    normal, root = hertz_normal(depth, hertz)
     stiffness = root * (1.5 * hertz)
     old = load(wall_pairs.shear, (pair,), lanes)
     shear = old
     if features.rescaling:
-        shear = rescale_shear(old, root, inverse_root, load(wall_pairs.inverse_root, (pair,), lanes))
+        before = load(wall_pairs.root, (pair,), lanes)
+        shear = rescale_shear(old, root, before, 1.0 / before)
     shear = select(depth > 0.0, mindlin_shear(shear, slide, stiffness * shear_ratio), 0.0)
     if features.slip:
         shear = coulomb_limit(shear, normal * friction)
     elif friction <= 0.0:
         shear = zero_like(shear)
     if features.account:
-        before = (1.5 * hertz) / load(wall_pairs.inverse_root, (pair,), lanes)
-        add_shear_loss(features, old, shear, before * shear_ratio, stiffness * shear_ratio, slide, system.watch)
+        softer = (1.5 * hertz) * load(wall_pairs.root, (pair,), lanes)
+        add_shear_loss(features, old, shear, softer * shear_ratio, stiffness * shear_ratio, slide, system.watch)
     if features.rescaling or features.account:
-        store(wall_pairs.inverse_root, (pair,), inverse_root)
+        store(wall_pairs.root, (pair,), larger(root, SMALLEST_ROOT))
     store(wall_pairs.shear, (pair,), shear)
     return normal, stiffness, shear
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from calcidem.dem.engine.portable import length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
@@ -283,7 +284,7 @@ def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Flo
     """Return the (M, 2) middle of the overlap (or gap) of each pair, m."""
     position = np.column_stack([x, y])
     first, second = position[pairs[:, 0]], position[pairs[:, 1]]
-    distance = np.linalg.norm(second - first, axis=1)
+    distance = length(*(second - first).T)
     from_first = (distance + radius[pairs[:, 0]] - radius[pairs[:, 1]]) / 2.0
     return np.asarray(first + (second - first) * (from_first / distance)[:, None])
 
@@ -332,10 +333,13 @@ def circles(
     tree = cKDTree(points)
     for _ in range(MOST_CENTRES // CENTRES_AT_ONCE):
         centres = generator.uniform(0.0, 1.0, (CENTRES_AT_ONCE, 2)) * box
-        inside = tree.query_ball_point(centres, radius, return_sorted=True)
-        for centre, indices in zip(centres, inside, strict=True):
-            if indices:
-                yield centre, np.array(indices, dtype=np.int64)
+        # The tree looks a little further than need be: which of its points lie inside is decided here.
+        near = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
+        for centre, indices in zip(centres, near, strict=True):
+            found = np.array(indices, dtype=np.int64)
+            inside = found[length(*(points[found] - centre).T) <= radius]
+            if len(inside):
+                yield centre, inside
 
 
 def running_sum(values: Floats) -> Floats:

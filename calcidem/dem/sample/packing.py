@@ -223,7 +223,7 @@ def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
     area = (1.0 - rule.porosity) * rule.width * rule.height
     low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
     mean_area = np.pi * (low * low + low * high + high * high) / 3.0
-    radius = generator.uniform(low, high, round(area / mean_area))
+    radius = low + (high - low) * generator.random(round(area / mean_area))
     # The scale differs from 1 by about 1e-3: the sampling error of the summed area.
     scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
     return scale * radius
@@ -246,10 +246,11 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
     cells: dict[tuple[int, int], list[int]] = {}
     x, y = np.empty_like(radius), np.empty_like(radius)
     for disk in np.argsort(-radius, kind="stable"):
-        own = radius[disk]
+        own = float(radius[disk])
         for _ in range(10_000):
-            px = generator.uniform(own, rule.width - own)
-            py = generator.uniform(own, rule.height - own)
+            # Not `Generator.uniform`, which a compiler may contract.
+            px = own + (rule.width - own - own) * generator.random()
+            py = own + (rule.height - own - own) * generator.random()
             column, row = int(px / cell), int(py / cell)
             near = [
                 other
@@ -257,13 +258,18 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
                 for b in range(max(0, row - 1), min(rows, row + 2))
                 for other in cells.get((a, b), ())
             ]
-            if all((px - x[o]) ** 2 + (py - y[o]) ** 2 >= (own + radius[o]) ** 2 for o in near):
+            if all(square(px - x[o]) + square(py - y[o]) >= square(own + radius[o]) for o in near):
                 break
         else:
             raise PackingError(f"no room for disk {disk}: raise the porosity or enlarge the box")
         x[disk], y[disk] = px, py
         cells.setdefault((column, row), []).append(int(disk))
     return x, y
+
+
+def square(value: float) -> float:
+    """Square, rounded once; the power of a number is the C library's affair."""
+    return value * value
 
 
 def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:

@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from calcidem.dem.engine.portable import arc_sine
 from calcidem.dem.kernels.layout import Floats
 
 
@@ -56,7 +57,7 @@ def toroid_area(
 
 def half_area(diameter: Floats, cement_diameter: Floats) -> Floats:
     """Cement between one disk and the tangent line at the contact, m^2; shapes as given."""
-    angle = np.arcsin(cement_diameter / diameter)
-    height = diameter / 2.0 * (1.0 - np.cos(angle))
-    segment = diameter**2 / 4.0 * angle - cement_diameter / 2.0 * (diameter / 2.0 - height)
+    sine = cement_diameter / diameter
+    height = diameter / 2.0 * (1.0 - np.sqrt((1.0 - sine) * (1.0 + sine)))
+    segment = diameter**2 / 4.0 * arc_sine(sine) - cement_diameter / 2.0 * (diameter / 2.0 - height)
     return np.asarray(cement_diameter * height - segment)

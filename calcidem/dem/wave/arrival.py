@@ -7,8 +7,8 @@ the last bit, as one that goes on.
 """
 
 import numpy as np
-from scipy.signal import correlate
 
+from calcidem.dem.engine.portable import sliding_products
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.main_peak import MainPeak, PreparedSignals, find_main_peak, parabola_vertex, prepare_signals
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
@@ -72,7 +72,7 @@ def read_cross_correlation(record: PreparedSignals, main: MainPeak) -> Reading:
     pulse = sent[begin : int(support[-1]) + 1]
     if len(pulse) > len(received):
         return Reading(failure=PickFailure.TOO_SHORT)
-    products = correlate(received, pulse, mode="valid")
+    products = sliding_products(received, pulse)
     best = int(np.argmax(products))
     if not 0 < best < len(products) - 1:
         return Reading(failure=PickFailure.OUTSIDE_WINDOW)

@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
 from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
@@ -41,7 +40,7 @@ class Experiment:
     signal
         Received signal that is read.
     frequencies
-        (contents in percent, frequencies in Hz), interpolated between; None takes Table 2 of the paper.
+        (contents in percent, frequencies in Hz), interpolate between; None takes Table 2 of the paper.
     """
 
     packing: Packing
@@ -73,7 +72,7 @@ class Experiment:
         """Excitation frequency at a content (percent), Hz."""
         if self.frequencies is None:
             return excitation_frequency(content)
-        return float(np.interp(content, *self.frequencies))
+        return interpolate(content, *self.frequencies)
 
     def ordering(self, seed: int) -> CementOrdering:
         """Order in which the contacts and clusters of a seed are cemented."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calcidem.dem.engine.material import require
+from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import State
@@ -107,7 +108,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
     swing = critical_time_step(state.scene, state.assembly, pressed) / 2.0
     speed = np.empty(lanes)
     for lane in range(lanes):
-        force = np.hypot(*net_forces(state, lane)[:, :2].T)
+        force = length(*net_forces(state, lane)[:, :2].T)
         speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(swing[lane])
     require(
         bool(np.all(speed <= LARGEST_UNBALANCED_SPEED * amplitude)),

@@ -7,8 +7,9 @@ Bare rules fail on real records: the largest value may be a reflection, and the 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks, peak_prominences, peak_widths, savgol_filter
+from scipy.signal import find_peaks, peak_prominences, peak_widths
 
+from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
@@ -100,7 +101,7 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
     smooth, reach = received, int(rule.smoothing * period / 2.0)
     # A cubic through fewer than five samples smooths nothing.
     if reach > 1 and 2 * reach < len(received) and np.isfinite(received).all():
-        smooth = np.asarray(savgol_filter(received, 2 * reach + 1, 3))
+        smooth = smooth_cubically(received, reach)
     return PreparedSignals(
         signals=signals,
         rule=rule,

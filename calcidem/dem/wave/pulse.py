@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from calcidem.dem.engine.portable import interpolate, sine_of_turns
 from calcidem.dem.kernels.layout import Floats
 
 EXCITATION = (
@@ -68,13 +69,13 @@ class Pulse:
 
     def velocity(self, time: npt.ArrayLike) -> Floats:
         """Return the velocity at times (s, any shape), m/s; zero before 0 and after one period."""
-        phase = 2.0 * np.pi * np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
-        return np.asarray(self.amplitude * (1.0 - np.cos(phase)))
+        cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
+        return np.asarray(self.amplitude * (2.0 * sine_of_turns(0.5 * cycle) ** 2))
 
     def displacement(self, time: npt.ArrayLike) -> Floats:
         """Return the displacement since time 0 at times (s, any shape), m: the integral of the velocity."""
         cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
-        return np.asarray(self.stroke * (cycle - np.sin(2.0 * np.pi * cycle) / (2.0 * np.pi)))
+        return np.asarray(self.stroke * (cycle - sine_of_turns(cycle) / (2.0 * np.pi)))
 
 
 def excitation_frequency(content: float) -> float:
@@ -93,7 +94,7 @@ def excitation_frequency(content: float) -> float:
             f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
             "give the frequency for this content yourself"
         )
-    return float(np.interp(content, contents, frequencies))
+    return interpolate(content, contents, frequencies)
 
 
 def cutoff_frequency(stiffness: float, mass: float) -> float:

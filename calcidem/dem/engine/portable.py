@@ -1,0 +1,144 @@
+"""Elementary functions whose bits are the same everywhere.
+
+NumPy and the C library choose their sine, arcsine or power by the processor (SIMD width, FMA), and the results differ
+in the last bit; a chaotic packing makes another sample of that. IEEE 754 fixes ``+ - * /`` and the square root to the
+last bit, so what is made of these alone, in a fixed order, is the same on every processor. Whatever a stored number
+depends on comes from here: lengths, powers, angles, sums of products; no BLAS, no LAPACK, no FFT. NumPy's own sum of a
+contiguous array has a fixed order (pairwise), which a test checks.
+"""
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+AnyFloats = npt.NDArray[np.floating[Any]]
+
+TERMS = 9
+"""Of the series of sine and cosine: what is left out at an eighth of a turn is below 1e-17."""
+ARC_TERMS = 27
+"""Of the series of the arcsine: what is left out at 1/2 is below 1e-17."""
+
+
+def length(x: AnyFloats, y: AnyFloats) -> Floats:
+    """Length of vectors, ``sqrt(x^2 + y^2)``, to 1 unit in the last place; squares must neither over- nor underflow."""
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
+def three_halves(value: AnyFloats) -> Floats:
+    """Power 1.5 of values that are not negative, to 1.5 units in the last place."""
+    return np.asarray(value * np.sqrt(value))
+
+
+def horner(coefficients: Sequence[float], x: Floats) -> Floats:
+    """Polynomial in x, the coefficient of the lowest power first."""
+    total = np.full_like(x, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        total = total * x + coefficient
+    return total
+
+
+def sine_of_turns(turns: npt.ArrayLike) -> Floats:
+    """``sin(2 pi t)`` of a number of turns t from -1 to 1, to 2 units in the last place; exact at multiples of 1/4."""
+    t = np.asarray(turns, dtype=float)
+    size = np.abs(t)
+    # Each of these differences is exact where it is taken.
+    half = np.where(size > 0.5, size - 0.5, size)  # noqa: PLR2004 - half a turn
+    quarter = np.where(half > 0.25, 0.5 - half, half)  # noqa: PLR2004 - a quarter
+    beyond = quarter > 0.125  # noqa: PLR2004 - an eighth
+    angle = 2.0 * np.pi * np.where(beyond, 0.25 - quarter, quarter)
+    square = angle * angle
+    sine = angle + angle * square * horner(SINE, square)
+    cosine = 1.0 - 0.5 * square + square * square * horner(COSINE, square)
+    result = np.where(beyond, cosine, sine)
+    return np.asarray(np.where((size > 0.5) != (t < 0.0), -result, result))  # noqa: PLR2004 - half a turn
+
+
+def arc_sine(value: npt.ArrayLike) -> Floats:
+    """Angle in [0, pi / 2] whose sine is a value in [0, 1], to 3 units in the last place.
+
+    Its series up to 1/2, and ``pi / 2 - 2 arcsin(sqrt((1 - x) / 2))`` above.
+    """
+    x = np.asarray(value, dtype=float)
+    large = x > 0.5  # noqa: PLR2004 - as said
+    reduced = np.where(large, np.sqrt(np.maximum(0.5 * (1.0 - x), 0.0)), x)
+    square = reduced * reduced
+    angle = reduced + reduced * square * horner(ARC, square)
+    return np.asarray(np.where(large, np.pi / 2.0 - 2.0 * angle, angle))
+
+
+def tangent_of_degrees(degrees: float) -> float:
+    """Tangent of an angle in [0, 90) degrees, to 1e-13 of itself."""
+    turns = degrees / 360.0
+    return float(sine_of_turns(turns) / sine_of_turns(0.25 - turns))
+
+
+def interpolate(x: float, places: Sequence[float], values: Sequence[float]) -> float:
+    """Linear interpolation in a table of increasing places; its first or last value outside."""
+    if x <= places[0]:
+        return float(values[0])
+    for left, right, low, high in zip(places[:-1], places[1:], values[:-1], values[1:], strict=True):
+        if x < right:
+            return float(low + (high - low) * ((x - left) / (right - left)))
+    return float(values[-1])
+
+
+def sliding_products(signal: Floats, weights: Floats) -> Floats:
+    """Sum of products of the weights and the part of a signal under them, at each place where they fit."""
+    places = len(signal) - len(weights) + 1
+    total: Floats = np.zeros(places)
+    for shift, weight in enumerate(weights.tolist()):
+        total = total + weight * signal[shift : shift + places]
+    return total
+
+
+def sums_of_products(weights: Floats, values: Floats) -> Floats:
+    """Sums (K,) of products of the rows of ``weights`` (K, S) and the values (S,)."""
+    total: Floats = np.zeros(len(weights))
+    for column, value in zip(weights.T, values.tolist(), strict=True):
+        total = total + column * value
+    return total
+
+
+def smooth_cubically(signal: Floats, reach: int) -> Floats:
+    """Values of cubics fitted to each sample and its ``reach`` neighbours on either side (Savitzky-Golay, no delay).
+
+    The first and the last samples take theirs from the outermost of these cubics.
+    """
+    weights = cubic_weights(reach)
+    size = 2 * reach + 1
+    first = sums_of_products(weights[:reach], signal[:size])
+    last = sums_of_products(weights[reach + 1 :], signal[-size:])
+    return np.concatenate([first, sliding_products(signal, weights[reach]), last])
+
+
+@cache
+def cubic_weights(reach: int) -> Floats:
+    """Weights (S, S) of S = 2 reach + 1 samples in the value at each of their places of the cubic through them.
+
+    Sum over the orthogonal polynomials p of degree 0 to 3 (Gram's) of ``p(i) p(j) / sum(p^2)``, exact until the end.
+    """
+    places = range(-reach, reach + 1)
+    second, third = reach * (reach + 1), 3 * reach * (reach + 1) - 1
+    polynomials = (
+        [1 for _ in places],
+        list(places),
+        [3 * j * j - second for j in places],
+        [5 * j * j * j - third * j for j in places],
+    )
+    sums = [sum(value * value for value in p) for p in polynomials]
+    weights = np.empty((len(places), len(places)))
+    for i, j in np.ndindex(*weights.shape):
+        weights[i, j] = float(sum(Fraction(p[i] * p[j], total) for p, total in zip(polynomials, sums, strict=True)))
+    weights.setflags(write=False)
+    return weights
+
+
+SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, TERMS))
+COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, TERMS + 1))
+ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, ARC_TERMS))
