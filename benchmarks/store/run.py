@@ -27,7 +27,9 @@ import numpy as np
 
 from calcidem.analysis.distribution import tabulate
 from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.packing import packing_record, provide_packing
 from calcidem.app.cli.query import find
+from calcidem.app.config.schema import Configuration
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
@@ -89,8 +91,10 @@ def make_database(path: Path, count: int) -> None:
         seeds=tuple(range(1, seeds + 1)),
         created=datetime.now(UTC),
     )
+    packing = provide_packing(Configuration(), None, print)
     with open_store(path) as store:
         store.begin_campaign(record)
+        store.save_packing(packing_record(packing, index=0, packing_hash=Configuration().packing_hash))
         stored = cells(seeds)
         while block := list(islice(stored, BLOCK)):
             store.record_results(block)
