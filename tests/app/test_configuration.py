@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.app.cli.main import main
+from calcidem.app.config import schema
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import SECTIONS, load_configuration, read_configuration
@@ -19,27 +20,47 @@ if TYPE_CHECKING:
 
 CHECKOUT = Path(__file__).parents[2]
 
-# File, and the hashes of its campaign and of its packing.
+# Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
-    "examples/quick.toml": (
+    (1, "examples/quick.toml"): (
         "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
         "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
     ),
-    "examples/paper.toml": (
+    (1, "examples/paper.toml"): (
         "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
         "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
     ),
-    "examples/paper-literal.toml": (
+    (1, "examples/paper-literal.toml"): (
         "cf8fd0138012374a519b4761619d3c70e6ab0d1293264804b78a5bebc8f6a26d",
         "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
     ),
-    "examples/paper-locked.toml": (
+    (1, "examples/paper-locked.toml"): (
         "68633b10f4754b902913a1046dbaaa2e057454b6b0248f15290e4f1715781888",
         "4257a5b0f6ded8c16a5a27c601667a82bc86d622ed563c9c9de74f4270fc3bdf",
     ),
-    "docs/tutorial/quick.toml": (
+    (1, "docs/tutorial/quick.toml"): (
         "86e20367f5cdabb623b5079e8401e29eca648cbb5af5bf852e8df918b11e0b9f",
         "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
+    ),
+    (2, "examples/quick.toml"): (
+        "57c59c7cb9c8c69c314837c29ad626fea7a1d072138e8b2c65152ef44c2a830b",
+        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
+    ),
+    (2, "examples/paper.toml"): (
+        "57c59c7cb9c8c69c314837c29ad626fea7a1d072138e8b2c65152ef44c2a830b",
+        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
+    ),
+    (2, "examples/paper-literal.toml"): (
+        "fa0c925ac321f1ad0c52014dc6cce9200412997da5847745c31bd0feecded517",
+        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
+    ),
+    (2, "examples/paper-locked.toml"): (
+        "4055f369014a4810e0d9637167c85c5a91327bd9cb1d5f31127d6a25b82ff4ef",
+        "cf671afd003b1d480fa82e407604b5f532d2ad511eb727ff85b79bb4276d3960",
+    ),
+    (2, "docs/tutorial/quick.toml"): (
+        "ba6c0df8753d7002f0749f2a5c86755f7289c75161b368bd77f394927cb8768d",
+        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
     ),
 }
 
@@ -249,11 +270,13 @@ def test_examples_are_the_presets() -> None:
     assert examples == {name: preset_text(name) for name in ("quick", "paper", "paper-literal", "paper-locked")}
 
 
-@pytest.mark.parametrize("name", IDENTITIES)
-def test_campaigns_keep_their_identity(name: str) -> None:
+@pytest.mark.parametrize(("version", "name"), IDENTITIES)
+def test_campaigns_keep_their_identity(version: int, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The hashes of campaign and packing are those with which databases and cached packings were made."""
+    assert max(IDENTITIES)[0] == schema.PHYSICS_VERSION
+    monkeypatch.setattr(schema, "PHYSICS_VERSION", version)
     configuration = load_configuration(CHECKOUT / name)
-    assert (configuration.hash, configuration.packing_hash) == IDENTITIES[name]
+    assert (configuration.hash, configuration.packing_hash) == IDENTITIES[version, name]
 
 
 @pytest.mark.parametrize("section", ["packing", "wave"])

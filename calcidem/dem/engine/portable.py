@@ -11,13 +11,11 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-AnyFloats = npt.NDArray[np.floating[Any]]
+from calcidem.dem.kernels.layout import Floats
 
 TERMS = 9
 """Of the series of sine and cosine: what is left out at an eighth of a turn is below 1e-17."""
@@ -25,12 +23,12 @@ ARC_TERMS = 27
 """Of the series of the arcsine: what is left out at 1/2 is below 1e-17."""
 
 
-def length(x: AnyFloats, y: AnyFloats) -> Floats:
+def length(x: Floats, y: Floats) -> Floats:
     """Length of vectors, ``sqrt(x^2 + y^2)``, to 1 unit in the last place; squares must neither over- nor underflow."""
     return np.asarray(np.sqrt(x * x + y * y))
 
 
-def three_halves(value: AnyFloats) -> Floats:
+def three_halves(value: Floats) -> Floats:
     """Power 1.5 of values that are not negative, to 1.5 units in the last place."""
     return np.asarray(value * np.sqrt(value))
 
