@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["OpenedCampaign", "load_paper_campaign", "open_campaign", "run"]
 
-HOMES = {
+_HOMES = {
     "OpenedCampaign": "calcidem.app.campaign.opened",
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",
@@ -26,6 +26,6 @@ def __getattr__(name: str) -> object:
     """Import on first use: whoever needs the kernels alone does not wait for the database."""
     if name == "__version__":
         return import_module("importlib.metadata").version("calcidem")
-    if name not in HOMES:
+    if name not in _HOMES:
         raise AttributeError(f"module 'calcidem' has no attribute '{name}'")
-    return getattr(import_module(HOMES[name]), name)
+    return getattr(import_module(_HOMES[name]), name)

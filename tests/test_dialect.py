@@ -46,6 +46,9 @@ def taken_names(path: Path) -> Iterator[tuple[str, str]]:
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Attribute) and (module := aliases.get(ast.unparse(node.value))):
             yield module, node.attr
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("setattr"):
+            target, name, *_ = (ast.unparse(argument) for argument in node.args)
+            yield aliases.get(target, ""), name.strip("'")
 
 
 @cache

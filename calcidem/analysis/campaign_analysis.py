@@ -175,7 +175,7 @@ class CampaignAnalysis:
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
         packings = self._packings()
-        with translate_refusals():
+        with _translate_refusals():
             return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
 
     @cached_property
@@ -203,13 +203,13 @@ class CampaignAnalysis:
     @cached_property
     def correlations(self) -> Correlations:
         """Correlation of the eight features and Vs."""
-        with translate_refusals():
+        with _translate_refusals():
             return correlate(self.table)
 
     @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
         """Length of the shortest path for all weight ratios, for each of the samples."""
-        with translate_refusals():
+        with _translate_refusals():
             return tuple(
                 path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0) for sample in self.samples
             )
@@ -217,7 +217,7 @@ class CampaignAnalysis:
     @cached_property
     def ratio_scan(self) -> RatioScan:
         """Correlation of C_d,n with Vs over the weight ratio, and the best ratio."""
-        with translate_refusals():
+        with _translate_refusals():
             return scan_ratio(self.envelopes, self.sample_vs, self.sample_seeds)
 
     @cached_property
@@ -263,7 +263,7 @@ class CampaignAnalysis:
         cell = self.campaign.cell(seed=seed, content=content)
         if cell.cement is None:
             raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
-        with translate_refusals():
+        with _translate_refusals():
             return self._sample(cell, cell.cement)
 
     def measured_samples(self, content: float) -> list[MeasuredSample]:
@@ -272,7 +272,7 @@ class CampaignAnalysis:
         return sorted(found, key=lambda sample: sample.vs)
 
     def _law(self, name: str, weights: ContactWeights, connectivity: NDArray[np.float64]) -> LawFit:
-        with translate_refusals():
+        with _translate_refusals():
             return LawFit(
                 name=name,
                 weights=weights,
@@ -288,7 +288,7 @@ class CampaignAnalysis:
         return [self.campaign.packing(index) for index in indices]
 
     def _read_samples(self) -> Iterator[MeasuredSample]:
-        with translate_refusals():
+        with _translate_refusals():
             for cell in self.campaign.select(with_arrays=True):
                 if cell.cement is not None:
                     yield self._sample(cell, cell.cement)
@@ -309,7 +309,7 @@ class CampaignAnalysis:
 
 
 @contextmanager
-def translate_refusals() -> Iterator[None]:
+def _translate_refusals() -> Iterator[None]:
     """Turn the refusal of data by a function of the analysis into an `UnavailableError` with its words."""
     try:
         yield

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from calcidem.analysis.connectivity import ContactWeights
 
-RELATIVE_TIE = 1e-9
+_RELATIVE_TIE = 1e-9
 """Paths whose lengths differ by less than this fraction are equally long; round-off is about 1e-14."""
 
 
@@ -191,7 +191,7 @@ def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWe
     shortest = distance[graph.transmitter].min()
     if not np.isfinite(shortest):
         raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
-    slack = RELATIVE_TIE * shortest
+    slack = _RELATIVE_TIE * shortest
     grain = int(graph.transmitter[distance[graph.transmitter] <= shortest + slack][0])
     grains, kinds = [grain], []
     while distance[grain] > 0:

@@ -8,10 +8,10 @@ from scipy import optimize, stats
 
 from calcidem.analysis.intervals import Interval
 
-PARAMETER_COUNT = 3
+_PARAMETER_COUNT = 3
 """The law has the three parameters a, b and c."""
 
-START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
+_START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
 """Exponents tried as starting points; 0 is none, since there a C^b and c are the same term."""
 
 
@@ -80,9 +80,9 @@ class PowerLawFit:
         really holds.
         """
         x = np.asarray(connectivity, dtype=np.float64)
-        gradient = _gradient(x, self.a, self.b, self.c)
+        gradient = power_law_gradient(x, self.a, self.b, self.c)
         curve = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
-        quantile = float(stats.t.ppf((1 + level) / 2, self.n - PARAMETER_COUNT))
+        quantile = float(stats.t.ppf((1 + level) / 2, self.n - _PARAMETER_COUNT))
         half = quantile * np.sqrt(self.residual_standard_deviation**2 + curve)
         centre = self.predict(x)
         return centre - half, centre + half
@@ -126,14 +126,14 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         different connectivities, or the fit does not converge.
     """
     x, y, left_out = _known_samples(connectivity, vs)
-    if x.size <= PARAMETER_COUNT or np.unique(x).size < PARAMETER_COUNT:
+    if x.size <= _PARAMETER_COUNT or np.unique(x).size < _PARAMETER_COUNT:
         raise ValueError(
             f"{x.size} samples with {np.unique(x).size} different connectivities: the law has three "
             "parameters and needs at least four samples with three different ones"
         )
     parameters, covariance = _least_squares(x, y, _starting_point(x, y))
     residuals = y - power_law(x, *parameters)
-    quantile = float(stats.t.ppf((1 + level) / 2, x.size - PARAMETER_COUNT))
+    quantile = float(stats.t.ppf((1 + level) / 2, x.size - _PARAMETER_COUNT))
     intervals = [
         Interval(float(value - quantile * error), float(value + quantile * error))
         for value, error in zip(parameters, np.sqrt(np.diag(covariance)), strict=True)
@@ -148,7 +148,7 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         c_interval=intervals[2],
         covariance=covariance,
         residuals=residuals,
-        residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - PARAMETER_COUNT))),
+        residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - _PARAMETER_COUNT))),
         n=x.size,
         left_out=left_out,
     )
@@ -201,7 +201,7 @@ def power_law(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[n
     return a * x**b + c
 
 
-def _gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
+def power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
     """Give the derivatives of the law by a, b and c, shape (..., 3)."""
     power = x**b
     return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
@@ -223,7 +223,7 @@ def _known_samples(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.f
 def _starting_point(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Start from the best of some exponents, each with its best a and c, which are linear."""
     best, smallest = np.zeros(3), np.inf
-    for exponent in START_EXPONENTS:
+    for exponent in _START_EXPONENTS:
         design = np.stack([x**exponent, np.ones_like(x)], axis=1)
         (a, c), *_ = np.linalg.lstsq(design, y, rcond=None)
         error = float(np.sum((design @ (a, c) - y) ** 2))
@@ -236,7 +236,7 @@ def _least_squares(
     x: NDArray[np.float64], y: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
-        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=_gradient)
+        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=power_law_gradient)
     except RuntimeError as error:
         raise ValueError(
             f"the fit of Vs = a C^b + c did not converge for {x.size} samples ({error}); "

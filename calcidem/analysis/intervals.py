@@ -41,10 +41,10 @@ class Interval:
         return self.low <= value <= self.high
 
 
-LARGEST_BOOTSTRAP = 5000
+_LARGEST_BOOTSTRAP = 5000
 """Above it resampling would need gigabytes; the large-sample interval is the same to a few hundredths of its width."""
 
-SMALLEST_BOOTSTRAP = 3
+_SMALLEST_BOOTSTRAP = 3
 """Below this, resampling has too few different results to say anything."""
 
 UNDEFINED = Interval(math.nan, math.nan)
@@ -114,12 +114,12 @@ def bootstrap_interval(
     -----
     Efron (1987), doi:10.1080/01621459.1987.10478410, as `scipy.stats.bootstrap` computes it.
     """
-    if values.size < SMALLEST_BOOTSTRAP:
+    if values.size < _SMALLEST_BOOTSTRAP:
         return UNDEFINED
     if np.ptp(values) == 0:
         constant = float(statistic(values, axis=-1))
         return Interval(constant, constant)
-    if values.size > LARGEST_BOOTSTRAP:
+    if values.size > _LARGEST_BOOTSTRAP:
         return _large_sample_interval(values, statistic, level)
     result = stats.bootstrap(
         (values,),

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-SIMULATED_SAMPLES = 20_000
+_SIMULATED_SAMPLES = 20_000
 """Normal samples drawn for one sample size: the standard error of a p-value of 0.05 is then 0.0015."""
 
-SIMULATION_SEED = 19_870_555
+_SIMULATION_SEED = 19_870_555
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> Normal
     p-value among simulated samples of the same size is given as well.
     """
     statistic = float(_statistic(n, np.asarray(skewness), np.asarray(kurtosis)))
-    null = _null_statistics(n)
+    null = null_statistics(n)
     # The relative slack lets equal statistics count as equal in spite of round-off; the two ones count the
     # sample itself, so that p is never zero (Davison and Hinkley 1997, section 4.2).
     at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
@@ -98,13 +98,13 @@ def _statistic(n: int, skewness: NDArray[np.float64], kurtosis: NDArray[np.float
 
 
 @lru_cache(maxsize=256)
-def _null_statistics(n: int) -> NDArray[np.float64]:
+def null_statistics(n: int) -> NDArray[np.float64]:
     """Draw the sorted statistics of normal samples of size n; the same numbers on every call."""
-    generator = np.random.default_rng([SIMULATION_SEED, n])
+    generator = np.random.default_rng([_SIMULATION_SEED, n])
     rows = max(1, 2_000_000 // n)  # 16 MB at a time
     parts = []
-    for start in range(0, SIMULATED_SAMPLES, rows):
-        samples = generator.standard_normal((min(rows, SIMULATED_SAMPLES - start), n))
+    for start in range(0, _SIMULATED_SAMPLES, rows):
+        samples = generator.standard_normal((min(rows, _SIMULATED_SAMPLES - start), n))
         skew, kurt = stats.skew(samples, axis=1), stats.kurtosis(samples, axis=1, fisher=False)
         parts.append(_statistic(n, np.asarray(skew), np.asarray(kurt)))
     null = np.sort(np.concatenate(parts))

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CellStatus
 
-DONE = "done"
-NOT_COMPUTED = ""
+_DONE = "done"
+_NOT_COMPUTED = ""
 
 
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
@@ -37,14 +37,14 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     """
     vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, DONE, NOT_COMPUTED) if status is None else _check_status(vs, status, measured)
-    names = sorted(set(text.ravel().tolist()) - {DONE, NOT_COMPUTED})
+    text = np.where(measured, _DONE, _NOT_COMPUTED) if status is None else _check_status(vs, status, measured)
+    names = sorted(set(text.ravel().tolist()) - {_DONE, _NOT_COMPUTED})
     failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
     failures = failures.reshape(len(names), vs.sizes["content"])
     return xr.Dataset(
         {
             "measured": ("content", measured.sum(axis=0)),
-            "missing": ("content", (text == NOT_COMPUTED).sum(axis=0)),
+            "missing": ("content", (text == _NOT_COMPUTED).sum(axis=0)),
             "failed": ("content", failures.sum(axis=0)),
             "failures": (("outcome", "content"), failures),
         },
@@ -54,7 +54,7 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
     """Outcome of each cell as text along (seed, content), empty where it is not computed, from its `STATUS_CODES`."""
-    names = np.full(max(STATUS_CODES.values()) + 1, NOT_COMPUTED, dtype=object)
+    names = np.full(max(STATUS_CODES.values()) + 1, _NOT_COMPUTED, dtype=object)
     for name, code in STATUS_CODES.items():
         if name not in (CellStatus.PENDING, NOT_PLANNED):
             names[code] = str(name)
@@ -80,7 +80,7 @@ def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.b
     if dict(status.sizes) != dict(vs.sizes):
         raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
     text = status.transpose("seed", "content").to_numpy().astype(object)
-    wrong = np.argwhere((text == DONE) != measured)
+    wrong = np.argwhere((text == _DONE) != measured)
     if wrong.size:
         row, column = wrong[0]
         seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]

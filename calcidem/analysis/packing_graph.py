@@ -111,7 +111,7 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
     off_centre = np.abs(packing.y - packing.height / 2)
     graph = ContactGraph(
         grain_count=packing.radius.size,
-        pairs=touching_pairs(packing.x, packing.y, packing.radius),
+        pairs=_touching_pairs(packing.x, packing.y, packing.radius),
         transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
         receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
     )
@@ -123,7 +123,7 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
     )
 
 
-def touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.int64]:
+def _touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.int64]:
     """Give the pairs of disks that overlap, shape (m, 2), both columns sorted; positions and radii in m."""
     centres = np.column_stack([x, y])
     near = cKDTree(centres).query_pairs(2 * float(radius.max()), output_type="ndarray")

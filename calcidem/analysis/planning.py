@@ -11,7 +11,7 @@ from scipy import stats
 
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, standard_deviation, standard_deviation_interval
 
-SMALLEST_COUNT = 3
+_SMALLEST_COUNT = 3
 """Fewer values than this always have the same skewness."""
 
 
@@ -68,7 +68,7 @@ def seeds_needed(standard_deviation: float, half_width: float, level: float = 0.
     # The normal quantile gives too few, by two or three: Student's is larger.
     quantile = float(stats.norm.ppf((1 + level) / 2))
     n = max(2, math.ceil((quantile * standard_deviation / half_width) ** 2))
-    while _mean_half_width(standard_deviation, n, level) > half_width:
+    while mean_half_width(standard_deviation, n, level) > half_width:
         n += 1
     return n
 
@@ -96,7 +96,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> See
     return SeedPlan(
         half_width=half_width,
         present=sample.size,
-        present_half_width=_mean_half_width(deviation, sample.size, level),
+        present_half_width=mean_half_width(deviation, sample.size, level),
         needed=seeds_needed(deviation, half_width, level),
         needed_low=seeds_needed(spread.low, half_width, level),
         needed_high=seeds_needed(spread.high, half_width, level),
@@ -136,7 +136,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     values make.
     """
     sample = _finite_values(values)
-    if min(counts, default=SMALLEST_COUNT) < SMALLEST_COUNT:
+    if min(counts, default=_SMALLEST_COUNT) < _SMALLEST_COUNT:
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
     generator = np.random.default_rng(BOOTSTRAP_SEED)
@@ -144,7 +144,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     for count in counts:
         resampled = sample[generator.integers(sample.size, size=(replicates, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # a resample of equal values has no skewness
-        mean.append(_mean_half_width(deviation, count, level))
+        mean.append(mean_half_width(deviation, count, level))
         spread.append(_half_of_central(np.std(resampled, axis=1, ddof=1), level))
         skew.append(_half_of_central(stats.skew(varied, axis=1), level) if len(varied) else math.nan)
     return xr.Dataset(
@@ -154,7 +154,8 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     )
 
 
-def _mean_half_width(deviation: float, n: int, level: float) -> float:
+def mean_half_width(deviation: float, n: int, level: float) -> float:
+    """Half of the width of the interval that holds the mean of n samples, in the unit of the deviation."""
     return float(stats.t.ppf((1 + level) / 2, n - 1)) * deviation / math.sqrt(n)
 
 

@@ -15,19 +15,19 @@ from calcidem.analysis.normality import NormalityTest, jarque_bera_from_moments
 from calcidem.analysis.published import PublishedLaw, PublishedStudy, published_study
 from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
 
-PAPER_SIGNIFICANCE = 0.05
+_PAPER_SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""
 
-RATE_ROUNDING = 0.01
+_RATE_ROUNDING = 0.01
 """Means and rates printed with two decimals agree to about this, in m/s per percent."""
 
-WEIGHT_ROUNDING = 0.0015
+_WEIGHT_ROUNDING = 0.0015
 """1/C printed with three digits fixes C^(-2/3) to 0.001, and that is rounded to 0.0005 once more."""
 
-RANGE_ROUNDING = 0.005
+_RANGE_ROUNDING = 0.005
 """Weights and ranges as printed fix the smallest C_d,n of a packing to about this."""
 
-NORMAL_KURTOSIS = 3.0
+_NORMAL_KURTOSIS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class VerdictCheck:
     @property
     def computed_normal(self) -> bool:
         """The verdict by the paper's own rule."""
-        return self.test.p_asymptotic >= PAPER_SIGNIFICANCE
+        return self.test.p_asymptotic >= _PAPER_SIGNIFICANCE
 
     @property
     def agrees(self) -> bool:
@@ -144,7 +144,7 @@ def _compare_rates(study: PublishedStudy) -> list[StatementCheck]:
                     place=f"Section 3.2.1, stage {printed.name}{basis}",
                     printed=f"rate {printed.rate:.2f} m/s per percent",
                     computed=f"{rate:.2f} from the means at {growth.contents[0]:g} and {growth.contents[-1]:g} %",
-                    agrees=abs(rate - printed.rate) < RATE_ROUNDING,
+                    agrees=abs(rate - printed.rate) < _RATE_ROUNDING,
                 )
             )
     return findings
@@ -176,7 +176,7 @@ def _compare_claims(study: PublishedStudy) -> list[StatementCheck]:
     }
     negative = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["I"] if row.skewness <= 0]
     flat = [
-        f"{row.kurtosis:g} at {content:g} %" for content, row in in_stage["II"] if row.kurtosis <= 2 * NORMAL_KURTOSIS
+        f"{row.kurtosis:g} at {content:g} %" for content, row in in_stage["II"] if row.kurtosis <= 2 * _NORMAL_KURTOSIS
     ]
     positive = [f"{row.skewness:g} at {content:g} %" for content, row in in_stage["IV"] if row.skewness >= 0]
     return [
@@ -226,7 +226,7 @@ def _compare_law(law: PublishedLaw, study: PublishedStudy) -> list[StatementChec
             printed=span,
             computed=f"in one packing whose uncemented path has C_d,n = {high:g}, cement on every contact "
             f"brings it down to {smallest:.3f}, not below",
-            agrees=low >= smallest - RANGE_ROUNDING,
+            agrees=low >= smallest - _RANGE_ROUNDING,
         ),
     ]
 
@@ -251,5 +251,5 @@ def _compare_coordination_number(study: PublishedStudy) -> StatementCheck:
         place="Table 4 and Eq. 8",
         printed=f"weights {weights.hertz:g} and {weights.bond:g}",
         computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives {hertz:.3f} and {weights.bond:g}",
-        agrees=abs(hertz - weights.hertz) < WEIGHT_ROUNDING,
+        agrees=abs(hertz - weights.hertz) < _WEIGHT_ROUNDING,
     )

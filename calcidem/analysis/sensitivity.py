@@ -8,8 +8,8 @@ import xarray as xr
 
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, UNDEFINED, Interval
 
-REPLICATES = 4000
-FEWEST_PAIRS = 4
+_REPLICATES = 4000
+_FEWEST_PAIRS = 4
 """With fewer common seeds a ratio of scatters means nothing."""
 
 
@@ -75,9 +75,9 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
 def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
     """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
     count = pair.shape[1]
-    if count < FEWEST_PAIRS:
+    if count < _FEWEST_PAIRS:
         return math.nan, math.nan, UNDEFINED
-    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (REPLICATES, count))]
+    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (_REPLICATES, count))]
     # Reference without scatter (no cement, one packing): a ratio of scatters is not defined.
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)

@@ -9,16 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
 from calcidem.analysis.path_envelope import PathEnvelope
 
-SMALLEST_SAMPLE = 3
+_SMALLEST_SAMPLE = 3
 """Two samples always lie on a line, so a correlation says nothing."""
 
-CORRELATION_TIE = 1e-6
+_CORRELATION_TIE = 1e-6
 """Correlations closer than this are taken for equal."""
 
-WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
+_WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
 """The ratios of the scan. The value 1 is left out: there cement makes no difference and C_d,n is
 undefined."""
-WEIGHT_RATIOS.flags.writeable = False
+_WEIGHT_RATIOS.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ def scan_ratio(
     vs: ArrayLike,
     seed: ArrayLike,
     *,
-    ratios: ArrayLike = WEIGHT_RATIOS,
+    ratios: ArrayLike = _WEIGHT_RATIOS,
     level: float = 0.95,
     replicates: int = 2000,
 ) -> RatioScan:
@@ -99,21 +99,21 @@ def scan_ratio(
             "give one of each for every sample"
         )
     known = np.isfinite(velocity)
-    if known.sum() < SMALLEST_SAMPLE:
+    if known.sum() < _SMALLEST_SAMPLE:
         raise ValueError(f"only {known.sum()} samples have a velocity; a correlation needs at least three")
     lengths = np.stack([envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use])
-    sums = _sums_by_seed(lengths, velocity[known], seeds[known])
+    sums = sums_by_seed(lengths, velocity[known], seeds[known])
     seed_count = sums.shape[0]
-    correlation = _correlation(np.ones((1, seed_count)), sums)[0]
+    correlation = correlate_sums(np.ones((1, seed_count)), sums)[0]
     if np.isnan(correlation).all():
         raise ValueError("no ratio has a correlation: all samples have the same path or the same velocity")
-    best = int(_first_best(correlation[None])[0])
+    best = int(first_best(correlation[None])[0])
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
-    drawn = _correlation(draws.astype(np.float64), sums)
+    drawn = correlate_sums(draws.astype(np.float64), sums)
     # A replicate of one seed drawn over and over may have no correlation at all; it says nothing.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
-    best_ratios = grid[_first_best(usable)]
+    best_ratios = grid[first_best(usable)]
     low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])
     return RatioScan(
         ratios=grid,
@@ -126,17 +126,17 @@ def scan_ratio(
     )
 
 
-def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
+def first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     """Place of the smallest ratio that correlates as well as the best one, in each row of shape (replicates, ratios).
 
     From some ratio on the shortest paths no longer change, and with them neither does the correlation. The scan then
     ends in a plateau on which round-off alone would choose, while C_d,n grows without limit.
     """
     best = np.nanmin(correlation, axis=1, keepdims=True)
-    return np.asarray(np.argmax(correlation <= best + CORRELATION_TIE, axis=1))
+    return np.asarray(np.argmax(correlation <= best + _CORRELATION_TIE, axis=1))
 
 
-def _sums_by_seed(
+def sums_by_seed(
     lengths: NDArray[np.float64], vs: NDArray[np.float64], seeds: NDArray[np.generic]
 ) -> NDArray[np.float64]:
     """Add up n, x, y, x^2, y^2 and x y over the samples of each seed: all that Pearson's coefficient needs.
@@ -152,7 +152,7 @@ def _sums_by_seed(
     return sums
 
 
-def _correlation(multiplicity: NDArray[np.float64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def correlate_sums(multiplicity: NDArray[np.float64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pearson's coefficient when each seed counts `multiplicity` times; shape (replicates, ratios)."""
     n, x, y, xx, yy, xy = np.moveaxis(np.tensordot(multiplicity, sums, axes=1), 1, 0)
     variance_x, variance_y = xx - x * x / n, yy - y * y / n

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
 
-HEARTBEAT_SUFFIX = ".heartbeat"
+_HEARTBEAT_SUFFIX = ".heartbeat"
 """Ends the name of the file whose time of change is the heartbeat; it is there only while beats are to be expected."""
 
 
@@ -16,7 +16,7 @@ class Heartbeat:
 
     def __init__(self) -> None:
         beside = os.environ.get(EXIT_CODE_FILE_VARIABLE)
-        self._path = Path(beside + HEARTBEAT_SUFFIX) if beside else None
+        self._path = Path(beside + _HEARTBEAT_SUFFIX) if beside else None
         self._begun = False
 
     def beat(self) -> None:
@@ -50,7 +50,7 @@ class HeartbeatMonitor:
     """
 
     def __init__(self, exit_code_file: Path) -> None:
-        self._path = Path(f"{exit_code_file}{HEARTBEAT_SUFFIX}")
+        self._path = Path(f"{exit_code_file}{_HEARTBEAT_SUFFIX}")
         self._last = 0
         self._changed = time.monotonic()
         self.sender = ""

@@ -1,4 +1,4 @@
-"""The master's end of a sweep: `master_exec` and `master_stop` mirror those of the worker.
+"""The master's end of a sweep: `_master_exec` and `_master_stop` mirror those of the worker.
 
 There is no `master_join`: workers join while the sweep runs, whenever they are ready (`WorkerPool.receive`).
 """
@@ -17,7 +17,7 @@ from calcidem.sweep.signals import StopLevel
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
 from calcidem.sweep.worker_pool import Loss, WorkerPool
 
-HEARTBEAT_INTERVAL = 0.5
+_HEARTBEAT_INTERVAL = 0.5
 """Seconds between two heartbeats, which the progress display passes on."""
 
 
@@ -35,15 +35,15 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     options = context.options
     pool: WorkerPool[CellT] = WorkerPool(comm, options, fault_tolerant)
     try:
-        state, detail = master_exec(pool, context)
+        state, detail = _master_exec(pool, context)
     except BaseException as error:
-        master_stop(pool, SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
+        _master_stop(pool, SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
         raise
     end = SweepEnd(state, detail, context.schedule.tally, time.monotonic() - start)
-    return master_stop(pool, end, options.hurry_grace if context.stop_request.hurry() else options.stop_grace)
+    return _master_stop(pool, end, options.hurry_grace if context.stop_request.hurry() else options.stop_grace)
 
 
-def master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple[SweepState, str]:
+def _master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple[SweepState, str]:
     """Hand out batches and take in outcomes until there is a reason to end; return it."""
     backoff = Backoff()
     next_heartbeat = 0.0
@@ -61,14 +61,14 @@ def master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple[
         if (end := _reason_to_end(pool, context, level)) is not None:
             return end
         if time.monotonic() > next_heartbeat:
-            next_heartbeat = time.monotonic() + HEARTBEAT_INTERVAL
+            next_heartbeat = time.monotonic() + _HEARTBEAT_INTERVAL
             context.progress.on_heartbeat(workers=len(pool.expected), running=pool.running)
         if outcomes or handed_out or losses:
             backoff.reset()
         backoff.sleep()
 
 
-def master_stop(pool: WorkerPool[CellT], end: SweepEnd, grace: float) -> SweepEnd:
+def _master_stop(pool: WorkerPool[CellT], end: SweepEnd, grace: float) -> SweepEnd:
     """Tell the workers how the sweep ended; return the end with the ranks that didn't answer."""
     return replace(end, unresponsive_ranks=pool.stop(end, grace))
 

@@ -82,11 +82,11 @@ class LineProgress:
         """Count, and write if the batch failed."""
         self._forecast.record(outcome)
         if outcome.failure is not None:
-            self._write(failure_line(outcome))
+            self._write(_failure_line(outcome))
 
     def on_loss(self, place: Place, reason: str) -> None:
         """Write which worker is lost."""
-        self._write(loss_line(place, reason))
+        self._write(_loss_line(place, reason))
 
     def on_heartbeat(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
         """Write how far the sweep is, if it is time to."""
@@ -102,7 +102,7 @@ class LineProgress:
 
     def on_end(self, end: SweepEnd) -> None:
         """Write how it ended."""
-        self._write(end_line(end))
+        self._write(_end_line(end))
 
     def _write(self, line: str) -> None:
         self._console.print(f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True)
@@ -145,11 +145,11 @@ class BarProgress:
         """Count, and write a line above the bar if the batch failed."""
         self._forecast.record(outcome)
         if outcome.failure is not None:
-            self._console.print(failure_line(outcome), markup=False, highlight=False)
+            self._console.print(_failure_line(outcome), markup=False, highlight=False)
 
     def on_loss(self, place: Place, reason: str) -> None:
         """Write a line above the bar."""
-        self._console.print(loss_line(place, reason), markup=False, highlight=False)
+        self._console.print(_loss_line(place, reason), markup=False, highlight=False)
 
     def on_heartbeat(self, workers: int, running: int) -> None:
         """Draw the bar again."""
@@ -165,7 +165,7 @@ class BarProgress:
         """Draw the bar for the last time and write how it ended."""
         self._bar.update(self._task, completed=self._forecast.settled, left="0 s", workers="")
         self._bar.stop()
-        self._console.print(end_line(end), markup=False, highlight=False)
+        self._console.print(_end_line(end), markup=False, highlight=False)
 
 
 def progress_for(console: Console) -> Progress:
@@ -189,7 +189,7 @@ def duration(seconds: float | None) -> str:
     return f"{days} d {hours} h"
 
 
-def failure_line(outcome: BatchOutcome[Any, Any]) -> str:
+def _failure_line(outcome: BatchOutcome[Any, Any]) -> str:
     """Return one line about a batch that failed."""
     if outcome.failure is None:
         raise ValueError(f"batch {outcome.batch.identifier} has not failed")
@@ -198,12 +198,12 @@ def failure_line(outcome: BatchOutcome[Any, Any]) -> str:
     return f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
 
 
-def loss_line(place: Place, reason: str) -> str:
+def _loss_line(place: Place, reason: str) -> str:
     """Return one line about a lost worker."""
     return f"lost rank {place.rank} ({place.host}): {reason}"
 
 
-def end_line(end: SweepEnd) -> str:
+def _end_line(end: SweepEnd) -> str:
     """Return one line about how a sweep ended."""
     tally = end.tally
     parts = [

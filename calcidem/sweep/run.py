@@ -88,12 +88,12 @@ def run_sweep(
             end = run_master(comm, context, fault_tolerance_enabled())
         else:
             progress.on_start(schedule.batches, workers=1)
-            end = run_serial(context, compute)
+            end = _run_serial(context, compute)
     progress.on_end(end)
     return end
 
 
-def run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -> SweepEnd:
+def _run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -> SweepEnd:
     """Compute and store one batch after the other in this process, by the rules of the parallel sweep.
 
     The hard limit does not apply: the process that it would kill is the only one there is.

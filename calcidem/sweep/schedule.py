@@ -8,10 +8,10 @@ from typing import Generic
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 
-LOSSES_BEFORE_SPLIT = 2
+_LOSSES_BEFORE_SPLIT = 2
 """A batch that has lost this many workers goes on as single cells, so that the bad cell stands alone."""
 
-LOSSES_BEFORE_QUARANTINE = 3
+_LOSSES_BEFORE_QUARANTINE = 3
 """A cell that has taken down this many workers is not tried again."""
 
 
@@ -47,8 +47,8 @@ class Schedule(Generic[CellT]):
       only the bad cell fails. One that timed out is not: its cells advance side by side, so that each alone
       would take about as long.
     - A batch that lost its worker is handed out again after all others, so that a bad cell finds little
-      left to harm; after `LOSSES_BEFORE_SPLIT` losses as single cells.
-    - A single cell with `LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
+      left to harm; after `_LOSSES_BEFORE_SPLIT` losses as single cells.
+    - A single cell with `_LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
 
     Attributes
     ----------
@@ -105,9 +105,9 @@ class Schedule(Generic[CellT]):
         self.tally.lost_workers += 1
         batch = batch.with_another_loss()
         if len(batch.cells) > 1:
-            self._suspects.extend(self._split(batch) if batch.losses >= LOSSES_BEFORE_SPLIT else (batch,))
+            self._suspects.extend(self._split(batch) if batch.losses >= _LOSSES_BEFORE_SPLIT else (batch,))
             return None
-        if batch.losses < LOSSES_BEFORE_QUARANTINE:
+        if batch.losses < _LOSSES_BEFORE_QUARANTINE:
             self._suspects.append(batch)
             return None
         self.tally.settled += 1

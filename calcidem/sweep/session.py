@@ -30,10 +30,10 @@ a file of that name with `STARTED_SUFFIX`, and else that it never began.
 
 STARTED_SUFFIX = ".started"
 
-MASTER_GONE_GRACE = 10.0
+_MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
-FINAL_BARRIER_LIMIT = 2.0
+_FINAL_BARRIER_LIMIT = 2.0
 """Seconds that a rank waits for the others before it ends."""
 
 
@@ -88,7 +88,7 @@ class Session:
         if self.size > 1:
             master = self.broadcast(ProcessIdentity.of_this_process())
             if self.rank != 0:
-                end_after(master, MASTER_GONE_GRACE, EXIT_RESUMABLE)
+                end_after(master, _MASTER_GONE_GRACE, EXIT_RESUMABLE)
         return self
 
     def __exit__(
@@ -165,7 +165,7 @@ class Session:
                     # To those that still receive a broadcast, a rank that has ended looks lost; after a sweep every
                     # worker has been told of its end. The barrier fails where a rank is lost, or has ended already.
                     with suppress(MPI.Exception):
-                        barrier(self.comm, limit=FINAL_BARRIER_LIMIT)
+                        barrier(self.comm, limit=_FINAL_BARRIER_LIMIT)
                 os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
             barrier(self.comm)  # a rank that ends early makes mpirun end the others
             sys.exit(own_code)

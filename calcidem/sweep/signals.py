@@ -16,16 +16,16 @@ def find_signals(*names: str) -> tuple[signal.Signals, ...]:
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
-DRAIN_SIGNALS = find_signals("SIGUSR1")
+_DRAIN_SIGNALS = find_signals("SIGUSR1")
 """Finish the running batches, store them, then stop."""
 
 # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them 0.25 s later and
 # returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
-RELAYED_AS = "SIGUSR2"
-HURRY_SIGNALS = find_signals("SIGTERM", "SIGINT", RELAYED_AS)
+_RELAYED_AS = "SIGUSR2"
+_HURRY_SIGNALS = find_signals("SIGTERM", "SIGINT", _RELAYED_AS)
 """Store what is done and stop now; the running batches are dropped."""
 
-REPEAT_IGNORED = 1.0
+_REPEAT_IGNORED = 1.0
 """Seconds within which a repeated signal is the same request: a batch system and mpirun may both send it."""
 
 
@@ -40,7 +40,7 @@ class StopLevel(IntEnum):
 class StopRequest:
     """Context manager that turns signals into a level to be polled; must be entered on the main thread.
 
-    A second urgent signal, at least `REPEAT_IGNORED` after the first, ends the process at once.
+    A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class StopRequest:
 
     def __enter__(self) -> Self:
         """Install the handlers."""
-        for number in DRAIN_SIGNALS:
+        for number in _DRAIN_SIGNALS:
             self._previous[number] = signal.signal(number, self._drain)
-        for number in HURRY_SIGNALS:
+        for number in _HURRY_SIGNALS:
             self._previous[number] = signal.signal(number, self._hurry)
         return self
 
@@ -83,7 +83,7 @@ class StopRequest:
     @property
     def explanation(self) -> str:
         """The reason for the user, who has sent another signal where SIGUSR2 arrives."""
-        relayed = self.reason == RELAYED_AS
+        relayed = self.reason == _RELAYED_AS
         return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
 
     def hurry(self) -> bool:
@@ -101,7 +101,7 @@ class StopRequest:
             self._hurry_since = now
             self.level = StopLevel.HURRY
             self.reason = signal.Signals(number).name
-        elif now - self._hurry_since > REPEAT_IGNORED:
+        elif now - self._hurry_since > _REPEAT_IGNORED:
             if self._end_at_once is not None:
                 self._end_at_once()
             os._exit(EXIT_RESUMABLE)
@@ -109,5 +109,5 @@ class StopRequest:
 
 def leave_signals_to_master() -> None:
     """Ignore all signals that mean stop: mpirun sends them to every rank, but rank 0 alone decides."""
-    for number in (*DRAIN_SIGNALS, *HURRY_SIGNALS):
+    for number in (*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
         signal.signal(number, signal.SIG_IGN)

@@ -40,7 +40,7 @@ class SweepState(StrEnum):
     """The master met an error, most likely while storing."""
 
 
-EXIT_CODES = {
+_EXIT_CODES = {
     SweepState.COMPLETE: EXIT_COMPLETE,
     SweepState.STOPPED: EXIT_RESUMABLE,
     SweepState.OUT_OF_WORKERS: EXIT_RESUMABLE,
@@ -75,4 +75,4 @@ class SweepEnd:
     @property
     def exit_code(self) -> int:
         """The exit code that says so: 0 complete, 75 stopped but resumable, 1 error."""
-        return EXIT_CODES[self.state]
+        return _EXIT_CODES[self.state]

@@ -1,4 +1,4 @@
-"""The worker's end of a sweep: `worker_join`, `worker_exec`, `worker_stop`, mirrored by the master."""
+"""The worker's end of a sweep: `_worker_join`, `_worker_exec`, `_worker_stop`, mirrored by the master."""
 
 import signal
 import time
@@ -27,19 +27,19 @@ def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepO
     """
     leave_signals_to_master()
     try:
-        worker_join(comm)
-        return worker_stop(worker_exec(comm, compute, options))
+        _worker_join(comm)
+        return _worker_stop(_worker_exec(comm, compute, options))
     except MPI.Exception as error:
         raise MasterLostError(f"rank 0 is gone ({error}); run the same command again to continue") from error
 
 
-def worker_join(comm: MPI.Comm) -> None:
+def _worker_join(comm: MPI.Comm) -> None:
     """Report to the master, with what it needs to watch this process."""
     request = start_send(comm, ProcessIdentity.of_this_process(), MASTER, Tag.HELLO)
     wait_until(request.Test)
 
 
-def worker_exec(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepOptions) -> Incoming:
+def _worker_exec(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepOptions) -> Incoming:
     """Compute one batch after the other; return the message that says stop."""
     place = Place.here(comm.Get_rank())
     while True:
@@ -49,7 +49,7 @@ def worker_exec(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: Sweep
         batch: Batch[CellT] = message.value()
         deadline = Deadline(options.time_limit, lambda: comm.Iprobe(MASTER, Tag.STOP))
         try:
-            with hard_stop(options.hard_limit):
+            with _hard_stop(options.hard_limit):
                 outcome = attempt(batch, compute, deadline, place)
         except SweepInterrupted:
             continue  # the next message is the STOP that interrupted the batch
@@ -58,14 +58,14 @@ def worker_exec(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: Sweep
             return stop
 
 
-def worker_stop(message: Incoming) -> SweepEnd:
+def _worker_stop(message: Incoming) -> SweepEnd:
     """Return how the sweep ended, as the master's last message says."""
     end: SweepEnd = message.value()
     return end
 
 
 @contextmanager
-def hard_stop(limit: float | None) -> Iterator[None]:
+def _hard_stop(limit: float | None) -> Iterator[None]:
     """Let the kernel kill this process if the block takes longer than `limit` seconds.
 
     The default action of SIGALRM works inside compiled code too, where no Python handler would ever run.

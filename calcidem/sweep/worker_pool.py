@@ -23,15 +23,15 @@ from calcidem.sweep.protocol import (
 )
 from calcidem.sweep.sweep_end import SweepEnd
 
-WATCHDOG_INTERVAL = 0.25
+_WATCHDOG_INTERVAL = 0.25
 """Seconds between looks for workers past their limit; going through all of them takes time."""
 
-KILL_PATIENCE = 1.0
+_KILL_PATIENCE = 1.0
 """Seconds within which a killed process must be gone."""
 
 
 @dataclass(slots=True)
-class Worker(Generic[CellT]):
+class _Worker(Generic[CellT]):
     """What the master knows about a worker.
 
     Attributes
@@ -93,7 +93,7 @@ class WorkerPool(Generic[CellT]):
         self._watchdog_limit = options.watchdog_limit
         self._next_watchdog = 0.0
         self._fault_tolerant = fault_tolerant
-        self._workers: dict[int, Worker[CellT]] = {}
+        self._workers: dict[int, _Worker[CellT]] = {}
         self._idle: deque[int] = deque()
         self._incoming: list[Incoming] = []
         self._watch = ProcessWatch()
@@ -156,7 +156,7 @@ class WorkerPool(Generic[CellT]):
             reasons.setdefault(rank, "MPI reports that its process failed")
         now = time.monotonic()
         if self._watchdog_limit is not None and now >= self._next_watchdog:
-            self._next_watchdog = now + WATCHDOG_INTERVAL
+            self._next_watchdog = now + _WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
                 if worker.batch is not None and now - worker.since > self._watchdog_limit:
                     reasons.setdefault(rank, f"no answer within {self._watchdog_limit:g} s")
@@ -199,7 +199,7 @@ class WorkerPool(Generic[CellT]):
         if not wait_until(all_stopped, grace) and self._fault_tolerant:
             for rank in requests:
                 self._watch.kill(rank)
-            wait_until(all_stopped, KILL_PATIENCE)
+            wait_until(all_stopped, _KILL_PATIENCE)
         silent = (self._given_up | requests.keys()) - self._gone()
         for rank in self._workers:
             self._watch.remove(rank)
@@ -252,7 +252,7 @@ class WorkerPool(Generic[CellT]):
         if message.source not in self.expected:
             return
         identity: ProcessIdentity = message.value()
-        self._workers[message.source] = Worker(Place(message.source, identity.host))
+        self._workers[message.source] = _Worker(Place(message.source, identity.host))
         self._idle.append(message.source)
         self._watch.add(message.source, identity)
 

@@ -19,7 +19,7 @@ from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.models import Base
-from calcidem.storage.sql.schema import VERSION_TABLE, _head
+from calcidem.storage.sql.schema import VERSION_TABLE, head_revision
 from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
         assert [a.outcome for a in campaign.history(seed=2, content=5.0)] == ["lost", "no_arrival"]
         assert campaign.status_counts()[5.0, CellStatus.NO_ARRIVAL] == 1
     with sqlite3.connect(path) as connection:
-        assert connection.execute(f"SELECT version_num FROM {VERSION_TABLE}").fetchone() == (_head(),)  # noqa: S608 - a constant
+        assert connection.execute(f"SELECT version_num FROM {VERSION_TABLE}").fetchone() == (head_revision(),)  # noqa: S608 - a constant
     connection.close()
 
 

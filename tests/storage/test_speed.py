@@ -15,7 +15,7 @@ from calcidem.storage.sql.models import AttemptRow, CellRow
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import cell_in, conditions, join_results
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.sql.writing import _attempt_in
+from calcidem.storage.sql.writing import attempt_in
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def test_listed_cells_are_searched_by_their_keys(large: tuple[Path, Stopwatch], 
                 select(CellRow.id).where(CellRow.campaign_id == 1, cell_in(keys)),
                 ("campaign_id=?", "seed=?", "content=?"),
             ),
-            (select(AttemptRow.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
+            (select(AttemptRow.outcome).where(attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
         ):
             compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
             plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]

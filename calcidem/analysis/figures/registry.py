@@ -16,14 +16,14 @@ from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.storage.errors import UnknownCellError
 
-DEFAULT_ONSET = 0.1
-SHOWN_SIGNALS = 5
-SHOWN_NARROWINGS = 4
-SAMPLES_OF_A_CONTENT = 3
-PATHS_CONTENT = 5.0
+_DEFAULT_ONSET = 0.1
+_SHOWN_SIGNALS = 5
+_SHOWN_NARROWINGS = 4
+_SAMPLES_OF_A_CONTENT = 3
+_PATHS_CONTENT = 5.0
 """Content, or the nearest one that the campaign has, at which preferential paths are compared."""
 
-SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).round()))
+_SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).round()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
         received=signal.received_force if force else signal.received_velocity,
         distance=analysis.campaign.packing(int(cell["packing_index"])).width,
         velocities={name: value for name, value in velocities.items() if math.isfinite(value)},
-        onset=float(pick.get("onset", DEFAULT_ONSET)),
+        onset=float(pick.get("onset", _DEFAULT_ONSET)),
     )
 
 
@@ -106,7 +106,7 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
     clustered = [sample for sample in of_seed if sample.kinds.max() > 1]
     chosen: list[MeasuredSample] = single[-1:]
     if clustered:
-        middle = min(clustered, key=lambda sample: abs(sample.content - PATHS_CONTENT / 2))
+        middle = min(clustered, key=lambda sample: abs(sample.content - _PATHS_CONTENT / 2))
         chosen += [sample for sample in clustered if sample in (middle, clustered[-1])]
     return draw_cemented_samples(analysis.graphs[0], chosen)
 
@@ -139,7 +139,7 @@ def _typical_sample(analysis: CampaignAnalysis) -> tuple[int, float] | None:
 
 def _plot_signals(analysis: CampaignAnalysis) -> Figure:
     arrivals = []
-    for content in _pick_evenly(_measured_contents(analysis) or [math.nan], SHOWN_SIGNALS):
+    for content in _pick_evenly(_measured_contents(analysis) or [math.nan], _SHOWN_SIGNALS):
         if math.isnan(content):
             raise UnavailableError("no sample has a velocity")
         seed = int(analysis.vs.sel(content=content).dropna("seed")["seed"][0])
@@ -166,16 +166,16 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
-    contents = _measured_contents(analysis, SAMPLES_OF_A_CONTENT)
+    contents = _measured_contents(analysis, _SAMPLES_OF_A_CONTENT)
     spread = [
         row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0
     ]
     if not spread:
-        raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
-    ordered = analysis.measured_samples(min(spread, key=lambda content: abs(content - PATHS_CONTENT)))
+        raise UnavailableError(f"no content has {_SAMPLES_OF_A_CONTENT} different velocities")
+    ordered = analysis.measured_samples(min(spread, key=lambda content: abs(content - _PATHS_CONTENT)))
     ordered = [sample for sample in ordered if sample.packing_index == 0]
-    if len(ordered) < SAMPLES_OF_A_CONTENT:
-        raise UnavailableError(f"fewer than {SAMPLES_OF_A_CONTENT} samples have a stored cement pattern")
+    if len(ordered) < _SAMPLES_OF_A_CONTENT:
+        raise UnavailableError(f"fewer than {_SAMPLES_OF_A_CONTENT} samples have a stored cement pattern")
     chosen = [ordered[0], ordered[len(ordered) // 2], ordered[-1]]
     return draw_preferential_paths(analysis.graphs[0], chosen)
 
@@ -197,12 +197,12 @@ def _plot_narrowing(analysis: CampaignAnalysis) -> Figure:
     varied = [
         row.content
         for row in analysis.distributions
-        if row.vs.n >= SAMPLES_OF_A_CONTENT and row.vs.standard_deviation > 0
+        if row.vs.n >= _SAMPLES_OF_A_CONTENT and row.vs.standard_deviation > 0
     ]
     if not varied:
-        raise UnavailableError(f"no content has {SAMPLES_OF_A_CONTENT} different velocities")
-    contents = _pick_evenly(varied, SHOWN_NARROWINGS)
-    return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), SEED_COUNTS) for c in contents})
+        raise UnavailableError(f"no content has {_SAMPLES_OF_A_CONTENT} different velocities")
+    contents = _pick_evenly(varied, _SHOWN_NARROWINGS)
+    return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), _SEED_COUNTS) for c in contents})
 
 
 CAMPAIGN_FIGURES = (

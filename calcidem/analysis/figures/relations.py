@@ -30,15 +30,15 @@ from calcidem.analysis.fits import power_law
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan
 
-VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
-READABLE_ON_DARK = 0.6
-SAME_RATIO = 0.02
+_VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
+_READABLE_ON_DARK = 0.6
+_SAME_RATIO = 0.02
 """C_d,n of weight ratios further apart than this are different quantities."""
 
 
 def symbol(name: str) -> str:
     """Give the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
-    base, _, index = VARIABLE_SYMBOLS[name].partition("_")
+    base, _, index = _VARIABLE_SYMBOLS[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"
 
@@ -75,7 +75,7 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
     for (row, column), value in np.ndenumerate(values):
         if row != column:
             text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
-            colour = "white" if abs(value) > READABLE_ON_DARK else BLACK
+            colour = "white" if abs(value) > _READABLE_ON_DARK else BLACK
             axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
     labels = [symbol(name) for name in names]
     axes.set_xticks(range(len(names)), labels, fontsize=8)
@@ -149,7 +149,7 @@ def draw_laws(
         )
         axes.plot(grid, fit.predict(grid), color=BLACK, label=law_text(fit.a, fit.b, fit.c))
         for other in published:
-            if abs(other.weights.ratio - law.weights.ratio) < SAME_RATIO:
+            if abs(other.weights.ratio - law.weights.ratio) < _SAME_RATIO:
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
                 axes.plot(
                     span,

@@ -28,15 +28,15 @@ from calcidem.analysis.figures.style import (
 )
 from calcidem.analysis.packing_graph import PackingGraph
 
-PANEL_WIDTH = 3.4
+_PANEL_WIDTH = 3.4
 """Width in inches of a panel with a path; its text stands beside."""
 
-SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
-CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
-P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
-C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
-PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
-BARE_KEY = Line2D(
+_SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
+_CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
+_P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
+_C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
+_PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
+_BARE_KEY = Line2D(
     [],
     [],
     linestyle="none",
@@ -84,7 +84,7 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
             spine.set_edgecolor(BLACK)
     draw_scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
     draw_scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
-    figure.legend(handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY], loc="outside lower center", ncols=4)
+    figure.legend(handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY], loc="outside lower center", ncols=4)
     return figure
 
 
@@ -173,7 +173,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     margin = 0.012
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
-    figure = new_figure(height=0.9 + len(samples) * PANEL_WIDTH * (high - low) / packing.width)
+    figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
         draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
@@ -192,6 +192,6 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     draw_scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
     figure.legend(
-        handles=[SAND_KEY, CLUSTER_KEY, P_KEY, C_KEY, PATH_KEY, BARE_KEY], loc="outside lower center", ncols=3
+        handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY, _PATH_KEY, _BARE_KEY], loc="outside lower center", ncols=3
     )
     return figure

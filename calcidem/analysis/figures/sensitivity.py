@@ -24,8 +24,8 @@ from calcidem.analysis.figures.style import (
     start_at_zero,
 )
 
-FREQUENCY_LABEL = "excitation frequency (kHz)"
-SHOWN_METHODS = ("peak", "first_arrival")
+_FREQUENCY_LABEL = "excitation frequency (kHz)"
+_SHOWN_METHODS = ("peak", "first_arrival")
 
 
 @apply_style
@@ -44,7 +44,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     panels = figure.subplots(lines, min(2, len(contents)), squeeze=False, sharex=True).ravel()
     frequency = study["frequency"].to_numpy() * KHZ
     for axes, content in zip(panels, contents, strict=False):
-        for name in SHOWN_METHODS:
+        for name in _SHOWN_METHODS:
             label, colour, marker = METHOD_STYLES[name]
             values = study[f"vs_{name}"].sel(content=content).transpose("seed", "frequency").to_numpy()
             axes.plot(frequency, values.T, color=colour, alpha=0.25, linewidth=0.7)
@@ -67,7 +67,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
     panels[0].legend(loc="lower right")
-    figure.supxlabel(FREQUENCY_LABEL, fontsize=9)
+    figure.supxlabel(_FREQUENCY_LABEL, fontsize=9)
     figure.supylabel(VS_LABEL, fontsize=9)
     return figure
 
@@ -96,7 +96,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
         used = float(study["campaign_frequency"].sel(content=content)) * KHZ
         right.axvline(used, color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
     for axes in (left, right):
-        axes.set_xlabel(FREQUENCY_LABEL)
+        axes.set_xlabel(_FREQUENCY_LABEL)
         start_at_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)

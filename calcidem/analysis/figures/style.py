@@ -43,7 +43,7 @@ FIGURE_WIDTH = 6.2
 CONTENT_LABEL = "calcite content (% of sand mass)"
 VS_LABEL = "shear-wave velocity $V_s$ (m/s)"
 
-STYLE: dict[Any, Any] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -84,7 +84,7 @@ def apply_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(STYLE):
+        with mpl.rc_context(_STYLE):
             return draw(*args, **kwargs)
 
     return inner
@@ -128,7 +128,7 @@ def render(figure: Figure, file_format: str) -> bytes:
     """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(_STYLE):
         figure.savefig(buffer, format=file_format, metadata=metadata)
     return buffer.getvalue()
 

@@ -27,10 +27,10 @@ from calcidem.analysis.figures.style import (
 )
 from calcidem.analysis.published import PublishedVelocity
 
-LOW_CONTENT = 0.7
+_LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""
-HISTOGRAM_COLUMNS = 4
-PUBLISHED_ASIDE = 0.012
+_HISTOGRAM_COLUMNS = 4
+_PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
 
 
@@ -54,15 +54,15 @@ def draw_range(
     rows = [row for row in distributions if row.vs.n]
     figure = new_figure(height=4.6)
     axes = figure.subplots()
-    low = [row for row in rows if row.content <= LOW_CONTENT]
-    enlarged = len(low) > 2 and rows[-1].content > 4 * LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
-    _draw_range(axes, vs, rows, [row for row in published if not enlarged or row[0] > LOW_CONTENT])
+    low = [row for row in rows if row.content <= _LOW_CONTENT]
+    enlarged = len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
+    _draw_range(axes, vs, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
     axes.legend(loc="lower right")
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
-        _draw_range(inset, vs, low, [row for row in published if row[0] <= LOW_CONTENT])
+        _draw_range(inset, vs, low, [row for row in published if row[0] <= _LOW_CONTENT])
         inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
         inset.tick_params(labelsize=7)
     return figure
@@ -95,7 +95,7 @@ def _draw_range(
         axes.plot(at, values, "o", color=BLACK, alpha=0.45, markersize=2.6, markeredgewidth=0, label=label)
     axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
     if published:
-        aside = PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
+        aside = _PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
             [at + aside for at, _ in published],
             [row.mean for _, row in published],
@@ -123,7 +123,7 @@ def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistributio
         Of each content; those without velocities are left out.
     """
     rows = [row for row in distributions if row.vs.n]
-    columns = min(HISTOGRAM_COLUMNS, len(rows))
+    columns = min(_HISTOGRAM_COLUMNS, len(rows))
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.35 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()

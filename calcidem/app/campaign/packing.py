@@ -25,8 +25,8 @@ from calcidem.storage.store import Store
 CACHE_VARIABLE = "CALCIDEM_CACHE"
 """Names the folder of the cache, if it is not to be ``$XDG_CACHE_HOME/calcidem``."""
 
-HEADING = b"calcidem packing 1\n"
-DIGEST_LENGTH = 64
+_HEADING = b"calcidem packing 1\n"
+_DIGEST_LENGTH = 64
 
 Tell = Callable[[str], None]
 
@@ -70,7 +70,7 @@ def provide_packing(
     """
     record = store.load_packing() if store is not None else None
     if store is None or record is None:
-        return find_packing(configuration, tell, check)
+        return _find_packing(configuration, tell, check)
     try:
         packing = stored_packing(record)
     except DamagedStoreError as error:
@@ -78,37 +78,37 @@ def provide_packing(
     else:
         tell("Packing: taken from the database.")
         return packing
-    packing = find_packing(configuration, tell, check)
+    packing = _find_packing(configuration, tell, check)
     found = packing_record(packing, index=record.index, packing_hash=configuration.packing_hash)
     store.save_packing(found, replace_state=True)
     tell("Packing: it is the same, and its state in the database has been replaced.")
     return packing
 
 
-def find_packing(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Packing:
+def _find_packing(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Packing:
     """The packing that comes with calcidem or is in the cache, or else a new one; see `provide_packing`."""
     archive = preset_packing(configuration.packing_hash)
     if archive is not None:
         tell("Packing: comes with calcidem.")
         return packing_from_bytes(archive)
     path = cache_folder() / f"packing-{configuration.packing_hash[:32]}.npz"
-    packing = read_cache(path, tell)
+    packing = _read_cache(path, tell)
     if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
         return packing
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
-        packing = packing_of_own_disks(configuration, check)
+        packing = _packing_of_own_disks(configuration, check)
     else:
         tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
         generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
         packing = make_packing(configuration.packing, configuration.sand, generator, check)
-    write_cache(path, packing, tell)
+    _write_cache(path, packing, tell)
     return packing
 
 
-def read_cache(path: Path, tell: Tell) -> Packing | None:
+def _read_cache(path: Path, tell: Tell) -> Packing | None:
     """Packing in a file of the cache; None if there is none that is whole."""
     try:
         return packing_from_bytes(path.read_bytes())
@@ -119,7 +119,7 @@ def read_cache(path: Path, tell: Tell) -> Packing | None:
         return None
 
 
-def write_cache(path: Path, packing: Packing, tell: Tell) -> None:
+def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
     """Put a packing into the cache in one step; a cache that cannot be written costs time later, nothing else."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def write_cache(path: Path, packing: Packing, tell: Tell) -> None:
         tell(f"Packing: not kept in the cache {path.parent} ({error.strerror}); {cure}.")
 
 
-def packing_of_own_disks(configuration: Configuration, check: Callable[[], None]) -> Packing:
+def _packing_of_own_disks(configuration: Configuration, check: Callable[[], None]) -> Packing:
     """Make the packing of the disks in the configuration's file.
 
     Raises
@@ -161,7 +161,7 @@ def packing_to_bytes(packing: Packing) -> bytes:
         report=np.frombuffer(json.dumps(asdict(packing.report)).encode(), dtype=np.uint8),
     )
     digest = sha256(body.getvalue()).hexdigest().encode()
-    return HEADING + digest + b"\n" + body.getvalue()
+    return _HEADING + digest + b"\n" + body.getvalue()
 
 
 def packing_from_bytes(archive: bytes) -> Packing:
@@ -174,9 +174,9 @@ def packing_from_bytes(archive: bytes) -> Packing:
     """
     if not archive:
         raise DamagedPackingError("it is empty")
-    start = len(HEADING) + DIGEST_LENGTH + 1
+    start = len(_HEADING) + _DIGEST_LENGTH + 1
     head, body = archive[:start], archive[start:]
-    if head != HEADING + sha256(body).hexdigest().encode() + b"\n":
+    if head != _HEADING + sha256(body).hexdigest().encode() + b"\n":
         raise DamagedPackingError("the checksum does not fit")
     with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
         report = json.loads(arrays["report"].tobytes())
@@ -227,7 +227,7 @@ def stored_packing(record: PackingRecord) -> Packing:
     """
     try:
         packing = packing_from_bytes(record.state)
-        check_record(record, packing)
+        _check_record(record, packing)
     except DamagedPackingError as error:
         raise DamagedStoreError(
             f"The stored state of packing {record.index} can't be used: {error}.",
@@ -236,7 +236,7 @@ def stored_packing(record: PackingRecord) -> Packing:
     return packing
 
 
-def check_record(record: PackingRecord, packing: Packing) -> None:
+def _check_record(record: PackingRecord, packing: Packing) -> None:
     """Raise `DamagedPackingError` if a record says something else than the packing in its state."""
     for name in ("x", "y", "radius", "width", "height"):
         if not np.array_equal(getattr(packing, name), getattr(record, name)):

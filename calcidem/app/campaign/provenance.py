@@ -12,17 +12,17 @@ from pathlib import Path
 from calcidem.storage.records import RunRecord
 from calcidem.sweep.environment import mpi_library_version
 
-LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
+_LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
 """What the numbers and the files depend on."""
 
 
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of the run that begins now, on rank 0 of so many."""
-    commit, dirty = source_tree_state()
+    commit, dirty = _source_tree_state()
     return RunRecord(
         versions=library_versions(),
         host=platform.node(),
-        cpu=cpu_model(),
+        cpu=_cpu_model(),
         ranks=ranks,
         launch_line=" ".join(sys.argv),
         started=datetime.now(UTC),
@@ -35,7 +35,7 @@ def describe_run(ranks: int) -> RunRecord:
 
 def library_versions() -> dict[str, str]:
     """Versions of Python, of what the numbers and the files depend on, and of the C library where it tells its own."""
-    versions = {"python": platform.python_version()} | {name: version_of(name) for name in LIBRARIES}
+    versions = {"python": platform.python_version()} | {name: version_of(name) for name in _LIBRARIES}
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 
@@ -47,7 +47,7 @@ def version_of(name: str) -> str:
         return ""
 
 
-def cpu_model() -> str:
+def _cpu_model() -> str:
     """Model name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -57,20 +57,20 @@ def cpu_model() -> str:
     return next(named, platform.machine())
 
 
-def source_tree_state() -> tuple[str | None, bool | None]:
+def _source_tree_state() -> tuple[str | None, bool | None]:
     """Commit of the source tree that runs and whether it was changed; None for an installed package."""
     root = Path(__file__).parents[3]
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
         return None, None
     try:
-        commit = ask(git, root, "rev-parse", "HEAD")
-        return commit, bool(ask(git, root, "status", "--porcelain", "--untracked-files=no"))
+        commit = _ask(git, root, "rev-parse", "HEAD")
+        return commit, bool(_ask(git, root, "status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.SubprocessError):
         return None, None
 
 
-def ask(git: str, root: Path, *arguments: str) -> str:
+def _ask(git: str, root: Path, *arguments: str) -> str:
     """Answer of git about a tree."""
     command = [git, "-C", str(root), *arguments]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed arguments

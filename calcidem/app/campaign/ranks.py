@@ -43,7 +43,7 @@ class RunView(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Orders:
+class _Orders:
     """What rank 0 tells all ranks before the cells are computed."""
 
     configuration: Configuration
@@ -63,7 +63,7 @@ def run_on_ranks(load: Callable[[], Configuration], view: RunView) -> NoReturn:
         if session.rank == 0:
             try:
                 refuse_singletons(session.size)
-                work = CampaignRun(load(), workers, view.say, partial(end_in_haste, session.stop_request))
+                work = CampaignRun(load(), workers, view.say, partial(_end_in_haste, session.stop_request))
             except SweepInterrupted:
                 request = session.stop_request.explanation
                 view.say(f"{request}: ended before the packing was made; run it again to go on.")
@@ -74,17 +74,17 @@ def run_on_ranks(load: Callable[[], Configuration], view: RunView) -> NoReturn:
         if code:
             session.end(code)
         orders = session.broadcast(
-            None if work is None else Orders(work.configuration, work.packing, bool(work.batches))
+            None if work is None else _Orders(work.configuration, work.packing, bool(work.batches))
         )
         if work is None:
-            worker_end = follow(session, orders)
+            worker_end = _follow(session, orders)
             session.end(worker_end.exit_code, worker_end)
         with work:
-            code = lead(session, orders, work, view)
+            code = _lead(session, orders, work, view)
         session.end(code, work.end)
 
 
-def end_in_haste(stop_request: StopRequest) -> None:
+def _end_in_haste(stop_request: StopRequest) -> None:
     """End the making of the packing if a signal asks for an end at once.
 
     Raises
@@ -96,23 +96,23 @@ def end_in_haste(stop_request: StopRequest) -> None:
         raise SweepInterrupted
 
 
-def compile_on_nodes(session: Session, orders: Orders) -> None:
+def _compile_on_nodes(session: Session, orders: _Orders) -> None:
     """Have the kernels compiled once on each node; alone, the first cells do it."""
     if orders.anything_to_do and session.size > 1:
         session.once_per_node(lambda: compile_kernels(orders.configuration, orders.packing))
 
 
-def follow(session: Session, orders: Orders) -> SweepEnd:
+def _follow(session: Session, orders: _Orders) -> SweepEnd:
     """What a worker does."""
-    compile_on_nodes(session, orders)
+    _compile_on_nodes(session, orders)
     cells = cell_computation(orders.configuration, orders.packing)
     return run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
 
 
-def lead(session: Session, orders: Orders, work: CampaignRun, view: RunView) -> int:
+def _lead(session: Session, orders: _Orders, work: CampaignRun, view: RunView) -> int:
     """What rank 0 does: have the cells computed, store them, and report; returns the exit code."""
     view.begin(work)
-    compile_on_nodes(session, orders)
+    _compile_on_nodes(session, orders)
     try:
         work.end = run_sweep(
             session.comm,

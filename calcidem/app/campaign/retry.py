@@ -50,14 +50,14 @@ def retry_cells(
         raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     with open_store(database) as store:
         store.use_campaign(campaign_name)
-        found = selected_statuses(store, selection or Selection())
+        found = _selected_statuses(store, selection or Selection())
         store.acquire_lease()
         pending = store.retry(statuses, list(found))
     others = Counter(status for key, status in found.items() if key not in set(pending))
     return pending, others
 
 
-def selected_statuses(store: Store, selection: Selection) -> dict[CellKey, CellStatus]:
+def _selected_statuses(store: Store, selection: Selection) -> dict[CellKey, CellStatus]:
     """Status of each planned cell that is selected.
 
     Raises

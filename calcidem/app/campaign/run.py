@@ -131,7 +131,7 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
-        store = self._master(tell) if exists(configuration.database) else None
+        store = self._master(tell) if _exists(configuration.database) else None
         try:
             self.packing = provide_packing(configuration, store, tell, check)
             check_against_packing(configuration, self.packing)
@@ -208,7 +208,7 @@ class CampaignRun:
             self.store.close()
 
 
-def exists(database: str) -> bool:
+def _exists(database: str) -> bool:
     """Whether a database may be there already; a server always is."""
     path = parse_address(database).path
     return path is None or path.exists()

@@ -14,7 +14,13 @@ from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
 
-TROUBLES = (CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL)
+_TROUBLES = (
+    CellStatus.QUARANTINED,
+    CellStatus.FAILED,
+    CellStatus.TIMED_OUT,
+    CellStatus.UNSTABLE,
+    CellStatus.NO_ARRIVAL,
+)
 """Outcomes other than done, the most alarming first."""
 
 
@@ -144,10 +150,10 @@ def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatu
     columns = campaign.store.table(("seed", "content", "status", "vs", "seconds"))
     contents = np.unique(columns["content"])
     rows = [columns["content"] == content for content in contents]
-    seconds = [mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
-    expected = expected_seconds(contents, np.array(seconds))
+    seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
+    expected = _expected_seconds(contents, np.array(seconds))
     statuses = tuple(
-        content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
+        _content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
         for content, row, measured, cost in zip(contents, rows, seconds, expected, strict=True)
     )
     counts: Counter[CellStatus] = Counter()
@@ -166,7 +172,7 @@ def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatu
         seeds=campaign.record.seeds,
         contents=statuses,
         counts=counts,
-        troubles=troubles_of(campaign),
+        troubles=_troubles_of(campaign),
         last_run=last,
         run_number=number,
         running=running,
@@ -175,7 +181,7 @@ def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatu
     )
 
 
-def content_status(
+def _content_status(
     content: float, columns: Mapping[str, NDArray[np.generic]], measured: float, expected: float
 ) -> ContentStatus:
     """How far one content is, from the columns of its cells and the measured and expected seconds of a cell."""
@@ -188,7 +194,7 @@ def content_status(
         content=content,
         statuses=found,
         counts=counts,
-        mean=mean_or_nan(vs),
+        mean=_mean_or_nan(vs),
         deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
         interval=mean_interval(vs),
         seconds_per_cell=measured,
@@ -196,13 +202,13 @@ def content_status(
     )
 
 
-def mean_or_nan(values: NDArray[np.float64]) -> float:
+def _mean_or_nan(values: NDArray[np.float64]) -> float:
     """Mean of the finite values, NaN without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else np.nan
 
 
-def expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
+def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
     """Seconds of a cell at each content: measured, or interpolated between the contents that are; both (C,)."""
     known = np.isfinite(measured)
     if not known.any():
@@ -210,10 +216,10 @@ def expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64
     return np.interp(contents, contents[known], measured[known])
 
 
-def troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
+def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
     attempts = campaign.store.attempt_counts()
-    wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=TROUBLES))
+    wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=_TROUBLES))
     reasons = {
         CellKey(int(seed), float(content)): str(reason or "").partition("\n")[0]
         for seed, content, reason in zip(wrong["seed"], wrong["content"], wrong["reason"], strict=True)
@@ -237,12 +243,12 @@ def troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
         )
         for key in keys
     ]
-    return tuple(sorted(found, key=lambda trouble: (urgency(trouble.status), trouble.key)))
+    return tuple(sorted(found, key=lambda trouble: (_urgency(trouble.status), trouble.key)))
 
 
-def urgency(status: CellStatus) -> int:
-    """Place of a status among `TROUBLES`; the others come last."""
-    return TROUBLES.index(status) if status in TROUBLES else len(TROUBLES)
+def _urgency(status: CellStatus) -> int:
+    """Place of a status among `_TROUBLES`; the others come last."""
+    return _TROUBLES.index(status) if status in _TROUBLES else len(_TROUBLES)
 
 
 def is_being_written(campaign: StoredCampaign) -> bool:
@@ -256,7 +262,7 @@ def is_being_written(campaign: StoredCampaign) -> bool:
 
 def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:
     """The most alarming of some statuses; pending if there is nothing worse and not all are done."""
-    alarming = [status for status in statuses if status in TROUBLES]
+    alarming = [status for status in statuses if status in _TROUBLES]
     if alarming:
-        return min(alarming, key=urgency)
+        return min(alarming, key=_urgency)
     return CellStatus.DONE if set(statuses) == {CellStatus.DONE} else CellStatus.PENDING

@@ -10,7 +10,7 @@ from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 from calcidem.sweep.heartbeat import Heartbeat
 
-RENEWAL_INTERVAL = 30.0
+_RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
 
 
@@ -76,12 +76,12 @@ class LeaseKeeper:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._next = time.monotonic() + RENEWAL_INTERVAL
+        self._next = time.monotonic() + _RENEWAL_INTERVAL
 
     def __call__(self) -> None:
         """Renew the lease if it is time to."""
         if time.monotonic() > self._next:
-            self._next = time.monotonic() + RENEWAL_INTERVAL
+            self._next = time.monotonic() + _RENEWAL_INTERVAL
             self._store.renew_lease()
 
 

@@ -25,13 +25,13 @@ from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, GraphSummary, Signal
 from calcidem.sweep import Batch, Cell, Compute
 
-SEEDS_REMEMBERED = 64
+_SEEDS_REMEMBERED = 64
 """Seeds whose cement is not drawn again for each content; 0.3 MB each."""
 
-AFTER_FIRST_CHUNK = 2
+_AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
 
-ALMOST_NOTHING = ContactWeights(hertz=1.0, bond=1e-7)
+_ALMOST_NOTHING = ContactWeights(hertz=1.0, bond=1e-7)
 """Cemented contacts count so little that no number of them outweighs an uncemented one."""
 
 
@@ -51,7 +51,7 @@ def cell_computation(
     """
     experiment = configuration.experiment(packing)
     lanes, store_signals = configuration.run.lanes, configuration.run.store_signals
-    ordering = lru_cache(SEEDS_REMEMBERED)(experiment.ordering)
+    ordering = lru_cache(_SEEDS_REMEMBERED)(experiment.ordering)
     graph = packing_graph(
         packing_record(packing, index=0, packing_hash=configuration.packing_hash),
         configuration.wave.transmitter_half_width,
@@ -103,14 +103,14 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
         retry=record.retry,
         seconds=measurement.seconds,
-        signal=signal_of(record) if store_signals else None,
+        signal=_signal_of(record) if store_signals else None,
         cement=CementPattern(
             pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
         ),
     )
 
 
-def signal_of(record: WaveRecord) -> Signal | None:
+def _signal_of(record: WaveRecord) -> Signal | None:
     """Signals as the store keeps them; None for a record with numbers that are not finite."""
     if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
         return None
@@ -159,14 +159,14 @@ def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSu
         coordination_number=graph.coordination_number,
         components=len(pieces),
         largest_component=int(pieces.max(initial=0)),
-        gap_contacts=fewest_uncemented_contacts(graph, bonded),
+        gap_contacts=_fewest_uncemented_contacts(graph, bonded),
     )
 
 
-def fewest_uncemented_contacts(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> int | None:
+def _fewest_uncemented_contacts(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> int | None:
     """Return how many uncemented contacts the best way from transmitter to receiver has; None without any way."""
     try:
-        return preferential_path(graph, bonded, ALMOST_NOTHING).hertz_contacts
+        return preferential_path(graph, bonded, _ALMOST_NOTHING).hertz_contacts
     except ValueError:
         return None
 
@@ -206,7 +206,7 @@ def run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: in
     def check() -> None:
         nonlocal calls
         calls += 1
-        if calls == AFTER_FIRST_CHUNK:
+        if calls == _AFTER_FIRST_CHUNK:
             raise EnoughSeenError
 
     with contextlib.suppress(EnoughSeenError, SettlingError):

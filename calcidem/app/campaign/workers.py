@@ -15,13 +15,13 @@ from calcidem.storage.records import WorkerRecord
 PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
 """Families of processors on each of which a bit is the same everywhere; see `describe_doubt`."""
 
-OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
+_OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
 """What Windows and macOS call a family of processors, and Linux."""
 
-NAMED_HOSTS = 3
+_NAMED_HOSTS = 3
 """Machines of one kind that are named where there are many."""
 
-CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
+_CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
 """Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
 
@@ -32,16 +32,16 @@ def describe_worker(rank: int) -> WorkerRecord:
     return WorkerRecord(
         ranks=(rank,),
         hosts=(platform.node(),),
-        architecture=OTHER_NAMES.get(machine, machine),
+        architecture=_OTHER_NAMES.get(machine, machine),
         processor=processor,
         features=features,
-        blas_core=blas_core(),
-        numpy_simd=numpy_simd(),
+        blas_core=_blas_core(),
+        numpy_simd=_numpy_simd(),
         versions=library_versions() | {"physics": str(PHYSICS_VERSION)},
     )
 
 
-def numpy_core() -> ModuleType:
+def _numpy_core() -> ModuleType:
     """The module of numpy in machine code, where numpy has it since version 2, or else before."""
     try:
         return import_module("numpy._core._multiarray_umath")
@@ -49,20 +49,20 @@ def numpy_core() -> ModuleType:
         return import_module("numpy.core._multiarray_umath")
 
 
-def numpy_simd() -> tuple[str, ...]:
+def _numpy_simd() -> tuple[str, ...]:
     """Instruction sets beyond its baseline for which numpy chooses functions here; none if it does not tell."""
-    core = numpy_core()
+    core = _numpy_core()
     found = getattr(core, "__cpu_features__", {})
     return tuple(name for name in getattr(core, "__cpu_dispatch__", ()) if found.get(name))
 
 
-def blas_core() -> str | None:
+def _blas_core() -> str | None:
     """Processor that numpy's OpenBLAS has chosen its kernels for; None for another BLAS, or if it can't be asked."""
     try:
-        library = ctypes.CDLL(str(numpy_core().__file__))  # what it is linked to is searched, too
+        library = ctypes.CDLL(str(_numpy_core().__file__))  # what it is linked to is searched, too
     except OSError:
         return None
-    function = next((getattr(library, name) for name in CORE_FUNCTIONS if hasattr(library, name)), None)
+    function = next((getattr(library, name) for name in _CORE_FUNCTIONS if hasattr(library, name)), None)
     if function is None:
         return None
     function.restype = ctypes.c_char_p
@@ -74,7 +74,7 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
     """One record for all that are alike, with their ranks and hosts."""
     groups: list[WorkerRecord] = []
     for worker in workers:
-        alike = next((i for i, group in enumerate(groups) if is_alike(group, worker)), None)
+        alike = next((i for i, group in enumerate(groups) if _is_alike(group, worker)), None)
         if alike is None:
             groups.append(worker)
         else:
@@ -84,7 +84,7 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
     return tuple(groups)
 
 
-def is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
+def _is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
     """Whether two records differ in nothing but where the workers are."""
     return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
 
@@ -98,11 +98,11 @@ def worker_text(worker: WorkerRecord) -> str:
 
 def hosts_text(worker: WorkerRecord) -> str:
     """The machines of a worker, only the first of many."""
-    more = len(worker.hosts) - NAMED_HOSTS
-    return ", ".join(worker.hosts[:NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
+    more = len(worker.hosts) - _NAMED_HOSTS
+    return ", ".join(worker.hosts[:_NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
 
 
-def differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
+def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
     """Names of what these workers have in several versions."""
     names = dict.fromkeys(name for worker in workers for name in worker.versions)
     return tuple(name for name in names if len({worker.versions.get(name) for worker in workers}) > 1)
@@ -121,7 +121,7 @@ def describe_doubt(workers: Sequence[WorkerRecord]) -> str:
         return f"nobody has compared the bits of {' and '.join(architectures)}"
     if not set(architectures) <= set(PORTABLE_ARCHITECTURES):
         return f"nobody has compared the bits of different processors of {architectures[0]}"
-    ours = [name for name in ("physics", "calcidem") if name in differing_versions(workers)]
+    ours = [name for name in ("physics", "calcidem") if name in _differing_versions(workers)]
     return f"they have several versions of {' and '.join(ours)}" if ours else ""
 
 
@@ -129,7 +129,7 @@ def describe_unlike(workers: Sequence[WorkerRecord]) -> str:
     """Sentence for a run whose workers are of several kinds, a warning if bits could differ; empty for one kind."""
     if len(workers) == 1:
         return ""
-    several = differing_versions(workers)
+    several = _differing_versions(workers)
     kinds = "; ".join(
         ", ".join([worker_text(worker), *(f"{name} {worker.versions.get(name, 'none')}" for name in several)])
         + f" on {hosts_text(worker)}"

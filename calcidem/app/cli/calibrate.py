@@ -10,7 +10,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, read_targets, text_with_values
 
 
-def calibrate_command(
+def _calibrate_command(
     configuration: Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")],
     target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
@@ -25,13 +25,13 @@ def calibrate_command(
     packing = provide_packing(loaded, None, typer.echo)
     names = parameter or list(FITTABLE[: min(3, len(targets))])
     fitted = calibrate(loaded, packing, targets, names, range(1, seeds + 1), typer.echo)
-    for line in calibration_lines(fitted):
+    for line in _calibration_lines(fitted):
         typer.echo(line)
     out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
     typer.echo(f"Wrote {out}")
 
 
-def calibration_lines(fitted: FittedParameters) -> list[str]:
+def _calibration_lines(fitted: FittedParameters) -> list[str]:
     """Report on a calibration."""
     lines = [f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}" for name, value in fitted.values.items()]
     names = list(fitted.values)

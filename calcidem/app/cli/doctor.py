@@ -10,10 +10,10 @@ from rich.text import Text
 from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.app.doctor.checkup import findings
 
-STYLES = {FindingLevel.OK: "green", FindingLevel.WARNING: "yellow", FindingLevel.PROBLEM: "bold red"}
+_STYLES = {FindingLevel.OK: "green", FindingLevel.WARNING: "yellow", FindingLevel.PROBLEM: "bold red"}
 
 
-def doctor_command(
+def _doctor_command(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder for the database; the current one by default.")
     ] = Path(),
@@ -25,20 +25,20 @@ def doctor_command(
     console = Console(highlight=False)
     found = []
     for finding in findings(folder):
-        console.print(finding_line(finding), soft_wrap=True)
+        console.print(_finding_line(finding), soft_wrap=True)
         found.append(finding)
-    console.print(findings_summary(found))
+    console.print(_findings_summary(found))
     if any(finding.level is FindingLevel.PROBLEM for finding in found):
         raise typer.Exit(1)
 
 
-def finding_line(finding: Finding) -> Text:
+def _finding_line(finding: Finding) -> Text:
     """One line about a finding, the cure on one of its own."""
-    line = Text(f"{finding.level:<8}", STYLES[finding.level]).append(f" {finding.subject}: {finding.fact}", "")
+    line = Text(f"{finding.level:<8}", _STYLES[finding.level]).append(f" {finding.subject}: {finding.fact}", "")
     return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line
 
 
-def findings_summary(found: list[Finding]) -> str:
+def _findings_summary(found: list[Finding]) -> str:
     """The last line."""
     numbers = {level: sum(finding.level is level for finding in found) for level in FindingLevel}
     if not numbers[FindingLevel.PROBLEM] and not numbers[FindingLevel.WARNING]:

@@ -14,7 +14,7 @@ from calcidem.storage.errors import (
 )
 from calcidem.sweep import EXIT_ERROR, LaunchError
 
-EXIT_BAD_INPUT = 2
+_EXIT_BAD_INPUT = 2
 """Bad configuration or arguments."""
 
 EXIT_ROUNDING = 3
@@ -22,7 +22,7 @@ EXIT_ROUNDING = 3
 
 USER_ERRORS = (ConfigurationError, LaunchError, PackingError, StoreError, OSError)
 
-BAD_INPUT = (
+_BAD_INPUT = (
     CampaignMismatchError,
     ConfigurationError,
     FileExistsError,
@@ -39,4 +39,4 @@ BAD_INPUT = (
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
-    return EXIT_BAD_INPUT if isinstance(error, BAD_INPUT) else EXIT_ERROR
+    return _EXIT_BAD_INPUT if isinstance(error, _BAD_INPUT) else EXIT_ERROR

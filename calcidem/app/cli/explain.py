@@ -16,11 +16,11 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
 from calcidem.app.studies.explain import Explanation, explain
 
-DEFAULT_CELLS = 8
+_DEFAULT_CELLS = 8
 """Seeds of one content that are measured, one batch."""
 
 
-def explain_command(
+def _explain_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: Annotated[
         list[float] | None, typer.Option(help="Only this content, percent; may be repeated. By default three.")
@@ -47,7 +47,7 @@ def explain_command(
             packing = opened.experiment().packing
     contents = sorted(loaded.campaign.contents)
     chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
-    seeds = loaded.campaign.seed_numbers[: min(DEFAULT_CELLS, loaded.run.lanes)]
+    seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
     rows = explain(
         loaded.experiment(packing),
         chosen,
@@ -58,11 +58,11 @@ def explain_command(
     )
     console = make_console()
     for value in chosen:
-        console.print(explanation_table(value, [row for row in rows if row.content == value]))
-    console.print(errors_source(measured, str(configuration)))
+        console.print(_explanation_table(value, [row for row in rows if row.content == value]))
+    console.print(_errors_source(measured, str(configuration)))
 
 
-def errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
+def _errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
     """Where the errors are from, or how to get them."""
     if measured is None:
         return (
@@ -72,7 +72,7 @@ def errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
     return f"Errors: largest of the cells that calcidem accuracy measured, from {measured.source}."
 
 
-def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
+def _explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
     """Table of one content."""
     table = Table(title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("part")
@@ -88,11 +88,11 @@ def explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
             row.alternative.why,
             "-" if row.time_ratio is None else f"{row.time_ratio:.2f} x",
             "-" if row.difference is None else f"{100.0 * row.difference:.2g} %",
-            f"{percent(row.error)}, {percent(row.other_error)}" if row.alternative.setting else "-",
+            f"{_percent(row.error)}, {_percent(row.other_error)}" if row.alternative.setting else "-",
         )
     return table
 
 
-def percent(error: float | None) -> str:
+def _percent(error: float | None) -> str:
     """Error in percent, or that it is not known."""
     return "?" if error is None else f"{100.0 * error:.2g} %"

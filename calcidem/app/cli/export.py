@@ -11,7 +11,7 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.netcdf.export import export_netcdf
 
 
-class ArrayGroup(StrEnum):
+class _ArrayGroup(StrEnum):
     """Arrays of single cells in an exported file."""
 
     PATHS = "paths"
@@ -19,12 +19,12 @@ class ArrayGroup(StrEnum):
     CEMENT = "cement"
 
 
-def export_command(
+def _export_command(
     database: Database,
     netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
     campaign: CampaignName = None,
     without: Annotated[
-        list[ArrayGroup] | None,
+        list[_ArrayGroup] | None,
         typer.Option(help="Leave out these arrays of single cells, nearly all of the file; may be repeated."),
     ] = None,
 ) -> None:

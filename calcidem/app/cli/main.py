@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import typer
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 COMMANDS = (
     *("init", "run", "packing", "export", "status", "query", "show", "analyse", "report", "study", "plan"),
@@ -18,16 +18,16 @@ COMMANDS = (
     *("sensitivity", "doctor"),
 )
 
-COMPLETION_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
+_COMPLETION_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 """One of them has the words typed so far when a shell asks how they could go on."""
 
 
 def main() -> None:
     """Entry point: run a command, and tell errors that are the user's to cure in one message."""
-    for variable in THREADS:
+    for variable in _THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
-    warnings.formatwarning = format_warning
-    typed = " ".join(os.environ.get(variable, "") for variable in COMPLETION_VARIABLES)
+    warnings.formatwarning = _format_warning
+    typed = " ".join(os.environ.get(variable, "") for variable in _COMPLETION_VARIABLES)
     application = build_application(sys.argv[1:] or typed.split()[1:])
     try:
         application()
@@ -55,33 +55,33 @@ def build_application(arguments: Sequence[str]) -> typer.Typer:
     application.callback()(lambda: None)  # without it typer takes a single command for the whole application
     asked = arguments[0] if arguments else ""
     for name in [asked] if asked in COMMANDS else COMMANDS:
-        function = load_command(name) if name == asked else lambda: None
+        function = _load_command(name) if name == asked else lambda: None
         application.command(name, help=command_description(name))(function)
     return application
 
 
-def load_command(command: str) -> Callable[..., None]:
+def _load_command(command: str) -> Callable[..., None]:
     """Function of a command."""
     function: Callable[..., None] = getattr(
-        import_module(f"calcidem.app.cli.{module_name(command)}"), f"{command}_command"
+        import_module(f"calcidem.app.cli.{_module_name(command)}"), f"{command}_command"
     )
     return function
 
 
-def module_name(command: str) -> str:
+def _module_name(command: str) -> str:
     """Module of `calcidem.app.cli` with a command."""
     return "import_" if command == "import" else command
 
 
 def command_description(command: str) -> str:
     """Docstring of a command, a line for each paragraph, without importing its module."""
-    source = files("calcidem.app.cli").joinpath(f"{module_name(command)}.py").read_text(encoding="utf-8")
+    source = files("calcidem.app.cli").joinpath(f"{_module_name(command)}.py").read_text(encoding="utf-8")
     functions = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
     text = next(ast.get_docstring(node) or "" for node in functions if node.name == f"{command}_command")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
-def format_warning(
+def _format_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
 ) -> str:
     """One line for what is meant for users, and where it comes from for all other warnings."""

@@ -9,7 +9,7 @@ from calcidem.app.campaign.merge import Merged, conflict_lines, merge_databases
 from calcidem.app.cli.arguments import CampaignName
 
 
-def merge_command(
+def _merge_command(
     sources: Annotated[list[str], typer.Argument(metavar="A.db B.db ...", help="Databases of the same campaign.")],
     out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; must not exist yet.")],
     prefer: Annotated[
@@ -26,11 +26,11 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    for line in merge_lines(merged, sources, out):
+    for line in _merge_lines(merged, sources, out):
         typer.echo(line)
 
 
-def merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:
+def _merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:
     """What was done, for a person."""
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
     lines = [f"Merged {merged.settled} finished cells, of {merged.planned} planned, into {out}:", *taken]

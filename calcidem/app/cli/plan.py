@@ -11,11 +11,11 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
 
-FEWEST = 3
+_FEWEST = 3
 """Cells below which a standard deviation says nothing."""
 
 
-def plan_command(
+def _plan_command(
     database: Database,
     content: Annotated[float, typer.Option(help="Content to plan for, percent.")],
     half_width: Annotated[
@@ -28,9 +28,9 @@ def plan_command(
         columns = opened.store.table(("vs", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]
-    if len(vs) < FEWEST:
+    if len(vs) < _FEWEST:
         raise QueryError(
-            f"{len(vs)} cells at {content:g} % have a velocity.", f"Compute at least {FEWEST} seeds first."
+            f"{len(vs)} cells at {content:g} % have a velocity.", f"Compute at least {_FEWEST} seeds first."
         )
     planned = plan_seeds(vs, half_width)
     seconds = planned.more * float(np.nanmean(columns["seconds"].astype(float)))

@@ -23,7 +23,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
 
-DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_estimate", "seconds")
+_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_estimate", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
@@ -38,7 +38,7 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
-def query_command(
+def _query_command(
     database: Database,
     content: OnlyContents = None,
     seed: OnlySeeds = None,
@@ -56,11 +56,11 @@ def query_command(
         selection = Selection(seed or None, content or None, status or None, where)
     except ValueError as error:
         raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
-    found = find(database, selection, column_names(columns), split_list(sort), limit, campaign)
+    found = find(database, selection, _column_names(columns), _split_list(sort), limit, campaign)
     if layout is Format.PARQUET:
         if out is None:
             raise QueryError("Parquet is a binary format.", "Give a file with --out.")
-        write_parquet(found, out)
+        _write_parquet(found, out)
     elif out is not None:
         with write_atomically(out) as temporary:
             temporary.write_text(as_text(found, layout), encoding="utf-8")
@@ -71,7 +71,7 @@ def query_command(
 def find(
     database: str,
     selection: Selection,
-    columns: Sequence[str] = DEFAULT_COLUMNS,
+    columns: Sequence[str] = _DEFAULT_COLUMNS,
     sort: Sequence[str] = (),
     limit: int | None = None,
     campaign_name: str | None = None,
@@ -89,21 +89,21 @@ def find(
         return campaign.store.table(columns, selection, sort=sort, limit=limit)
 
 
-def column_names(text: str | None) -> Sequence[str]:
+def _column_names(text: str | None) -> Sequence[str]:
     """Columns asked for: the default ones, all, or a list with commas."""
     if text is None:
-        return DEFAULT_COLUMNS
-    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(split_list(text)))
+        return _DEFAULT_COLUMNS
+    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(_split_list(text)))
 
 
-def split_list(text: str) -> list[str]:
+def _split_list(text: str) -> list[str]:
     """Parts of a list with commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def as_text(columns: Columns, layout: Format) -> str:
     """Columns as a table, CSV or JSON."""
-    rows = list(zip(*(plain_values(name, values) for name, values in columns.items()), strict=True))
+    rows = list(zip(*(_plain_values(name, values) for name, values in columns.items()), strict=True))
     if layout is Format.JSON:
         return json.dumps([dict(zip(columns, row, strict=True)) for row in rows], indent=1, ensure_ascii=False) + "\n"
     if layout is Format.CSV:
@@ -112,10 +112,10 @@ def as_text(columns: Columns, layout: Format) -> str:
         writer.writerow(columns)
         writer.writerows(rows)
         return stream.getvalue()
-    return as_table(tuple(columns), rows)
+    return _as_table(tuple(columns), rows)
 
 
-def plain_values(name: str, values: NDArray[Any]) -> list[Any]:
+def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     """Values of a column as Python's own, None where missing."""
     if QUANTITY_BY_NAME[name].kind == "whole":
         return [None if math.isnan(value) else int(value) for value in values.tolist()]
@@ -124,7 +124,7 @@ def plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     return list(values)
 
 
-def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
+def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     """Rows in aligned columns with the units in the head; no wider than the numbers need."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in names:
@@ -134,7 +134,7 @@ def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
             f"{name}{unit}".replace("[", r"\["), justify="left" if quantity.kind == "text" else "right", no_wrap=True
         )
     for row in rows:
-        table.add_row(*(format_value(value) for value in row))
+        table.add_row(*(_format_value(value) for value in row))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
     Console(file=stream, width=1000, highlight=False, markup=True).print(table)
@@ -142,7 +142,7 @@ def as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join([*lines, f"{len(rows)} cells", ""])
 
 
-def format_value(value: object) -> str:
+def _format_value(value: object) -> str:
     """Value as people read it: six digits, the first line of a text, nothing where it is missing."""
     if value is None:
         return ""
@@ -152,7 +152,7 @@ def format_value(value: object) -> str:
     return first_line.replace("[", r"\[")
 
 
-def write_parquet(columns: Columns, out: Path) -> None:
+def _write_parquet(columns: Columns, out: Path) -> None:
     """Write columns into a Parquet file, replaced in one step.
 
     Raises

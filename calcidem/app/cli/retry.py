@@ -11,11 +11,11 @@ from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, Onl
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection
 
-MOST_LISTED = 10
+_MOST_LISTED = 10
 """Cells that are listed one by one; more are only counted."""
 
 
-def retry_command(
+def _retry_command(
     database: Database,
     status: Annotated[
         list[CellStatus] | None,
@@ -41,19 +41,19 @@ def retry_command(
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--content") from error
     pending, others = retry_cells(database, statuses, selection, campaign)
-    for line in retry_lines(pending, others, statuses):
+    for line in _retry_lines(pending, others, statuses):
         typer.echo(line)
 
 
-def retry_lines(
+def _retry_lines(
     pending: Sequence[CellKey], others: Counter[CellStatus], statuses: Collection[CellStatus]
 ) -> tuple[str, ...]:
     """What was done, for a person."""
     rest = ", ".join(f"{number} {status}" for status, number in sorted(others.items()))
     if not pending:
         return (f"Nothing to retry: no selected cell is {' or '.join(statuses)} ({rest}).",)
-    named = [f"  seed {key.seed}, {key.content:g} %" for key in pending[:MOST_LISTED]]
-    if len(pending) > MOST_LISTED:
-        named.append(f"  and {len(pending) - MOST_LISTED} more")
+    named = [f"  seed {key.seed}, {key.content:g} %" for key in pending[:_MOST_LISTED]]
+    if len(pending) > _MOST_LISTED:
+        named.append(f"  and {len(pending) - _MOST_LISTED} more")
     cells = "1 cell is" if len(pending) == 1 else f"{len(pending)} cells are"
     return (f"{cells} pending again:", *named, "Compute them with the same 'calcidem run' as before.")

@@ -15,7 +15,7 @@ from calcidem.app.cli.status_view import status_as_json, status_view
 from calcidem.app.cli.tables import PLAIN_WIDTH
 
 
-def status_command(
+def _status_command(
     database: Database,
     watch: Annotated[
         bool, typer.Option("--watch", help="Refresh until every cell has finished; Ctrl-C ends it.")
@@ -25,14 +25,14 @@ def status_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show the progress of a campaign, even while it is running: every cell, Vs so far, time left, what went wrong."""
-    found = watch_status(database, campaign, interval) if watch else iter([read_status(database, campaign)])
+    found = _watch_status(database, campaign, interval) if watch else iter([read_status(database, campaign)])
     try:
-        show_status(found, as_json=as_json, one_per_line=watch)
+        _show_status(found, as_json=as_json, one_per_line=watch)
     except KeyboardInterrupt:
         typer.echo()
 
 
-def watch_status(database: str, campaign_name: str | None, interval: float) -> Iterator[CampaignStatus]:
+def _watch_status(database: str, campaign_name: str | None, interval: float) -> Iterator[CampaignStatus]:
     """Status of a campaign every so many seconds, until all its cells have finished."""
     while True:
         found = read_status(database, campaign_name)
@@ -42,7 +42,7 @@ def watch_status(database: str, campaign_name: str | None, interval: float) -> I
         time.sleep(interval)
 
 
-def show_status(statuses: Iterator[CampaignStatus], *, as_json: bool, one_per_line: bool) -> None:
+def _show_status(statuses: Iterator[CampaignStatus], *, as_json: bool, one_per_line: bool) -> None:
     """Show each status of a campaign, on a terminal in the place of the former."""
     if as_json:
         for found in statuses:

@@ -13,7 +13,7 @@ from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble,
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
 
-STATUS_CHARACTERS = {
+_STATUS_CHARACTERS = {
     CellStatus.DONE: ("#", "green"),
     CellStatus.PENDING: (".", "dim"),
     CellStatus.NO_ARRIVAL: ("n", "yellow"),
@@ -24,30 +24,30 @@ STATUS_CHARACTERS = {
 }
 """Character and style of each state of a cell; the characters tell them apart without colours."""
 
-UNPLANNED = " "
+_UNPLANNED = " "
 
-PARTLY_DONE = "+"
+_PARTLY_DONE = "+"
 """Some of the cells of a character are done, the others pending."""
 
-WIDTH_OF_NUMBERS = 78
+_WIDTH_OF_NUMBERS = 78
 """Columns that the table needs besides the matrix."""
 
-NARROWEST_MATRIX = 10
+_NARROWEST_MATRIX = 10
 
-MOST_TROUBLES = 12
+_MOST_TROUBLES = 12
 """Cells that are named with their reason; more are only counted."""
 
 
 def status_view(status: CampaignStatus, width: int) -> RenderableType:
     """All there is to see, for a terminal of this many columns."""
-    columns = max(NARROWEST_MATRIX, width - WIDTH_OF_NUMBERS)
-    parts: list[RenderableType] = [Text(line) for line in head_lines(status)]
-    parts += [matrix_table(status, columns), legend(status, columns)]
-    parts += [Text(line, overflow="ellipsis", no_wrap=True) for line in trouble_lines(status)]
+    columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
+    parts: list[RenderableType] = [Text(line) for line in _head_lines(status)]
+    parts += [_matrix_table(status, columns), _legend(status, columns)]
+    parts += [Text(line, overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
     return Group(*parts)
 
 
-def head_lines(status: CampaignStatus) -> Iterator[str]:
+def _head_lines(status: CampaignStatus) -> Iterator[str]:
     """What the campaign is, its progress, and how its last run went."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
@@ -55,8 +55,8 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
     )
     total = sum(status.counts.values())
     finished = total - status.pending
-    counts = [f"{status.counts[kind]} {words(kind)}" for kind in CellStatus if status.counts.get(kind)]
-    yield f"{finished} of {total} cells finished ({percent_of(finished, total)}): {', '.join(counts)}"
+    counts = [f"{status.counts[kind]} {_words(kind)}" for kind in CellStatus if status.counts.get(kind)]
+    yield f"{finished} of {total} cells finished ({_percent_of(finished, total)}): {', '.join(counts)}"
     if status.last_run is not None:
         run = status.last_run
         if status.running:
@@ -72,9 +72,9 @@ def head_lines(status: CampaignStatus) -> Iterator[str]:
         yield f"Time left: {duration(status.seconds_left)} on {workers}"
 
 
-def matrix_table(status: CampaignStatus, columns: int) -> Table:
+def _matrix_table(status: CampaignStatus, columns: int) -> Table:
     """Seeds x contents as characters, with Vs so far and the time left of each content."""
-    per_character = seeds_per_character(status, columns)
+    per_character = _seeds_per_character(status, columns)
     seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
@@ -84,61 +84,61 @@ def matrix_table(status: CampaignStatus, columns: int) -> Table:
     for content in status.contents:
         table.add_row(
             f"{content.content:g}",
-            matrix_row(content, status.seeds, per_character),
+            _matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}",
-            format_velocity(content.mean),
+            _format_velocity(content.mean),
             f"+- {content.interval.half_width:.1f}" if math.isfinite(content.interval.half_width) else "-",
-            format_velocity(content.deviation),
+            _format_velocity(content.deviation),
             "-" if math.isnan(content.seconds_per_cell) else f"{content.seconds_per_cell:.2g}",
             duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
         )
     return table
 
 
-def seeds_per_character(status: CampaignStatus, columns: int) -> int:
+def _seeds_per_character(status: CampaignStatus, columns: int) -> int:
     """Seeds that share a character so that a matrix fits into so many columns."""
     return max(1, math.ceil(len(status.seeds) / columns))
 
 
-def matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
+def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
     """One character for each seed of a content, or for several: then the most alarming state of them."""
     row = Text()
     for start in range(0, len(seeds), per_character):
         planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
         worst = worst_status(planned) if planned else None
-        symbol, style = STATUS_CHARACTERS[worst] if worst is not None else (UNPLANNED, "")
+        symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (_UNPLANNED, "")
         if worst is CellStatus.PENDING and CellStatus.DONE in planned:
-            symbol = PARTLY_DONE
+            symbol = _PARTLY_DONE
         row.append(symbol, style)
     return row
 
 
-def legend(status: CampaignStatus, columns: int) -> Text:
+def _legend(status: CampaignStatus, columns: int) -> Text:
     """What the characters mean that occur in a matrix of so many columns."""
     text = Text("  ")
-    for kind, (symbol, style) in STATUS_CHARACTERS.items():
+    for kind, (symbol, style) in _STATUS_CHARACTERS.items():
         if status.counts.get(kind):
-            text.append(symbol, style).append(f" {words(kind)}   ")
+            text.append(symbol, style).append(f" {_words(kind)}   ")
     if len(status.seeds) > columns:
-        text.append(f"{PARTLY_DONE} partly done   one character for {seeds_per_character(status, columns)} seeds")
+        text.append(f"{_PARTLY_DONE} partly done   one character for {_seeds_per_character(status, columns)} seeds")
     return text
 
 
-def trouble_lines(status: CampaignStatus) -> Iterator[str]:
+def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     """Cells that went wrong or were tried again, the most alarming first."""
     if not status.troubles:
         return
     yield ""
     yield "Cells that went wrong or were tried again:"
-    for trouble in status.troubles[:MOST_TROUBLES]:
-        yield f"  {trouble_line(trouble)}"
-    if len(status.troubles) > MOST_TROUBLES:
-        yield f"  and {len(status.troubles) - MOST_TROUBLES} more; 'calcidem query DB --columns all' lists every cell"
+    for trouble in status.troubles[:_MOST_TROUBLES]:
+        yield f"  {_trouble_line(trouble)}"
+    if len(status.troubles) > _MOST_TROUBLES:
+        yield f"  and {len(status.troubles) - _MOST_TROUBLES} more; 'calcidem query DB --columns all' lists every cell"
     if any(trouble.reason for trouble in status.troubles):
         yield "'calcidem retry DB --status STATUS' makes such cells pending again."
 
 
-def trouble_line(trouble: Trouble) -> str:
+def _trouble_line(trouble: Trouble) -> str:
     """One line about a cell."""
     history = pluralize(trouble.attempts, "attempt")
     if trouble.losses:
@@ -146,20 +146,20 @@ def trouble_line(trouble: Trouble) -> str:
     if trouble.retry:
         history += f", wave sent again with half the time step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
-    return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {words(trouble.status)} after {history}{reason}"
+    return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {_words(trouble.status)} after {history}{reason}"
 
 
-def words(status: CellStatus) -> str:
+def _words(status: CellStatus) -> str:
     """Name of a status as it is spoken."""
     return status.value.replace("_", " ")
 
 
-def percent_of(part: int, whole: int) -> str:
+def _percent_of(part: int, whole: int) -> str:
     """Part of a whole in percent, never 100 % before all is there."""
     return f"{math.floor(100 * part / whole)} %" if whole else "-"
 
 
-def format_velocity(value: float) -> str:
+def _format_velocity(value: float) -> str:
     """A velocity, or a dash where there is none."""
     return f"{value:.1f}" if math.isfinite(value) else "-"
 
@@ -174,7 +174,7 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
         "running": status.running,
         "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": {kind.value: number for kind, number in sorted(status.counts.items())},
-        "seconds_left": finite_or_none(status.seconds_left),
+        "seconds_left": _finite_or_none(status.seconds_left),
         "workers": status.workers,
         "seeds": list(status.seeds),
         "contents": [
@@ -182,11 +182,11 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
                 "content": content.content,
                 "status": [content.statuses[seed].value if seed in content.statuses else None for seed in status.seeds],
                 "cells": {kind.value: number for kind, number in sorted(content.counts.items())},
-                "mean": finite_or_none(content.mean),
-                "sd": finite_or_none(content.deviation),
-                "interval_95": [finite_or_none(content.interval.low), finite_or_none(content.interval.high)],
-                "seconds_per_cell": finite_or_none(content.seconds_per_cell),
-                "core_seconds_left": finite_or_none(content.seconds_left),
+                "mean": _finite_or_none(content.mean),
+                "sd": _finite_or_none(content.deviation),
+                "interval_95": [_finite_or_none(content.interval.low), _finite_or_none(content.interval.high)],
+                "seconds_per_cell": _finite_or_none(content.seconds_per_cell),
+                "core_seconds_left": _finite_or_none(content.seconds_left),
             }
             for content in status.contents
         ],
@@ -205,6 +205,6 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
     }
 
 
-def finite_or_none(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     """A number as JSON has it."""
     return value if math.isfinite(value) else None

@@ -12,24 +12,24 @@ from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.studies.frequency_and_damping import run_studies
 
 
-class StudyName(StrEnum):
+class _StudyName(StrEnum):
     """Sensitivity studies."""
 
     FREQUENCY = "frequency"
     DAMPING = "damping"
 
 
-def study_command(
+def _study_command(
     database: Database,
     names: Annotated[
-        list[StudyName] | None, typer.Argument(metavar="frequency|damping", help="By default both.")
+        list[_StudyName] | None, typer.Argument(metavar="frequency|damping", help="By default both.")
     ] = None,
     content: Annotated[list[float] | None, typer.Option(help="Content, percent; may be repeated.")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figures and NetCDF files.")] = Path("studies"),
     campaign: CampaignName = None,
 ) -> None:
     """Study how Vs depends on excitation frequency, method of reading and damping, on samples of a campaign."""
-    chosen = [name.value for name in names or StudyName]
+    chosen = [name.value for name in names or _StudyName]
     results = run_studies(database, chosen, contents=content, campaign_name=campaign)
     for name, result in results.items():
         out.mkdir(parents=True, exist_ok=True)

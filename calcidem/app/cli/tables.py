@@ -80,14 +80,14 @@ def vs_table(store: Store, selection: Selection) -> Table:
         table.add_row(
             f"{content:g}",
             f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}",
-            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in moments(vs[np.isfinite(vs)])),
+            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in _moments(vs[np.isfinite(vs)])),
             f"{seconds:.1f}",
-            other_outcomes(columns["status"][here]),
+            _other_outcomes(columns["status"][here]),
         )
     return table
 
 
-def moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Mean, standard deviation, smallest and largest; NaN where there are too few."""
     if not vs.size:
         return (np.nan,) * 4
@@ -95,7 +95,7 @@ def moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
     return float(vs.mean()), deviation, float(vs.min()), float(vs.max())
 
 
-def other_outcomes(statuses: NDArray[np.object_]) -> str:
+def _other_outcomes(statuses: NDArray[np.object_]) -> str:
     """How many cells have each outcome other than done."""
     counts = Counter(CellStatus(status) for status in statuses)
     return ", ".join(

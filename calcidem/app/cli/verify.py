@@ -14,10 +14,10 @@ from calcidem.app.studies.verify import Agreement, Verification, random_cells, v
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
 
-EXIT_CODE_OF = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
+_EXIT_CODE_OF = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
 
 
-def verify_command(
+def _verify_command(
     database: Database,
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
@@ -37,14 +37,14 @@ def verify_command(
         keys = random_cells(opened, cells, choice)
         found = []
         for verification in verify(opened, keys, opened.experiment):
-            typer.echo(verification_line(verification))
+            typer.echo(_verification_line(verification))
             found.append(verification)
-    typer.echo(verification_summary(found))
-    if code := EXIT_CODE_OF[worst_agreement(found)]:
+    typer.echo(_verification_summary(found))
+    if code := _EXIT_CODE_OF[worst_agreement(found)]:
         raise typer.Exit(code)
 
 
-def verification_line(verification: Verification) -> str:
+def _verification_line(verification: Verification) -> str:
     """What came of one cell, and which quantity differs most."""
     key = verification.stored.key
     text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"
@@ -52,10 +52,10 @@ def verification_line(verification: Verification) -> str:
         return text
     others = len(verification.differences) - 1
     also = f"; {others} other{'s' if others > 1 else ''} differ{'' if others > 1 else 's'}" if others else ""
-    return f"{text} ({describe_largest(verification)}{also})"
+    return f"{text} ({_describe_largest(verification)}{also})"
 
 
-def describe_largest(verification: Verification) -> str:
+def _describe_largest(verification: Verification) -> str:
     """Name the quantity that differs most, and say by how much."""
     name = verification.most_different
     size = verification.differences[name]
@@ -66,7 +66,7 @@ def describe_largest(verification: Verification) -> str:
     return f"most of all {name}{values}"
 
 
-def verification_summary(found: Sequence[Verification]) -> str:
+def _verification_summary(found: Sequence[Verification]) -> str:
     """The last line."""
     counts = Counter(verification.agreement for verification in found)
     verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)

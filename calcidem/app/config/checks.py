@@ -17,19 +17,19 @@ from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import parse_address
 
-SEEDS_ASKED_FIRST = 8
+_SEEDS_ASKED_FIRST = 8
 
-SAFE_PART = 0.8
+_SAFE_PART = 0.8
 """Part of the largest content of these seeds that every other seed surely holds."""
 
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """Everything that does not fit together."""
-    checks = (check_cement, check_bands, check_installation, check_frequencies, check_files)
+    checks = (_check_cement, _check_bands, _check_installation, _check_frequencies, _check_files)
     return [problem for check in checks for problem in check(configuration)]
 
 
-def check_cement(configuration: Configuration) -> Iterator[Problem]:
+def _check_cement(configuration: Configuration) -> Iterator[Problem]:
     """No cement is wider than the disks it holds together, no cluster larger than the box."""
     smallest = configuration.packing.diameter[0]
     for name in ("p_diameter", "c_diameter"):
@@ -49,7 +49,7 @@ def check_cement(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def check_bands(configuration: Configuration) -> Iterator[Problem]:
+def _check_bands(configuration: Configuration) -> Iterator[Problem]:
     """Transmitter, receiver and damped layers fit into the sample."""
     half = configuration.packing.height / 2.0
     for name in ("transmitter_half_width", "receiver_half_width", "boundary_thickness"):
@@ -69,7 +69,7 @@ def check_bands(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def check_installation(configuration: Configuration) -> Iterator[Problem]:
+def _check_installation(configuration: Configuration) -> Iterator[Problem]:
     """Bonds that change the contact forces need a regime in which contacts follow them."""
     installation = configuration.bonding.installation
     if installation != "preserve" and configuration.wave.regime == "linear":
@@ -86,7 +86,7 @@ def check_installation(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
-def check_frequencies(configuration: Configuration) -> Iterator[Problem]:
+def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
     """Every content has a frequency, and one that grains pass on."""
     table = configuration.excitation.table
     contents = configuration.campaign.contents
@@ -98,7 +98,7 @@ def check_frequencies(configuration: Configuration) -> Iterator[Problem]:
             ("campaign.contents", "wave.frequency"),
         )
     for content in contents:
-        limit = cutoff_estimate(configuration, cemented=content > 0.0)
+        limit = _cutoff_estimate(configuration, cemented=content > 0.0)
         if table.covers(content) and table.at(content) > limit:
             yield Problem(
                 f"wave.frequency = {table.at(content):g}: at {content:g} % grains pass no wave on above about "
@@ -108,7 +108,7 @@ def check_frequencies(configuration: Configuration) -> Iterator[Problem]:
             return
 
 
-def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
+def _cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     """Frequency that surely no sample passes on, Hz: cut-off of a hexagonal lattice of mean disks.
 
     Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice), those of a chain with
@@ -131,12 +131,12 @@ def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     return cutoff_frequency(3.0 / 8.0 * stiffness, mass)
 
 
-def check_files(configuration: Configuration) -> Iterator[Problem]:
+def _check_files(configuration: Configuration) -> Iterator[Problem]:
     """Results can be written where they are wanted."""
     output = configuration.output
     if output.exists() and not output.is_dir():
         yield Problem(f"run.output = {quote(str(output))}: is a file; give the name of a folder", ("run.output",))
-    elif not can_make_files(output):
+    elif not _can_make_files(output):
         cure = "give a folder in which you may write"
         yield Problem(f"run.output = {quote(str(output))}: nothing can be written there; {cure}", ("run.output",))
     database = configuration.run.database
@@ -154,12 +154,12 @@ def check_files(configuration: Configuration) -> Iterator[Problem]:
     elif path.exists() and not os.access(path, os.R_OK | os.W_OK):
         cure = "give one that you may write, or change its permissions"
         yield Problem(f"run.database = {quote(database)}: the file cannot be written; {cure}", ("run.database",))
-    elif not can_make_files(path.parent):
+    elif not _can_make_files(path.parent):
         cure = "give a file in a folder in which you may write"
         yield Problem(f"run.database = {quote(database)}: its folder cannot be written; {cure}", ("run.database",))
 
 
-def can_make_files(folder: Path) -> bool:
+def _can_make_files(folder: Path) -> bool:
     """Whether files can be made in a folder, or folders above it where it is yet to be made.
 
     It is tried with a file without name, since permissions do not tell of read-only file systems.
@@ -189,7 +189,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     if not len(listening_disks(packing, configuration.wave)):
         problem = f"wave.listening_depth = {configuration.wave.listening_depth}: holds no disk at the receiver"
         problems.append(Problem(f"{problem}; make it or wave.receiver_half_width larger"))
-    seed, room = tightest_seed(experiment, plan.seed_numbers, max(plan.contents))
+    seed, room = _tightest_seed(experiment, plan.seed_numbers, max(plan.contents))
     if max(plan.contents) > room:
         limit = f"the packing holds at most {room:.4g} % of calcite (seed {seed})"
         problems.append(Problem(f"campaign.contents = {quote(plan.contents)}: {limit}; leave larger contents out"))
@@ -197,15 +197,15 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
         raise ConfigurationError("configuration", problems)
 
 
-def tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:
+def _tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:
     """Seed whose sample holds the least calcite, and how much that is, percent.
 
     The first seeds tell enough for a content that is far from it: to draw the cement of every seed takes a while
     where there are thousands.
     """
-    few = seeds[:SEEDS_ASKED_FIRST]
+    few = seeds[:_SEEDS_ASKED_FIRST]
     room = {seed: experiment.ordering(seed).maximum_content for seed in few}
-    if content > SAFE_PART * min(room.values()):
-        room |= {seed: experiment.ordering(seed).maximum_content for seed in seeds[SEEDS_ASKED_FIRST:]}
+    if content > _SAFE_PART * min(room.values()):
+        room |= {seed: experiment.ordering(seed).maximum_content for seed in seeds[_SEEDS_ASKED_FIRST:]}
     tightest = min(room, key=lambda seed: room[seed])
     return tightest, room[tightest]

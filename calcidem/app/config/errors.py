@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pydantic_core import ErrorDetails
 
-CURE_BY_ERROR_TYPE = {
+_CURE_BY_ERROR_TYPE = {
     "float_type": "is not a number; write for example 0.5",
     "int_type": "is not a whole number; write for example 4",
     "bool_type": "is neither true nor false; write one of the two, without quotes",
@@ -79,4 +79,4 @@ def phrase(error: ErrorDetails) -> str:
     if kind in {"missing", "too_long"}:
         return "has the wrong number of entries"
     where = f"entry {error['loc'][0] + 1} " if error["loc"] and isinstance(error["loc"][0], int) else ""
-    return where + CURE_BY_ERROR_TYPE.get(kind, error["msg"])
+    return where + _CURE_BY_ERROR_TYPE.get(kind, error["msg"])

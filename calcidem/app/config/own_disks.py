@@ -12,7 +12,7 @@ from calcidem.app.config.errors import Problem, quote
 from calcidem.app.config.schema import SETTLED_BY_FILE
 from calcidem.dem.sample.packing_file import PackingFileError, checked_disks
 
-CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
+_CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
 """Fields that nothing else can be compared with when the file is not as it should be."""
 
 
@@ -51,5 +51,5 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
         parts["packing"] = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
         parts["packing_draw"] = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
     except (PackingFileError, OSError, ValueError) as error:
-        problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", CONCERNED))
+        problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", _CONCERNED))
     return problems

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
 
-STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
     "campaign": {"campaign": CampaignPlan},
@@ -50,7 +50,7 @@ SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
 }
 """Sections of the file, and the attributes of `Configuration` that each one gives, with their types."""
 
-TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
+_TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that a file does not have, because another one says the same."""
 
 
@@ -69,14 +69,14 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
     ConfigurationError
         With everything that is wrong.
     """
-    document = parse_file(Path(path))
+    document = _parse_file(Path(path))
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     if given and isinstance(document.setdefault("run", {}), dict):
         document["run"] |= given
     return read_configuration(document, os.fspath(path), Path(path).parent)
 
 
-def parse_file(path: Path) -> dict[str, Any]:
+def _parse_file(path: Path) -> dict[str, Any]:
     """Sections of a TOML file.
 
     Raises
@@ -111,7 +111,7 @@ def read_configuration(
     ConfigurationError
         With everything that is wrong.
     """
-    problems = [unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
+    problems = [_unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
     parts: dict[str, Any] = {}
     for name, types in SECTIONS.items():
         values = document.get(name, {})
@@ -119,7 +119,7 @@ def read_configuration(
             cure = f"write [{name}] and its keys below it"
             problems.append(Problem(f"{name} = {quote(values)}: is not a section; {cure}", (name,)))
             values = {}
-        problems += read_section(name, values, types, parts)
+        problems += _read_section(name, values, types, parts)
         if name == "packing":
             problems += take_own_disks(parts, values, folder)
     configuration = Configuration(**parts)
@@ -134,7 +134,7 @@ def read_configuration(
     return configuration
 
 
-def read_section(
+def _read_section(
     section: str, values: Mapping[str, Any], types: Mapping[str, type["DataclassInstance"]], parts: dict[str, Any]
 ) -> list[Problem]:
     """Read one section into objects of its types, put them into ``parts``, and return what is wrong.
@@ -145,22 +145,22 @@ def read_section(
         field.name: kind
         for kind in types.values()
         for field in fields(kind)
-        if f"{section}.{field.name}" not in TAKEN_FROM_ELSEWHERE
+        if f"{section}.{field.name}" not in _TAKEN_FROM_ELSEWHERE
     }
     problems: list[Problem] = []
     good: dict[str, Any] = {}
-    for key, value in rename_former_keys(section, values, owner.keys(), problems).items():
+    for key, value in _rename_former_keys(section, values, owner.keys(), problems).items():
         if key not in owner:
-            problems.append(unknown_name(key, f"key of [{section}]", list(owner), section))
+            problems.append(_unknown_name(key, f"key of [{section}]", list(owner), section))
             continue
-        good |= read_value(section, key, value, owner[key], problems)
+        good |= _read_value(section, key, value, owner[key], problems)
     for attribute, kind in types.items():
         own = {key: value for key, value in good.items() if owner[key] is kind}
-        parts[attribute] = build(section, kind, own, problems)
+        parts[attribute] = _build(section, kind, own, problems)
     return problems
 
 
-def rename_former_keys(
+def _rename_former_keys(
     section: str, values: Mapping[str, Any], known: Collection[str], problems: list[Problem]
 ) -> dict[str, Any]:
     """Values by their present keys: a former one is warned of, and a problem if both are given."""
@@ -180,7 +180,7 @@ def rename_former_keys(
     return renamed
 
 
-def read_value(
+def _read_value(
     section: str, key: str, value: object, kind: type["DataclassInstance"], problems: list[Problem]
 ) -> dict[str, Any]:
     """Read the value of a key; an empty mapping, and a problem more, if it has the wrong type."""
@@ -189,11 +189,11 @@ def read_value(
     table = next((choice for choice in get_args(hint) if is_dataclass(choice)), None)
     if isinstance(value, Mapping) and isinstance(table, type):
         found: dict[str, Any] = {}
-        wrong = read_section(place, value, {key: table}, found)
+        wrong = _read_section(place, value, {key: table}, found)
         problems += [Problem(problem.message, (place, *problem.fields)) for problem in wrong]
         return {} if wrong else found
     try:
-        return {key: TypeAdapter(hint, config=STRICT).validate_python(freeze_lists(value))}
+        return {key: TypeAdapter(hint, config=_STRICT).validate_python(_freeze_lists(value))}
     except ValidationError as error:
         cure = next(field for field in fields(kind) if field.name == key).metadata.get("cure")
         words = cure or "; ".join(phrase(detail) for detail in error.errors())
@@ -201,7 +201,7 @@ def read_value(
         return {}
 
 
-def build(
+def _build(
     section: str, kind: type["DataclassInstance"], values: dict[str, Any], problems: list[Problem]
 ) -> "DataclassInstance | None":
     """Make the object; a value that it refuses becomes a problem, and then its default is taken instead."""
@@ -220,10 +220,10 @@ def build(
     return None
 
 
-def unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
+def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
     """Problem of a name that is not known, with the one that may be meant."""
     place = f"{section}.{name}" if section else name
-    other = TAKEN_FROM_ELSEWHERE.get(place)
+    other = _TAKEN_FROM_ELSEWHERE.get(place)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if other:
         cure = f"{other} says it"
@@ -234,6 +234,6 @@ def unknown_name(name: str, what: str, known: list[str], section: str = "") -> P
     return Problem(f"{place}: unknown {what}; {cure}", (place,))
 
 
-def freeze_lists(value: object) -> object:
+def _freeze_lists(value: object) -> object:
     """Lists as tuples, all the way down: what is frozen stays as it is."""
-    return tuple(freeze_lists(item) for item in value) if isinstance(value, list) else value
+    return tuple(_freeze_lists(item) for item in value) if isinstance(value, list) else value

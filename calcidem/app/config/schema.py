@@ -330,15 +330,15 @@ class Configuration:
         root_seed, sand, cement, pattern, wave, pick = (physics[name] for name in sections)
         return cls(
             campaign=CampaignPlan(root_seed=root_seed),
-            sand=from_stored(Sand, sand),
-            calibration=from_stored(Calibration, sand),
-            cement=from_stored(Cement, cement),
-            bonding=from_stored(Bonding, cement),
-            pattern=from_stored(CementRule, pattern),
-            wave=from_stored(WaveRule, wave),
-            excitation=Excitation(from_stored(FrequencyTable, wave["frequency"])),
-            pick=from_stored(PickRule, pick),
-            velocity_choice=from_stored(VelocityChoice, pick),
+            sand=_from_stored(Sand, sand),
+            calibration=_from_stored(Calibration, sand),
+            cement=_from_stored(Cement, cement),
+            bonding=_from_stored(Bonding, cement),
+            pattern=_from_stored(CementRule, pattern),
+            wave=_from_stored(WaveRule, wave),
+            excitation=Excitation(_from_stored(FrequencyTable, wave["frequency"])),
+            pick=_from_stored(PickRule, pick),
+            velocity_choice=_from_stored(VelocityChoice, pick),
         )
 
     @cached_property
@@ -348,17 +348,17 @@ class Configuration:
             "physics_version": PHYSICS_VERSION,
             "root_seed": self.campaign.root_seed,
             "packing": self.packing_origin,
-            "sand": to_stored(self.sand) | to_stored(self.calibration),
-            "cement": to_stored(self.cement) | to_stored(self.bonding),
-            "pattern": to_stored(self.pattern),
-            "wave": to_stored(self.wave) | {"frequency": to_stored(self.excitation.table)},
-            "pick": to_stored(self.pick) | to_stored(self.velocity_choice),
+            "sand": _to_stored(self.sand) | _to_stored(self.calibration),
+            "cement": _to_stored(self.cement) | _to_stored(self.bonding),
+            "pattern": _to_stored(self.pattern),
+            "wave": _to_stored(self.wave) | {"frequency": _to_stored(self.excitation.table)},
+            "pick": _to_stored(self.pick) | _to_stored(self.velocity_choice),
         }
 
     @property
     def packing_origin(self) -> dict[str, Any]:
         """What the packing is made from, ready for JSON: no key that does not matter, and no file name."""
-        values = to_stored(self.packing) | to_stored(self.packing_draw)
+        values = _to_stored(self.packing) | _to_stored(self.packing_draw)
         left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
         return {name: value for name, value in values.items() if name not in left_out and value is not None}
 
@@ -374,7 +374,7 @@ class Configuration:
         The friction of the sand is not part of it, since the packing is made with its own.
         """
         sand = replace(self.sand, friction=self.packing.friction_preparation)
-        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": to_stored(sand)}
+        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": _to_stored(sand)}
         if self.packing_draw.file is None:  # disks from a file have nothing random
             origin["root_seed"] = self.campaign.root_seed
         return canonical_hash(origin)
@@ -415,20 +415,20 @@ class Configuration:
         )
 
 
-def to_stored(section: "DataclassInstance") -> dict[str, Any]:
+def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
     """Keys and values of a section as hashes and stored configurations have them, ready for JSON."""
     return {
-        stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()
+        _stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()
     }
 
 
-def from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
-    """Make a section of what `to_stored` gave; keys that are not its own are left alone."""
-    keys = {field.name: stored_key(field.name) for field in fields(kind)}
+def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
+    """Make a section of what `_to_stored` gave; keys that are not its own are left alone."""
+    keys = {field.name: _stored_key(field.name) for field in fields(kind)}
     values = {name: stored[key] for name, key in keys.items() if key in stored}
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
 
-def stored_key(name: str) -> str:
+def _stored_key(name: str) -> str:
     """Key under which a field is stored: its first name for ever, or campaigns would change their identity."""
     return next((former for former, present in FORMER_KEYS.items() if present == name), name)

@@ -21,16 +21,16 @@ from calcidem.storage.sql.lease import FileLock
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher
 from calcidem.sweep.progress import pluralize
 
-COMMITS = 20
+_COMMITS = 20
 """Transactions that are timed."""
 
-SLOW_COMMITS = 20.0
+_SLOW_COMMITS = 20.0
 """Commits a second below which many small batches would wait for the disk."""
 
-LITTLE_SPACE = 1e9
+_LITTLE_SPACE = 1e9
 """Bytes; the database of 2,000 cells with signals takes about a tenth of it."""
 
-CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
+_CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Quota and period, in microseconds, of a container's CPU time (Linux, cgroup v2)."""
 
 
@@ -39,18 +39,18 @@ def findings(folder: Path) -> Iterator[Finding]:
     yield Finding(
         FindingLevel.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}"
     )
-    yield processor_finding()
+    yield _processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
-        yield cores_finding(available_cores(), read_or_empty(CPU_QUOTA))
+        yield cores_finding(available_cores(), _read_or_empty(_CPU_QUOTA))
     yield from thread_findings(os.environ)
     yield from slurm_findings(os.environ)
     yield from folder_findings(folder)
-    yield packing_cache_finding()
-    yield compile_cache_finding()
+    yield _packing_cache_finding()
+    yield _compile_cache_finding()
     yield from mpi_findings()
 
 
-def read_or_empty(path: Path) -> str:
+def _read_or_empty(path: Path) -> str:
     """Text of a file, empty if it can't be read."""
     try:
         return path.read_text(encoding="ascii")
@@ -58,7 +58,7 @@ def read_or_empty(path: Path) -> str:
         return ""
 
 
-def processor_finding() -> Finding:
+def _processor_finding() -> Finding:
     """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
@@ -140,7 +140,7 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
     kind = filesystem_type(where) or "an unknown file system"
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
-            journal, rate = measure_commits(Path(trial) / "trial.db", COMMITS)
+            journal, rate = measure_commits(Path(trial) / "trial.db", _COMMITS)
             lock = FileLock(Path(trial) / "trial.db")
             locks = lock.acquire() and lock.held
             lock.release()
@@ -149,11 +149,11 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
         yield Finding(FindingLevel.PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
     yield network_finding(where, kind, network=network, locks=locks)
-    yield database_finding(journal, rate)
+    yield _database_finding(journal, rate)
     free = shutil.disk_usage(where).free
     level, cure = (
         (FindingLevel.OK, "")
-        if free > LITTLE_SPACE
+        if free > _LITTLE_SPACE
         else (FindingLevel.WARNING, "free some space, or choose another folder")
     )
     yield Finding(level, "space", f"{free / 1e9:.1f} GB free in {where}", cure)
@@ -172,15 +172,15 @@ def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Fi
     )
 
 
-def database_finding(journal: str, rate: float) -> Finding:
+def _database_finding(journal: str, rate: float) -> Finding:
     """What the trial of a database showed."""
     fact = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
-    if rate < SLOW_COMMITS:
+    if rate < _SLOW_COMMITS:
         return Finding(FindingLevel.WARNING, "SQLite", fact, "use a faster disk, or --db with the URL of a server")
     return Finding(FindingLevel.OK, "SQLite", fact)
 
 
-def packing_cache_finding() -> Finding:
+def _packing_cache_finding() -> Finding:
     """Whether packings can be kept between campaigns."""
     folder = cache_folder()
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
@@ -196,7 +196,7 @@ def packing_cache_finding() -> Finding:
     return Finding(FindingLevel.OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
 
 
-def compile_cache_finding() -> Finding:
+def _compile_cache_finding() -> Finding:
     """Where the compiled kernels are kept, and whether the ranks of a node can share them there."""
     from calcidem.dem.kernels.steps import advance_steps  # noqa: PLC0415 - takes a second to import
 

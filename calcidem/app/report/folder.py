@@ -21,7 +21,7 @@ from calcidem.app.report.results import (
 from calcidem.app.report.wording import Table
 from calcidem.storage.campaign import open_stored_campaign
 
-TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
+_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "velocities": velocity_table,
     "outcomes": outcome_table,
     "growth": growth_table,
@@ -69,14 +69,14 @@ def analyse(
                 save(entry.draw(analysis), folder, entry.name)
             except UnavailableError as error:
                 left_out[entry.name] = str(error)
-        for name, make in TABLES.items():
+        for name, make in _TABLES.items():
             try:
                 table = make(analysis)
             except UnavailableError as error:
                 left_out[name] = str(error)
             else:
                 if table is not None:
-                    write_table(table, folder / f"table_{name}.csv")
+                    _write_table(table, folder / f"table_{name}.csv")
         tabulate(analysis.distributions).to_netcdf(folder / "distributions.nc")
         try:
             analysis.table.to_netcdf(folder / "features.nc")
@@ -87,7 +87,7 @@ def analyse(
     return left_out
 
 
-def write_table(table: Table, file: Path) -> None:
+def _write_table(table: Table, file: Path) -> None:
     """Write a table as CSV, as it stands in the report; the exact numbers are in the NetCDF files."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

@@ -30,15 +30,15 @@ from calcidem.app.report.wording import Table, decimal, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.files import write_atomically
 
-FEW_SAMPLES = 30
+_FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
 
 
-MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
+_MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class _Picture:
     """A figure in a page.
 
     Attributes
@@ -62,7 +62,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class _Section:
     """A part of the page.
 
     Attributes
@@ -81,7 +81,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    pictures: tuple[_Picture, ...] = ()
     folded: tuple[Table, ...] = ()
 
 
@@ -119,15 +119,15 @@ def write_report(
     """
     target = Path(out)
     with open_stored_campaign(database, campaign_name) as campaign:
-        text = render_page(CampaignAnalysis(campaign), studies or {})
+        text = _render_page(CampaignAnalysis(campaign), studies or {})
     with write_atomically(target) as partial:
         partial.write_text(text, encoding="utf-8")
     return target
 
 
-def render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
+def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
     """Give the page as text."""
-    pictures = {picture.name: picture for picture in campaign_pictures(analysis)}
+    pictures = {picture.name: picture for picture in _campaign_pictures(analysis)}
     sections = (
         _velocity_section(analysis, pictures),
         _sample_section(pictures),
@@ -175,18 +175,18 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
     tables = [velocity_table(analysis), outcome_table(analysis), growth_table(analysis)]
     text = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
-    if measured and min(measured) < FEW_SAMPLES:
+    if measured and min(measured) < _FEW_SAMPLES:
         text.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
             "that does not reject normality proves little."
         )
     if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
         text.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
-    return Section(
+    return _Section(
         "velocities",
         "Shear-wave velocity",
         tuple(text),
@@ -195,12 +195,12 @@ def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture
     )
 
 
-def _sample_section(pictures: Mapping[str, Picture]) -> Section:
+def _sample_section(pictures: Mapping[str, _Picture]) -> _Section:
     shown = ("samples", "measurement", "signals", "methods")
-    return Section("samples", "Samples and measurement", pictures=tuple(pictures[name] for name in shown))
+    return _Section("samples", "Samples and measurement", pictures=tuple(pictures[name] for name in shown))
 
 
-def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
+def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
     tables: list[Table] = []
     reasons: list[str] = []
     makers: tuple[Callable[[], Table], ...] = (
@@ -213,7 +213,7 @@ def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -
         except UnavailableError as error:
             reasons.append(f"A table is left out: {error}.")
     shown = ("paths", "correlations", "weight_scan", "laws")
-    return Section(
+    return _Section(
         "paths",
         "Preferential paths and connectivity",
         tuple(reasons),
@@ -222,19 +222,19 @@ def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -
     )
 
 
-def _error_section(analysis: CampaignAnalysis, pictures: Mapping[str, Picture]) -> Section:
-    return Section("errors", "Errors and run time", tables=(cost_table(analysis),), pictures=(pictures["narrowing"],))
+def _error_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
+    return _Section("errors", "Errors and run time", tables=(cost_table(analysis),), pictures=(pictures["narrowing"],))
 
 
-def _sensitivity_section(studies: Mapping[str, xr.Dataset]) -> Section | None:
-    pictures = tuple(study_pictures(studies))
-    return Section("sensitivity", "Sensitivity", pictures=pictures) if pictures else None
+def _sensitivity_section(studies: Mapping[str, xr.Dataset]) -> _Section | None:
+    pictures = tuple(_study_pictures(studies))
+    return _Section("sensitivity", "Sensitivity", pictures=pictures) if pictures else None
 
 
-def _published_section(analysis: CampaignAnalysis) -> Section:
+def _published_section(analysis: CampaignAnalysis) -> _Section:
     table = published_table(analysis)
     text = () if table else ("The contents of this campaign are not those of the published tables.",)
-    return Section(
+    return _Section(
         "published",
         "The published study",
         text,
@@ -243,7 +243,7 @@ def _published_section(analysis: CampaignAnalysis) -> Section:
     )
 
 
-def _provenance_section(analysis: CampaignAnalysis) -> Section:
+def _provenance_section(analysis: CampaignAnalysis) -> _Section:
     campaign = analysis.campaign
     tables = [parameter_table(campaign.config)]
     text = []
@@ -251,7 +251,7 @@ def _provenance_section(analysis: CampaignAnalysis) -> Section:
         tables.append(packing_table(analysis))
     except UnavailableError as error:
         text.append(f"No report on the packing: {error}.")
-    return Section(
+    return _Section(
         "provenance",
         "What was run",
         tuple(text),
@@ -260,31 +260,31 @@ def _provenance_section(analysis: CampaignAnalysis) -> Section:
     )
 
 
-def campaign_pictures(analysis: CampaignAnalysis) -> Iterator[Picture]:
+def _campaign_pictures(analysis: CampaignAnalysis) -> Iterator[_Picture]:
     """Draw every figure that the campaign allows, in the registry's order."""
     for entry in CAMPAIGN_FIGURES:
-        yield draw_picture(entry, analysis)
+        yield _draw_picture(entry, analysis)
 
 
-def draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> Picture:
+def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
     """Draw one figure, or say why it can't be drawn."""
     try:
         figure = entry.draw(analysis)
     except UnavailableError as error:
-        return Picture(entry.name, entry.title, entry.caption, reason=str(error))
-    source = data_uri(figure, "png" if entry.pictorial else "svg")
-    return Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+        return _Picture(entry.name, entry.title, entry.caption, reason=str(error))
+    source = _data_uri(figure, "png" if entry.pictorial else "svg")
+    return _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
 
 
-def study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[Picture]:
+def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
     """Draw the figures of the studies given, named "frequency" and "damping"."""
     for entry in STUDY_FIGURES:
         if entry.study in studies:
             figure = entry.draw(studies[entry.study])
-            source = data_uri(figure, "svg")
-            yield Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+            source = _data_uri(figure, "svg")
+            yield _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
 
 
-def data_uri(figure: Figure, file_format: str) -> str:
+def _data_uri(figure: Figure, file_format: str) -> str:
     """Give a figure as a data URI, so that a page needs no other file."""
-    return f"data:{MEDIA_TYPES[file_format]};base64,{b64encode(render(figure, file_format)).decode()}"
+    return f"data:{_MEDIA_TYPES[file_format]};base64,{b64encode(render(figure, file_format)).decode()}"

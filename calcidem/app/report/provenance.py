@@ -11,7 +11,7 @@ from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
 
-PUBLISHED_AS = {
+_PUBLISHED_AS = {
     "packing.width": "box_width",
     "packing.height": "box_height",
     "packing.porosity": "porosity",
@@ -61,7 +61,7 @@ def parameter_table(config: Mapping[str, Any]) -> Table:
             remark = f"calibrated: {meaning}" if differs else meaning
             rows.append((key, value_text(flat[key]), value_text(literal), remark))
     published = published_study().parameters
-    for key, name in PUBLISHED_AS.items():
+    for key, name in _PUBLISHED_AS.items():
         if key in flat:
             differs = flat[key] != published[name]
             if differs:

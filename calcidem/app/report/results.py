@@ -20,7 +20,7 @@ from calcidem.app.report.wording import (
     with_bounds,
 )
 
-MOST_REASONS = 20
+_MOST_REASONS = 20
 
 
 def velocity_table(analysis: CampaignAnalysis) -> Table:
@@ -77,7 +77,7 @@ def outcome_table(analysis: CampaignAnalysis) -> Table | None:
         return None
     rows = tuple(
         (outcome.replace("_", " "), text, ", ".join(f"{c:g}" for c in sorted(where[outcome, text])), str(count))
-        for (outcome, text), count in found.most_common(MOST_REASONS)
+        for (outcome, text), count in found.most_common(_MOST_REASONS)
     )
     return Table("Cells that gave no velocity, and why.", ("outcome", "reason", "contents (%)", "cells"), rows)
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from calcidem.analysis.intervals import Interval
 
 ABSENT = "\N{EN DASH}"
-SMALL_P = 0.001
-LEAST_PLAIN, MOST_PLAIN = 1e-3, 1e5
-MINUTE, HOUR = 60.0, 3600.0
+_SMALL_P = 0.001
+_LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
+_MINUTE, _HOUR = 60.0, 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +45,16 @@ def significant(value: float | None, digits: int = 3) -> str:
     if value is None or not math.isfinite(value):
         return ABSENT
     rounded = float(f"{value:.{digits}g}")
-    if rounded == 0 or LEAST_PLAIN <= abs(rounded) < MOST_PLAIN:
+    if rounded == 0 or _LEAST_PLAIN <= abs(rounded) < _MOST_PLAIN:
         text = f"{rounded:.12f}".rstrip("0").rstrip(".")
     else:
         mantissa, _, exponent = f"{rounded:.{digits - 1}e}".partition("e")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{superscript(int(exponent))}"
+        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{_superscript(int(exponent))}"
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def superscript(exponent: int) -> str:
+def _superscript(exponent: int) -> str:
     """Give an exponent in raised digits."""
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
@@ -75,15 +75,15 @@ def probability(value: float) -> str:
     """Give a p-value with two digits."""
     if not math.isfinite(value):
         return ABSENT
-    return f"< {SMALL_P:g}" if value < SMALL_P else f"{value:.2g}"
+    return f"< {_SMALL_P:g}" if value < _SMALL_P else f"{value:.2g}"
 
 
 def time_span(seconds: float) -> str:
     """Give a time span in the unit that suits it."""
     if not math.isfinite(seconds):
         return ABSENT
-    if seconds < MINUTE:
+    if seconds < _MINUTE:
         return f"{seconds:.3g} s"
-    if seconds < HOUR:
-        return f"{seconds / MINUTE:.1f} min"
-    return f"{seconds / HOUR:.1f} h"
+    if seconds < _HOUR:
+        return f"{seconds / _MINUTE:.1f} min"
+    return f"{seconds / _HOUR:.1f} h"

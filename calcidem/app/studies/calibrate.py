@@ -17,10 +17,10 @@ from calcidem.dem.wave.measurement import measure_all
 FITTABLE = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area", "cement.bond_modulus")
 """Parameters that can be fitted, as section.key of the configuration."""
 
-STEP = 0.06
+_STEP = 0.06
 """Relative step of the derivatives: whole contacts and clusters come and go, so Vs is no smooth function."""
 
-MOST_TRIALS = 6
+_MOST_TRIALS = 6
 """Points at which derivatives are taken; from a start within a factor of two, three are enough."""
 
 
@@ -103,7 +103,7 @@ def calibrate(
     ValueError
         If a parameter is unknown, or there are more parameters than targets.
     """
-    refuse_names(names, targets)
+    _refuse_names(names, targets)
     start = np.array([start_value(configuration, packing, name) for name in names])
     errors: dict[bytes, Floats] = {}
 
@@ -117,8 +117,8 @@ def calibrate(
         tell(f"{shown}: Vs over target {', '.join(f'{ratio:.3f}' for ratio in ratios)}")
         return np.asarray(np.log(ratios))
 
-    steps = np.full(len(names), STEP)
-    fit = least_squares(residuals, np.ones(len(names)), diff_step=steps, method="dogbox", max_nfev=MOST_TRIALS)
+    steps = np.full(len(names), _STEP)
+    fit = least_squares(residuals, np.ones(len(names)), diff_step=steps, method="dogbox", max_nfev=_MOST_TRIALS)
     inverse = np.linalg.pinv(np.asarray(fit.jac))
     covariance = inverse @ np.diag(errors[fit.x.tobytes()] ** 2) @ inverse.T
     deviation = np.sqrt(np.diag(covariance))
@@ -133,7 +133,7 @@ def calibrate(
     )
 
 
-def refuse_names(names: Sequence[str], targets: Mapping[float, float]) -> None:
+def _refuse_names(names: Sequence[str], targets: Mapping[float, float]) -> None:
     """Raise `ValueError` if a parameter cannot be fitted, or if there are more of them than targets."""
     strange = sorted(set(names) - set(FITTABLE))
     if strange:

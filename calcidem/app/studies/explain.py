@@ -97,9 +97,9 @@ def explain(
     """
     rows = []
     for content in contents:
-        for alternative in alternatives(experiment, content):
+        for alternative in _alternatives(experiment, content):
             progress(f"{content:g} %: {alternative.what}")
-            rows.append(with_errors(measure_alternative(experiment, alternative, content, seeds, lanes), measured))
+            rows.append(with_errors(_measure_alternative(experiment, alternative, content, seeds, lanes), measured))
     return rows
 
 
@@ -111,10 +111,10 @@ def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanatio
     return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
 
 
-def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
+def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
-    found = [*displacement_alternatives(experiment), whole_domain(experiment)]
-    found += [early_stop(experiment), precision(experiment)]
+    found = [*_displacement_alternatives(experiment), _whole_domain(experiment)]
+    found += [_early_stop(experiment), precision(experiment)]
     if content == 0.0:
         found.append(
             Alternative(
@@ -132,7 +132,7 @@ def alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     return found
 
 
-def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
+def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
     """How displacements and contact laws are treated."""
     wave = experiment.wave
     if wave.regime != "linear":
@@ -167,7 +167,7 @@ def displacement_alternatives(experiment: Experiment) -> list[Alternative]:
     ]
 
 
-def whole_domain(experiment: Experiment) -> Alternative:
+def _whole_domain(experiment: Experiment) -> Alternative:
     """Disks deep in the damping layers, and disks without a contact."""
     wave, packing = experiment.wave, experiment.packing
     share = 1.0 - len(domain_of(packing, wave, experiment.installation).packing.x) / len(packing.x)
@@ -182,7 +182,7 @@ def whole_domain(experiment: Experiment) -> Alternative:
     )
 
 
-def early_stop(experiment: Experiment) -> Alternative:
+def _early_stop(experiment: Experiment) -> Alternative:
     """The steps after the pick is settled."""
     why = "the reading looks no further than its horizon, so more steps change no bit of it"
     return Alternative(
@@ -203,7 +203,7 @@ def precision(experiment: Experiment) -> Alternative:
     return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
 
 
-def measure_alternative(
+def _measure_alternative(
     experiment: Experiment, alternative: Alternative, content: float, seeds: Sequence[int], lanes: int
 ) -> Explanation:
     """Measure one alternative on one content."""

@@ -17,20 +17,20 @@ from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.campaign import open_stored_campaign
 
-METHODS = ("peak", "first_arrival", "cross_correlation")
-FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
-DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
-LANES = (4, 8, 16, 32)
-RECORD_POINTS = 600
-UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
-WHOLE_RANGE = (0.0, 100.0)
+_METHODS = ("peak", "first_arrival", "cross_correlation")
+_FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
+_DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
+_LANES = (4, 8, 16, 32)
+_RECORD_POINTS = 600
+_UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
+_WHOLE_RANGE = (0.0, 100.0)
 
 
 def frequency_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.66, 3.17, 6.0, 8.0),
-    frequencies: Sequence[float] = FREQUENCIES,
+    frequencies: Sequence[float] = _FREQUENCIES,
     seeds: Sequence[int] = (1, 2, 3, 4),
     check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
@@ -57,13 +57,13 @@ def frequency_study(
         the experiment itself would send; the attribute `distance` (m) between transmitter and receiver.
     """
     shape = (len(contents), len(frequencies), len(seeds))
-    values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in METHODS), "received_frequency")}
-    lanes = next(width for width in LANES if width >= len(seeds))
+    values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
+    lanes = next(width for width in _LANES if width >= len(seeds))
     for row, content in enumerate(contents):
         for column, frequency in enumerate(frequencies):
-            single = replace(experiment, frequencies=(WHOLE_RANGE, (frequency, frequency)))
+            single = replace(experiment, frequencies=(_WHOLE_RANGE, (frequency, frequency)))
             for place, measurement in enumerate(measure(single, content, seeds, lanes=lanes, check=check)):
-                for name, value in readings(single, measurement).items():
+                for name, value in _readings(single, measurement).items():
                     values[name][row, column, place] = value
     dimensions = ("content", "frequency", "seed")
     study = xr.Dataset(
@@ -80,7 +80,7 @@ def damping_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.11, 0.66),
-    factors: Sequence[float] = DAMPING_FACTORS,
+    factors: Sequence[float] = _DAMPING_FACTORS,
     seed: int = 1,
     periods: float = 5.0,
     check: Callable[[], None] = lambda: None,
@@ -109,13 +109,13 @@ def damping_study(
         (s) along (content, sample), and `vs_peak` (m/s) along (content, damping), NaN where nothing trustworthy
         was read.
     """
-    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), RECORD_POINTS) for content in contents])
-    received = np.zeros((len(contents), len(factors), RECORD_POINTS))
+    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), _RECORD_POINTS) for content in contents])
+    received = np.zeros((len(contents), len(factors), _RECORD_POINTS))
     velocity = np.full(received.shape[:2], np.nan)
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
             damped = replace(experiment, wave=replace(experiment.wave, damping=factor))
-            record = long_record(damped, content, seed, float(time[row, -1]), check)
+            record = _long_record(damped, content, seed, float(time[row, -1]), check)
             if record.problem:
                 received[row, column] = np.nan
                 continue
@@ -134,12 +134,12 @@ def damping_study(
     return study
 
 
-def readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
+def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
     """Give what could be trusted of a measurement: vs by each method in m/s, and the received frequency in Hz."""
     found: dict[str, float] = {}
     if measurement.picks is None:
         return found
-    for method in METHODS:
+    for method in _METHODS:
         reading = getattr(measurement.picks, method)
         if reading.velocity is not None and reading.quality >= experiment.least_quality:
             found[f"vs_{method}"] = reading.velocity
@@ -187,7 +187,7 @@ def pulse_frequency(signal: Floats, sampling_interval: float, moment: float, rea
     return float(1.0 / (2.0 * (ended - began) * sampling_interval))
 
 
-def long_record(
+def _long_record(
     experiment: Experiment, content: float, seed: int, duration: float, check: Callable[[], None]
 ) -> WaveRecord:
     """Record one sample for a given time in s, whatever arrives when."""
@@ -201,10 +201,10 @@ def long_record(
 
 def _set_units(study: xr.Dataset) -> None:
     for name, variable in study.variables.items():
-        variable.attrs["units"] = UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
+        variable.attrs["units"] = _UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
 
 
-STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": frequency_study, "damping": damping_study}
+_STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": frequency_study, "damping": damping_study}
 
 
 def run_studies(
@@ -240,10 +240,10 @@ def run_studies(
     ValueError
         If a study is unknown, or the campaign cannot be computed again from what is stored.
     """
-    unknown = sorted(set(names) - set(STUDIES))
+    unknown = sorted(set(names) - set(_STUDIES))
     if unknown:
-        raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(STUDIES)}")
+        raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
     with open_stored_campaign(database, campaign_name) as campaign:
         experiment = Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
     chosen = {} if contents is None else {"contents": tuple(contents)}
-    return {name: STUDIES[name](experiment, check=check, **chosen) for name in names}
+    return {name: _STUDIES[name](experiment, check=check, **chosen) for name in names}

@@ -22,26 +22,26 @@ from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPatt
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
 
-REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+_REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes that physics decides; the others depend on the machine of the day."""
 
-ROUNDING_TOLERANCE = 1e-9
+_ROUNDING_TOLERANCE = 1e-9
 """Largest relative difference that counts as rounding.
 
 The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on them; what
 chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
 """
 
-READINGS = ("peak", "first_arrival", "cross_correlation")
+_READINGS = ("peak", "first_arrival", "cross_correlation")
 
-VERIFIED_NUMBERS = (
-    *("vs", *(f"vs_{name}" for name in READINGS)),
+_VERIFIED_NUMBERS = (
+    *("vs", *(f"vs_{name}" for name in _READINGS)),
     *("frequency", "time_step", "stability_limit", "content_reached"),
 )
-VERIFIED_SHARES = (*(f"quality_{name}" for name in READINGS), "error_estimate")
+_VERIFIED_SHARES = (*(f"quality_{name}" for name in _READINGS), "error_estimate")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
-VERIFIED_COUNTS = ("steps", "p_contacts", "c_contacts", "clusters", "bonded_contacts")
+_VERIFIED_COUNTS = ("steps", "p_contacts", "c_contacts", "clusters", "bonded_contacts")
 
 
 class Agreement(StrEnum):
@@ -75,7 +75,7 @@ class Verification:
         if not self.differences:
             return Agreement.SAME_BITS
         size = self.differences[self.most_different]
-        return Agreement.ROUNDING if size <= ROUNDING_TOLERANCE else Agreement.DIFFERENT
+        return Agreement.ROUNDING if size <= _ROUNDING_TOLERANCE else Agreement.DIFFERENT
 
     @property
     def most_different(self) -> str:
@@ -106,7 +106,7 @@ def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None
     UnknownCellError
         If there is none that could be computed again.
     """
-    keys = [result.key for result in campaign.select(status=REPEATABLE)]
+    keys = [result.key for result in campaign.select(status=_REPEATABLE)]
     if not keys:
         raise UnknownCellError(
             "The campaign has no cell that could be computed again.", "Run it first ('calcidem run')."
@@ -146,10 +146,10 @@ def verify(
     for (packing_index, content), cells in sorted(together.items(), key=lambda item: item[0]):
         experiment = experiment_of(packing_index)
         for start in range(0, len(cells), lanes):
-            yield from verify_batch(experiment, content, cells[start : start + lanes], lanes)
+            yield from _verify_batch(experiment, content, cells[start : start + lanes], lanes)
 
 
-def verify_batch(
+def _verify_batch(
     experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
 ) -> Iterator[Verification]:
     """Compute cells of one content and one packing."""
@@ -161,29 +161,29 @@ def verify_batch(
 
 def compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
     """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
-    differences = dict(different_quantities(stored, computed))
+    differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:
-        differences |= different_arrays("cement", stored.cement, computed.cement)
+        differences |= _different_arrays("cement", stored.cement, computed.cement)
     if stored.signal is not None:
-        differences |= different_arrays("signal", stored.signal, computed.signal)
+        differences |= _different_arrays("signal", stored.signal, computed.signal)
     return Verification(stored, computed, differences)
 
 
-def different_quantities(stored: CellResult, computed: CellResult) -> Iterator[tuple[str, float]]:
+def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[tuple[str, float]]:
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*VERIFIED_NUMBERS, *VERIFIED_SHARES, *VERIFIED_COUNTS):
+    for name in (*_VERIFIED_NUMBERS, *_VERIFIED_SHARES, *_VERIFIED_COUNTS):
         one, other = getattr(stored, name), getattr(computed, name)
         if one == other:
             continue
         if one is None or other is None:
             yield name, math.inf
         else:
-            yield name, abs(other - one) / (1.0 if name in VERIFIED_SHARES else max(abs(one), abs(other)))
+            yield name, abs(other - one) / (1.0 if name in _VERIFIED_SHARES else max(abs(one), abs(other)))
 
 
-def different_arrays(
+def _different_arrays(
     name: str, stored: CementPattern | Signal, computed: CementPattern | Signal | None
 ) -> dict[str, float]:
     """Name the fields that differ between two records of arrays, and by how much."""
@@ -192,13 +192,13 @@ def different_arrays(
     pairs = {field.name: (getattr(stored, field.name), getattr(computed, field.name)) for field in fields(stored)}
     arrays = {field: (np.asarray(one), np.asarray(other)) for field, (one, other) in pairs.items()}
     return {
-        f"{name}.{field}": array_difference(one, other)
+        f"{name}.{field}": _array_difference(one, other)
         for field, (one, other) in arrays.items()
         if one.shape != other.shape or one.tobytes() != other.tobytes()
     }
 
 
-def array_difference(stored: npt.NDArray[Any], computed: npt.NDArray[Any]) -> float:
+def _array_difference(stored: npt.NDArray[Any], computed: npt.NDArray[Any]) -> float:
     """Return the largest difference of two arrays over their largest magnitude.
 
     Infinite for other shapes, and for whole numbers, which name disks or kinds, that are not the same.

@@ -23,9 +23,9 @@ from calcidem.dem.kernels.layout import (
     Walls,
 )
 
-ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
-BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
-SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
+_ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
+_BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
+_SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Assembly:
 def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Array of zeros that starts on a cache line, so that no lane vector straddles two."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
-    start = -raw.ctypes.data % ALIGNMENT
+    raw = np.zeros(size + _ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % _ALIGNMENT
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
@@ -63,7 +63,7 @@ def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return copy
 
 
-def memory_order(scene: Scene) -> Integers:
+def _memory_order(scene: Scene) -> Integers:
     """Order of the disks along the longer side of the scene."""
     x, y = np.asarray(scene.x), np.asarray(scene.y)
     along, across = (y, x) if np.ptp(y) >= np.ptp(x) else (x, y)
@@ -119,29 +119,29 @@ def assemble(
     ValueError
         If two disks have the same centre.
     """
-    order = memory_order(scene)
+    order = _memory_order(scene)
     radius = np.asarray(scene.radius, dtype=float)[order]
     reference = np.column_stack([scene.x, scene.y])[order]
     cemented = np.zeros(0, dtype=np.int64)
     if scene.bonds is not None and len(scene.bonds.pairs):
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
     # A sample that has blown up has no neighbours worth listing, and must not harm the others.
-    samples = np.flatnonzero((np.abs(centres) < BLOWN_UP).all(axis=(0, 1)))
+    samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
     near = [pair_keys(near_pairs(centres[order, :, s], radius, skin), scene.count) for s in samples]
     listed = np.unique(np.concatenate([*near, cemented]))
     moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
-    faced = [near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
+    faced = [_near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
     facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
     return Assembly(
         order=order,
-        grains=assemble_grains(scene, order, dtype),
-        pairs=assemble_pairs(scene, reference, radius, listed, cemented, lanes, dtype),
-        wall_pairs=assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
-        walls=assemble_walls(scene, lanes, dtype),
+        grains=_assemble_grains(scene, order, dtype),
+        pairs=_assemble_pairs(scene, reference, radius, listed, cemented, lanes, dtype),
+        wall_pairs=_assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
+        walls=_assemble_walls(scene, lanes, dtype),
     )
 
 
-def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grains:
+def _assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grains:
     """Properties of the disks in memory order."""
     free = np.ones(scene.count) if scene.held is None else 1.0 - np.asarray(scene.held, dtype=float)
     load = np.zeros((scene.count, 3)) if scene.load is None else np.asarray(scene.load, dtype=float)
@@ -160,7 +160,7 @@ def assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grai
     )
 
 
-def assemble_pairs(
+def _assemble_pairs(
     scene: Scene,
     reference: Floats,
     radius: Floats,
@@ -193,7 +193,7 @@ def assemble_pairs(
         np.bitwise_or.at(bits, np.searchsorted(listed, cemented), scene.bonds.bits)
         bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
         linear[:, :REFERENCE_OVERLAP] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
-        strength = breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
+        strength = _breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
     bits &= np.uint32(2**lanes - 1)
     return Pairs(
         start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
@@ -223,14 +223,14 @@ def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
 
 
-def breaking_limits(strength: Floats) -> Floats:
+def _breaking_limits(strength: Floats) -> Floats:
     """(M, 4) as in `layout.Pairs.strength`, from bond radius, tensile strength, cohesion and friction slope."""
     bond_radius, tensile_strength, cohesion, slope = strength.T
     area = 2.0 * bond_radius
     return np.column_stack([tensile_strength * area, cohesion * area, slope, 3.0 / bond_radius])
 
 
-def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
+def _near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
     """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall.
 
     Which of several walls of one side a disk faces is fixed by its reference position.
@@ -245,7 +245,7 @@ def near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, 
     return np.concatenate(found)
 
 
-def assemble_wall_pairs(
+def _assemble_wall_pairs(
     scene: Scene, reference: Floats, radius: Floats, facing: Integers, lanes: int, dtype: npt.DTypeLike
 ) -> WallPairs:
     """Contacts of disks with walls; ``facing`` lists disk and wall."""
@@ -271,7 +271,7 @@ def assemble_wall_pairs(
     )
 
 
-def assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
+def _assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
     """Walls at their reference positions."""
     count = len(scene.walls)
     motion = aligned_zeros((count, 4, lanes), dtype)
@@ -279,7 +279,7 @@ def assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
     for index, wall in enumerate(scene.walls):
         motion[index, SPEEDS] = np.reshape(wall.velocity, (2, 1))
         if wall.servo_force is not None:
-            servo[index] = SERVO_GAIN, wall.servo_force, wall.servo_speed
+            servo[index] = _SERVO_GAIN, wall.servo_force, wall.servo_speed
     return Walls(
         normal=aligned_copy(np.array([wall.normal for wall in scene.walls], dtype=dtype).reshape(count, 2)),
         friction=aligned_copy(np.array([wall.friction for wall in scene.walls], dtype=dtype)),

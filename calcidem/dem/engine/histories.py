@@ -33,7 +33,7 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
     pairs.root[...] = overlap_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
     wall_pairs.root[...] = overlap_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
     if preload is not None:
-        pairs.shear[...] = preload_of_pairs(scene, assembly, preload)[:, None]
+        pairs.shear[...] = _preload_of_pairs(scene, assembly, preload)[:, None]
     if scene.bonds is None:
         return
     overlap = pairs.geometry[:, OVERLAP]
@@ -51,7 +51,7 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
         pairs.shear[cemented] = 0.0
 
 
-def preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
+def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
     """(M,) preloaded shear force of every listed pair, zero where there is none."""
     given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
     wanted = f"give shape ({len(forces)}, 2), as many as forces"
@@ -90,14 +90,14 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
     for name in ("intact", "linear", "shear", "root", "bond_force"):
         getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
-    new_keys, old_keys = (wall_keys(assembly) for assembly in (fresh, old))
+    new_keys, old_keys = (_wall_keys(assembly) for assembly in (fresh, old))
     _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
     for name in ("shear", "root"):
         getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
     return replace(fresh, walls=old.walls)
 
 
-def wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:
+def _wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:
     """(V,) one number for each pair of disk and wall, increasing in the order of the list; walls are counted on."""
     disks, wall_pairs = len(assembly.order), assembly.wall_pairs
     pairs = np.column_stack([wall_pairs.disk, wall_pairs.wall + disks])

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from calcidem.dem.kernels.layout import Floats
 
-TERMS = 9
+_TERMS = 9
 """Of the series of sine and cosine: what is left out at an eighth of a turn is below 1e-17."""
-ARC_TERMS = 27
+_ARC_TERMS = 27
 """Of the series of the arcsine: what is left out at 1/2 is below 1e-17."""
 
 
@@ -33,7 +33,7 @@ def three_halves(value: Floats) -> Floats:
     return np.asarray(value * np.sqrt(value))
 
 
-def horner(coefficients: Sequence[float], x: Floats) -> Floats:
+def _horner(coefficients: Sequence[float], x: Floats) -> Floats:
     """Polynomial in x, the coefficient of the lowest power first."""
     total = np.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
@@ -51,8 +51,8 @@ def sine_of_turns(turns: npt.ArrayLike) -> Floats:
     beyond = quarter > 0.125  # noqa: PLR2004 - an eighth
     angle = 2.0 * np.pi * np.where(beyond, 0.25 - quarter, quarter)
     square = angle * angle
-    sine = angle + angle * square * horner(SINE, square)
-    cosine = 1.0 - 0.5 * square + square * square * horner(COSINE, square)
+    sine = angle + angle * square * _horner(_SINE, square)
+    cosine = 1.0 - 0.5 * square + square * square * _horner(_COSINE, square)
     result = np.where(beyond, cosine, sine)
     return np.asarray(np.where((size > 0.5) != (t < 0.0), -result, result))  # noqa: PLR2004 - half a turn
 
@@ -66,7 +66,7 @@ def arc_sine(value: npt.ArrayLike) -> Floats:
     large = x > 0.5  # noqa: PLR2004 - as said
     reduced = np.where(large, np.sqrt(np.maximum(0.5 * (1.0 - x), 0.0)), x)
     square = reduced * reduced
-    angle = reduced + reduced * square * horner(ARC, square)
+    angle = reduced + reduced * square * _horner(_ARC, square)
     return np.asarray(np.where(large, np.pi / 2.0 - 2.0 * angle, angle))
 
 
@@ -95,7 +95,7 @@ def sliding_products(signal: Floats, weights: Floats) -> Floats:
     return total
 
 
-def sums_of_products(weights: Floats, values: Floats) -> Floats:
+def _sums_of_products(weights: Floats, values: Floats) -> Floats:
     """Sums (K,) of products of the rows of ``weights`` (K, S) and the values (S,)."""
     total: Floats = np.zeros(len(weights))
     for column, value in zip(weights.T, values.tolist(), strict=True):
@@ -108,15 +108,15 @@ def smooth_cubically(signal: Floats, reach: int) -> Floats:
 
     The first and the last samples take theirs from the outermost of these cubics.
     """
-    weights = cubic_weights(reach)
+    weights = _cubic_weights(reach)
     size = 2 * reach + 1
-    first = sums_of_products(weights[:reach], signal[:size])
-    last = sums_of_products(weights[reach + 1 :], signal[-size:])
+    first = _sums_of_products(weights[:reach], signal[:size])
+    last = _sums_of_products(weights[reach + 1 :], signal[-size:])
     return np.concatenate([first, sliding_products(signal, weights[reach]), last])
 
 
 @cache
-def cubic_weights(reach: int) -> Floats:
+def _cubic_weights(reach: int) -> Floats:
     """Weights (S, S) of S = 2 reach + 1 samples in the value at each of their places of the cubic through them.
 
     Sum over the orthogonal polynomials p of degree 0 to 3 (Gram's) of ``p(i) p(j) / sum(p^2)``, exact until the end.
@@ -137,6 +137,6 @@ def cubic_weights(reach: int) -> Floats:
     return weights
 
 
-SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, TERMS))
-COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, TERMS + 1))
-ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, ARC_TERMS))
+_SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, _TERMS))
+_COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, _TERMS + 1))
+_ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, _ARC_TERMS))

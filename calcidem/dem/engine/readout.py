@@ -98,7 +98,7 @@ class Energies:
         return self.kinetic + self.elastic + self.contact_loss + self.damping_loss - self.wall_work - self.load_work
 
 
-def look_ahead(state: State) -> State:
+def _look_ahead(state: State) -> State:
     """Return the state one step later, with histories that belong to the present position.
 
     At time zero the histories do so already, hence nothing slides in that step.
@@ -138,16 +138,16 @@ def wall_overlaps(state: State) -> Floats:
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
     """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
-    refuse_linear(state)
-    ahead = look_ahead(state)
+    _refuse_linear(state)
+    ahead = _look_ahead(state)
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
-    intact = lane_of(pairs.intact, lane)
+    intact = _lane_of(pairs.intact, lane)
     normal = pairs.hertz * three_halves(np.maximum(depth, 0.0))
     if state.features.linear_group:
         pressed = np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) * pairs.linear[:, NORMAL]
-        normal = np.where(lane_of(pairs.cemented, lane), pressed, normal)
+        normal = np.where(_lane_of(pairs.cemented, lane), pressed, normal)
     else:
         normal = np.where(intact, 0.0, normal)
     bond = pairs.bond_force[:, :, lane]
@@ -164,14 +164,14 @@ def contact_forces(state: State, lane: int = 0) -> ContactForces:
     )
 
 
-def lane_of(bits: Integers, lane: int) -> Flags:
+def _lane_of(bits: Integers, lane: int) -> Flags:
     """Truth values of one lane."""
     return ((bits >> np.uint32(lane)) & 1).astype(bool)
 
 
 def wall_reactions(state: State, lane: int = 0) -> Floats:
     """(W, 2) normal and shear force of the disks on each wall at the present position, N/m."""
-    return look_ahead(state).assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)
+    return _look_ahead(state).assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)
 
 
 def net_forces(state: State, lane: int = 0) -> Floats:
@@ -180,7 +180,7 @@ def net_forces(state: State, lane: int = 0) -> Floats:
     Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
     """
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
-    ahead = look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
+    ahead = _look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
     change = (ahead.motion.velocity[:, :, lane] - before) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
@@ -199,8 +199,8 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
 
 def energies(state: State, lane: int = 0) -> Energies:
     """Energies of one lane at the present position, except in the ``linear`` regime (see `contact_forces`)."""
-    refuse_linear(state)
-    ahead = look_ahead(state)
+    _refuse_linear(state)
+    ahead = _look_ahead(state)
     velocity = state.motion.velocity[:, :, lane].astype(float)
     account = state.account[:, lane].astype(float)
     if state.steps:
@@ -212,7 +212,7 @@ def energies(state: State, lane: int = 0) -> Energies:
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[order]
     return Energies(
         kinetic=0.5 * float((inertia * velocity**2).sum()),
-        elastic=elastic_energy(state, ahead, lane),
+        elastic=_elastic_energy(state, ahead, lane),
         wall_work=float(account[WALL_WORK]),
         contact_loss=float(account[CONTACT_LOSS]),
         damping_loss=float(account[DAMPING_LOSS]),
@@ -220,41 +220,41 @@ def energies(state: State, lane: int = 0) -> Energies:
     )
 
 
-def refuse_linear(state: State) -> None:
+def _refuse_linear(state: State) -> None:
     """Raise a `ValueError` for a state of the ``linear`` regime."""
     if state.features.linear:
         raise ValueError("regime = linear: it knows only forces added to the reference state; use small or finite")
 
 
-def elastic_energy(state: State, ahead: State, lane: int) -> float:
+def _elastic_energy(state: State, ahead: State, lane: int) -> float:
     """Energy stored in contacts: Hertz 2/5 F_n d, shear F_s^2 / (2 k_s), and the springs of linear groups and bonds."""
     pairs, wall_pairs = ahead.assembly.pairs, ahead.assembly.wall_pairs
     depth, wall_depth = overlaps(state)[:, lane], wall_overlaps(state)[:, lane]
     ratio = state.scene.sand.shear_ratio
-    hertz, shear_stiffness = hertz_energy(pairs.hertz, depth, ratio)
-    intact, cemented = lane_of(pairs.intact, lane), lane_of(pairs.cemented, lane)
+    hertz, shear_stiffness = _hertz_energy(pairs.hertz, depth, ratio)
+    intact, cemented = _lane_of(pairs.intact, lane), _lane_of(pairs.cemented, lane)
     if state.features.linear_group:
         linear = 0.5 * pairs.linear[:, NORMAL] * np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) ** 2
         hertz = np.where(cemented, linear, hertz)
         shear_stiffness = np.where(cemented, pairs.linear[:, SHEAR], shear_stiffness)
     else:
         hertz = np.where(intact, 0.0, hertz)
-    stored = float(hertz.sum()) + spring_energy(pairs.shear[:, lane], shear_stiffness)
-    wall_hertz, wall_stiffness = hertz_energy(wall_pairs.hertz, wall_depth, ratio)
-    stored += float(wall_hertz.sum()) + spring_energy(wall_pairs.shear[:, lane], wall_stiffness)
+    stored = float(hertz.sum()) + _spring_energy(pairs.shear[:, lane], shear_stiffness)
+    wall_hertz, wall_stiffness = _hertz_energy(wall_pairs.hertz, wall_depth, ratio)
+    stored += float(wall_hertz.sum()) + _spring_energy(wall_pairs.shear[:, lane], wall_stiffness)
     if state.features.bonds:
         for component in (NORMAL, SHEAR, MOMENT):
-            stored += spring_energy(pairs.bond_force[:, component, lane], pairs.bond[:, component])
+            stored += _spring_energy(pairs.bond_force[:, component, lane], pairs.bond[:, component])
     return stored
 
 
-def hertz_energy(coefficient: Floats, depth: Floats, shear_ratio: float) -> tuple[Floats, Floats]:
+def _hertz_energy(coefficient: Floats, depth: Floats, shear_ratio: float) -> tuple[Floats, Floats]:
     """Energy 2/5 F_n d of Hertz contacts and their shear stiffness."""
     pressed = np.maximum(depth, 0.0)
     return 0.4 * coefficient * pressed**2.5, 1.5 * coefficient * shear_ratio * np.sqrt(pressed)
 
 
-def spring_energy(force: Floats, stiffness: Floats) -> float:
+def _spring_energy(force: Floats, stiffness: Floats) -> float:
     """Summed F^2 / (2 k) of springs; those without stiffness carry nothing."""
     safe = np.where(stiffness > 0.0, stiffness, 1.0)
     return float(np.sum(np.where(stiffness > 0.0, force**2 / (2.0 * safe), 0.0)))

@@ -19,9 +19,9 @@ from calcidem.dem.kernels.layout import (
     Y,
 )
 
-Place = tuple[int, int]
+_Entry = tuple[int, int]
 
-SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
+_SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
 
 
 def critical_time_step(
@@ -51,18 +51,18 @@ def critical_time_step(
     contacts, and that rules of thumb overestimate it.
     """
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
-    add_pairs(matrices, scene, assembly, features, overlap)
-    add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
+    _add_pairs(matrices, scene, assembly, features, overlap)
+    _add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
     if not features.rotation:
         matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
-    largest = largest_eigenvalue(matrices)
+    largest = _largest_eigenvalue(matrices)
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
     squared = (2.0 * inverse_mass[:, None] * largest).max(axis=0)
     with np.errstate(divide="ignore"):
-        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), no_contact_step(scene))
+        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
 
 
-def largest_eigenvalue(matrices: Floats) -> Floats:
+def _largest_eigenvalue(matrices: Floats) -> Floats:
     """Upper bound (...) of the eigenvalues of symmetric matrices (..., 3, 3) without negative ones, good to 1e-12.
 
     Jacobi's rotations in a fixed order, made of ``+ - * /`` and square roots alone, since LAPACK's last bits depend on
@@ -71,10 +71,10 @@ def largest_eigenvalue(matrices: Floats) -> Floats:
     """
     scale = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
     scaled = matrices / np.where(scale > 0.0, scale, 1.0)[..., None, None]
-    entry: dict[Place, Floats] = {(i, j): scaled[..., i, j] for i in range(3) for j in range(i, 3)}
-    for _ in range(SWEEPS):
+    entry: dict[_Entry, Floats] = {(i, j): scaled[..., i, j] for i in range(3) for j in range(i, 3)}
+    for _ in range(_SWEEPS):
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
-            rotate(entry, (p, q), (min(p, r), max(p, r)), (min(q, r), max(q, r)))
+            _rotate(entry, (p, q), (min(p, r), max(p, r)), (min(q, r), max(q, r)))
     off = [np.abs(entry[place]) for place in ((0, 1), (0, 2), (1, 2))]
     rims = (
         entry[0, 0] + (off[0] + off[1]),
@@ -84,7 +84,7 @@ def largest_eigenvalue(matrices: Floats) -> Floats:
     return np.asarray(np.maximum(np.maximum(rims[0], rims[1]), rims[2]) * scale * (1.0 + 1e-12))
 
 
-def rotate(entry: dict[tuple[int, int], Floats], pq: Place, pr: Place, qr: Place) -> None:
+def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _Entry) -> None:
     """Turn the entry (p, q) of symmetric matrices into zero by a rotation of the axes p and q, in place."""
     p, q = pq
     off, gap = entry[pq], entry[q, q] - entry[p, p]
@@ -99,16 +99,16 @@ def rotate(entry: dict[tuple[int, int], Floats], pq: Place, pr: Place, qr: Place
     entry[pq] = np.zeros_like(off)
 
 
-def add_pairs(matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> None:
+def _add_pairs(matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> None:
     """Add the contacts between disks to the matrices of their disks, in place."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
     for disk, side in ((pairs.first, -1.0), (pairs.second, 1.0)):
-        add_contacts(matrices, disk, side * n, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
+        _add_contacts(matrices, disk, side * n, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
 
 
-def add_wall_pairs(
+def _add_wall_pairs(
     matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None
 ) -> None:
     """Add half of the contacts with walls to the matrices of their disks, in place."""
@@ -118,10 +118,10 @@ def add_wall_pairs(
     tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
     shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
     normal = walls.normal[wall_pairs.wall].astype(float)
-    add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, np.zeros(shape))
+    _add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, np.zeros(shape))
 
 
-def no_contact_step(scene: Scene) -> float:
+def _no_contact_step(scene: Scene) -> float:
     """Step for disks that touch nothing yet: limit of a contact pressed in by a thousandth of a radius."""
     smallest = float(np.min(scene.radius))
     coefficient = float(scene.sand.hertz_coefficient(np.array(smallest), np.array(smallest)))
@@ -154,7 +154,7 @@ def pair_stiffness(
     return normal, shear, twist
 
 
-def add_contacts(matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, twist: Floats) -> None:
+def _add_contacts(matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, twist: Floats) -> None:
     """Add the contacts' matrices to those of their disks, in place; ``n`` (M, 2) points to the disk."""
     s = np.column_stack([-n[:, Y], n[:, X], np.full(len(n), -np.sqrt(2.0))])
     flat = np.column_stack([n, np.zeros(len(n))])

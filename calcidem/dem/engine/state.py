@@ -31,8 +31,8 @@ from calcidem.dem.kernels.steps import advance_steps
 Precision = Literal["float64", "float32"]
 SAFETY = 0.8  # default step as a part of the critical time step
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
-REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
-REACH_TOGETHER = 0.35  # the same where several steps are under way then
+_REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
+_REACH_TOGETHER = 0.35  # the same where several steps are under way then
 STEPS_TOGETHER = 4
 SMALLEST_BLOCK = 32
 
@@ -197,14 +197,14 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         steps=0,
         skin=skin,
         assembly=assembly,
-        motion=first_motion(scene, assembly.order, chosen.lanes, dtype, velocity, spin),
+        motion=_first_motion(scene, assembly.order, chosen.lanes, dtype, velocity, spin),
         origin=aligned_zeros((scene.count, 2, chosen.lanes), dtype),
         wall_origin=aligned_zeros((len(scene.walls), chosen.lanes), dtype),
         account=aligned_zeros((4, chosen.lanes), dtype),
     )
 
 
-def first_motion(
+def _first_motion(
     scene: Scene,
     order: Integers,
     lanes: int,
@@ -263,11 +263,11 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
     assembly, front = state.assembly, make_front(state)
-    reach = (REACH if front.levels == 1 else REACH_TOGETHER) * state.skin
+    reach = (_REACH if front.levels == 1 else _REACH_TOGETHER) * state.skin
     system = System(
         grains=assembly.grains,
-        motion=Motion(*(rows(array) for array in state.motion)),
-        pairs=assembly.pairs._replace(bond_force=rows(assembly.pairs.bond_force)),
+        motion=Motion(*(_rows(array) for array in state.motion)),
+        pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
         wall_pairs=assembly.wall_pairs,
         walls=assembly.walls,
         front=front,
@@ -278,7 +278,7 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
     return advance_steps(state.features, steps, time_step, system)
 
 
-def rows(array: Floats) -> Floats:
+def _rows(array: Floats) -> Floats:
     """View of an array as rows of lanes, the shape in which kernels find their way fastest."""
     return array.reshape(-1, array.shape[-1])
 

@@ -14,10 +14,10 @@ def integrate(features: Features, grain: int, level: int, dt: Vector, system: Sy
     grains, watch = system.grains, system.watch
     square = zero_like(dt)
     inverse = scalar(grains.inverse_mass, (grain,))
-    x = kick(features, grain, X, level, inverse, dt, system)
-    y = kick(features, grain, Y, level, inverse, dt, system)
+    x = _kick(features, grain, X, level, inverse, dt, system)
+    y = _kick(features, grain, Y, level, inverse, dt, system)
     if features.rotation:
-        kick(features, grain, ROTATION, level, scalar(grains.inverse_inertia, (grain,)), dt, system)
+        _kick(features, grain, ROTATION, level, scalar(grains.inverse_inertia, (grain,)), dt, system)
     if features.search:
         moved_x = x - load(watch.origin, (grain, X), lanes)
         moved_y = y - load(watch.origin, (grain, Y), lanes)
@@ -26,13 +26,13 @@ def integrate(features: Features, grain: int, level: int, dt: Vector, system: Sy
 
 
 @inline
-def kick(
+def _kick(
     features: Features, grain: int, component: int, level: int, inverse: float, dt: Vector, system: System
 ) -> Vector:
     """Leapfrog update of one degree of freedom; return the new displacement."""
     lanes = features.lanes
     grains, motion, watch = system.grains, system.motion, system.watch
-    force = take_force(features, grain, component, level, system.front)
+    force = _take_force(features, grain, component, level, system.front)
     if features.loads:
         force = force + scalar(grains.load, (grain, component))
     velocity = load(motion.velocity, (row(grain, component),), lanes)
@@ -55,7 +55,7 @@ def kick(
 
 
 @inline
-def take_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
+def _take_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
     """Return the sum of the contact forces on a disk; clear its slot for a later disk."""
     slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
     force = load(front.force, (row(slot, component),), features.lanes)

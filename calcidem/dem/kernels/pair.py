@@ -55,7 +55,7 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.motion import add_energy, add_force
 
 
-class Geometry(NamedTuple):
+class _Geometry(NamedTuple):
     """A contact at the present positions.
 
     Attributes
@@ -81,7 +81,7 @@ class Geometry(NamedTuple):
     inverse_root: Vector
 
 
-class Increment(NamedTuple):
+class _Increment(NamedTuple):
     """Motion of the second disk relative to the first during the last step.
 
     Attributes
@@ -104,23 +104,23 @@ def add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Ve
     """Add the forces of the pairs ``begin`` to ``end - 1`` to their disks."""
     if features.linear:
         for pair in range(begin, end):
-            add_linear_forces(features, pair, level, system)
+            _add_linear_forces(features, pair, level, system)
     elif begin < end:
         # Roots and quotients make a pair wait for long; the next one's are begun before this one's forces are taken.
-        geometry = pair_geometry(features, begin, system)
+        geometry = _pair_geometry(features, begin, system)
         for pair in range(begin, end):
-            following = pair_geometry(features, min(pair + 1, end - 1), system)
-            add_general_forces(features, pair, geometry, level, dt, system)
+            following = _pair_geometry(features, min(pair + 1, end - 1), system)
+            _add_general_forces(features, pair, geometry, level, dt, system)
             geometry = following
 
 
 @inline
-def add_linear_forces(features: Features, pair: int, level: int, system: System) -> None:
+def _add_linear_forces(features: Features, pair: int, level: int, system: System) -> None:
     """Add the force of one pair of constant stiffness to its two disks."""
     pairs, front = system.pairs, system.front
     first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
-    geometry = pair_geometry(features, pair, system)
-    pull, drag, moment = linear_law(features, first, second, pair, geometry, system.motion, pairs)
+    geometry = _pair_geometry(features, pair, system)
+    pull, drag, moment = _linear_law(features, first, second, pair, geometry, system.motion, pairs)
     along_x = pull * geometry.normal_x - drag * geometry.normal_y
     along_y = pull * geometry.normal_y + drag * geometry.normal_x
     add_force(features, first, X, level, along_x, front)
@@ -136,13 +136,13 @@ def add_linear_forces(features: Features, pair: int, level: int, system: System)
 
 
 @inline
-def add_general_forces(
-    features: Features, pair: int, geometry: Geometry, level: int, dt: Vector, system: System
+def _add_general_forces(
+    features: Features, pair: int, geometry: _Geometry, level: int, dt: Vector, system: System
 ) -> None:
     """Add the force of one pair to its two disks."""
     pairs, front = system.pairs, system.front
     first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
-    normal, shear, moment = general_law(features, first, second, pair, dt, geometry, system)
+    normal, shear, moment = _general_law(features, first, second, pair, dt, geometry, system)
     along_x = normal * geometry.normal_x - shear * geometry.normal_y
     along_y = normal * geometry.normal_y + shear * geometry.normal_x
     add_force(features, first, X, level, -along_x, front)
@@ -158,7 +158,7 @@ def add_general_forces(
 
 
 @inline
-def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
+def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
     """Return the contact of two disks at their present positions.
 
     The overlap is the reference overlap less the *change* of the distance, which keeps single precision
@@ -168,7 +168,7 @@ def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     table, radius = system.pairs.geometry, system.grains.radius
     first, second = scalar(system.pairs.first, (pair,)), scalar(system.pairs.second, (pair,))
     overlap = scalar(table, (pair, OVERLAP))
-    apart_x, apart_y = relative_translation(features, first, second, system.motion.displacement)
+    apart_x, apart_y = _relative_translation(features, first, second, system.motion.displacement)
     if features.finite:
         distance_before = scalar(table, (pair, DISTANCE))
         before_x, before_y = scalar(table, (pair, APART_X)), scalar(table, (pair, APART_Y))
@@ -185,7 +185,7 @@ def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
         depth = overlap - grown * (share * distance_root)
         first_arm = scalar(radius, (first,)) - 0.5 * depth
         second_arm = scalar(radius, (second,)) - 0.5 * depth
-        return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
+        return _Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
     normal_x = fill_lanes(scalar(table, (pair, NORMAL_X)), features.lanes)
     normal_y = fill_lanes(scalar(table, (pair, NORMAL_Y)), features.lanes)
     along = normal_x * apart_x + normal_y * apart_y
@@ -193,13 +193,13 @@ def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     second_arm = fill_lanes(scalar(table, (pair, SECOND_ARM)), features.lanes)
     flat = zero_like(along)
     if features.linear:
-        return Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
+        return _Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
     inverse_root = 1.0 / load(system.pairs.root, (pair,), features.lanes) if features.rescaling else flat
-    return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
+    return _Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
 
 
 @inline
-def relative_translation(features: Features, first: int, second: int, field: Vector) -> tuple[Vector, Vector]:
+def _relative_translation(features: Features, first: int, second: int, field: Vector) -> tuple[Vector, Vector]:
     """Components of the second disk's translation less the first's."""
     lanes = features.lanes
     return (
@@ -209,12 +209,12 @@ def relative_translation(features: Features, first: int, second: int, field: Vec
 
 
 @inline
-def slide_and_twist(
-    features: Features, first: int, second: int, geometry: Geometry, field: Vector
+def _slide_and_twist(
+    features: Features, first: int, second: int, geometry: _Geometry, field: Vector
 ) -> tuple[Vector, Vector]:
     """Tangential displacement (or velocity) at the contact and relative rotation, second less first."""
     lanes = features.lanes
-    apart_x, apart_y = relative_translation(features, first, second, field)
+    apart_x, apart_y = _relative_translation(features, first, second, field)
     slide = geometry.normal_x * apart_y - geometry.normal_y * apart_x
     if features.rotation:
         first_turn = load(field, (row(first, ROTATION),), lanes)
@@ -225,15 +225,15 @@ def slide_and_twist(
 
 
 @inline
-def linear_law(
-    features: Features, first: int, second: int, pair: int, geometry: Geometry, motion: Motion, pairs: Pairs
+def _linear_law(
+    features: Features, first: int, second: int, pair: int, geometry: _Geometry, motion: Motion, pairs: Pairs
 ) -> tuple[Vector, Vector, Vector]:
     """Return tension, shear force and moment that constant stiffnesses add to the reference state.
 
     Unlike those of the other laws they are the ones on the first disk, which saves three changes of sign.
     """
     lanes = features.lanes
-    slide, twist = slide_and_twist(features, first, second, geometry, motion.displacement)
+    slide, twist = _slide_and_twist(features, first, second, geometry, motion.displacement)
     apart = geometry.overlap
     sand_normal, sand_shear = scalar(pairs.tangent, (pair, NORMAL)), scalar(pairs.tangent, (pair, SHEAR))
     if features.bonds:
@@ -250,29 +250,29 @@ def linear_law(
 
 
 @inline
-def general_law(
-    features: Features, first: int, second: int, pair: int, dt: Vector, geometry: Geometry, system: System
+def _general_law(
+    features: Features, first: int, second: int, pair: int, dt: Vector, geometry: _Geometry, system: System
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment from overlap, histories and the increments of the last step."""
     pairs, motion, watch = system.pairs, system.motion, system.watch
-    speed, spin = slide_and_twist(features, first, second, geometry, motion.velocity)
+    speed, spin = _slide_and_twist(features, first, second, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:
-        normal, shear = frictional_law(features, pair, geometry, slide, pairs, watch)
+        normal, shear = _frictional_law(features, pair, geometry, slide, pairs, watch)
         return normal, shear, zero_like(slide)
-    approach = relative_approach(features, first, second, geometry, dt, motion)
-    moved = Increment(approach, slide, spin * dt)
-    normal, shear, moment = bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
+    approach = _relative_approach(features, first, second, geometry, dt, motion)
+    moved = _Increment(approach, slide, spin * dt)
+    normal, shear, moment = _bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
     if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
         # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
-        friction = frictional_law(features, pair, geometry, slide, pairs, watch)
+        friction = _frictional_law(features, pair, geometry, slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
     return normal, shear, moment
 
 
 @inline
-def frictional_law(
-    features: Features, pair: int, geometry: Geometry, slide: Vector, pairs: Pairs, watch: Watch
+def _frictional_law(
+    features: Features, pair: int, geometry: _Geometry, slide: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector]:
     """Return normal and shear force of the part with friction: the sand's contact, or the cement's linear group.
 
@@ -330,15 +330,15 @@ def add_shear_loss(
 
 
 @inline
-def relative_approach(
-    features: Features, first: int, second: int, geometry: Geometry, dt: Vector, motion: Motion
+def _relative_approach(
+    features: Features, first: int, second: int, geometry: _Geometry, dt: Vector, motion: Motion
 ) -> Vector:
     """Return by how much the distance of two disks shrank during the last step, m.
 
     The normal belongs to the end of the step. ``across^2 / (2 distance)`` corrects for its turning: without it a bonded
     pair that only rotates would stretch its bond a little in every step.
     """
-    apart_x, apart_y = relative_translation(features, first, second, motion.velocity)
+    apart_x, apart_y = _relative_translation(features, first, second, motion.velocity)
     along = (geometry.normal_x * apart_x + geometry.normal_y * apart_y) * dt
     if features.finite:
         across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
@@ -347,8 +347,8 @@ def relative_approach(
 
 
 @inline
-def bond_forces(
-    features: Features, pair: int, moved: Increment, overlap: Vector, pairs: Pairs, watch: Watch
+def _bond_forces(
+    features: Features, pair: int, moved: _Increment, overlap: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector, Vector]:
     """Return the forces of the parallel bond after one more increment; break it where it is too weak.
 
@@ -371,7 +371,7 @@ def bond_forces(
             bending=scalar(pairs.strength, (pair, BENDING)),
         )
         if features.account:
-            add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
+            _add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
         intact = intact & ~broken
         pairs.intact[pair] = bits_of_mask(intact)
     normal = select(intact, normal, 0.0)
@@ -384,7 +384,7 @@ def bond_forces(
 
 
 @inline
-def add_breakage_loss(
+def _add_breakage_loss(
     features: Features,
     pair: int,
     broken: Vector,

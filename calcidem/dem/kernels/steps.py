@@ -55,24 +55,24 @@ def advance_steps(features: Features, steps: int, time_step: Floats, system: Sys
     -------
     Steps done: fewer than ``steps`` when a disk has moved so far that the pair list must be renewed.
     """
-    return take_steps(features, steps, time_step, system)
+    return _take_steps(features, steps, time_step, system)
 
 
 @inline
-def take_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
+def _take_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
     """Do the steps of `advance_steps`, some at a time."""
     dt = load(time_step, (0,), features.lanes)
     walls, recording = system.walls, system.recording
     step = 0
     while step < steps:
-        together = steps_in_flight(features, steps, step, system.front, recording)
+        together = _steps_in_flight(features, steps, step, system.front, recording)
         start_walls(features, together, recording.offset + step, dt, system)
-        far = step_together(features, together, dt, system)
+        far = _step_together(features, together, dt, system)
         step += together
         finish_walls(features, together, recording.offset + step - 1, dt, system)
         if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
             if (recording.offset + step) % recording.stride == 0:
-                record_sample(features, (recording.offset + step) // recording.stride - 1, system)
+                _record_sample(features, (recording.offset + step) // recording.stride - 1, system)
         if features.search:
             for wall in range(walls.normal.shape[0]):
                 far = far | wall_is_far(features, wall, walls, system.watch)
@@ -82,7 +82,7 @@ def take_steps(features: Features, steps: int, time_step: Floats, system: System
 
 
 @inline
-def steps_in_flight(features: Features, steps: int, step: int, front: Front, recording: Recording) -> int:
+def _steps_in_flight(features: Features, steps: int, step: int, front: Front, recording: Recording) -> int:
     """Steps that may run together: not more than fit, and not beyond the next sample."""
     together = min(front.levels, steps - step)
     if features.recording:
@@ -91,7 +91,7 @@ def steps_in_flight(features: Features, steps: int, step: int, front: Front, rec
 
 
 @inline
-def step_together(features: Features, together: int, dt: Vector, system: System) -> Vector:
+def _step_together(features: Features, together: int, dt: Vector, system: System) -> Vector:
     """Lead ``together`` steps through all blocks; return the lanes in which a disk left the reach of the pair list."""
     pair_start, wall_start = system.pairs.start, system.wall_pairs.start
     far = dt < 0.0
@@ -111,7 +111,7 @@ def step_together(features: Features, together: int, dt: Vector, system: System)
 
 
 @inline
-def record_sample(features: Features, sample: int, system: System) -> None:
+def _record_sample(features: Features, sample: int, system: System) -> None:
     """Record the shear force on the receiving wall and the mean velocity of the listening disks."""
     lanes = features.lanes
     recording = system.recording

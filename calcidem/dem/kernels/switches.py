@@ -26,16 +26,16 @@ from numba.extending import (
 
 from calcidem.dem.kernels.features import Features
 
-SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+_SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 """Identity of the kernel's source code. The disk cache of numba looks at the file of the outermost function only, so
 without it an edited contact law would run with yesterday's machine code."""
 
 
-class FeaturesType(types.Type):
+class _FeaturesType(types.Type):
     """Numba type of one combination of features."""
 
     def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
-        self.source = SOURCES
+        self.source = _SOURCES
         self.values = values
         super().__init__(name=f"Features({', '.join(f'{name}={value}' for name, value in values)})")
 
@@ -46,38 +46,38 @@ class FeaturesType(types.Type):
 
 
 @typeof_impl.register(Features)
-def type_of_features(features: Features, context: Any) -> FeaturesType:
+def _type_of_features(features: Features, context: Any) -> _FeaturesType:
     """Numba type of a `Features` object."""
     del context
-    return FeaturesType(features.items())
+    return _FeaturesType(features.items())
 
 
-@register_model(FeaturesType)
-class FeaturesModel(models.OpaqueModel):
+@register_model(_FeaturesType)
+class _FeaturesModel(models.OpaqueModel):
     """Nothing is passed at run time."""
 
 
-@unbox(FeaturesType)
-def unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
+@unbox(_FeaturesType)
+def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
     """Pass no data: the type says it all."""
     del kind, features
     return NativeValue(context.context.get_dummy_value())
 
 
 @infer_getattr
-class FeaturesAttributes(AttributeTemplate):
+class _FeaturesAttributes(AttributeTemplate):
     """Type of ``features.name``: the literal value itself."""
 
-    key = FeaturesType
+    key = _FeaturesType
 
-    def generic_resolve(self, kind: FeaturesType, name: str) -> Any:
+    def generic_resolve(self, kind: _FeaturesType, name: str) -> Any:
         """Literal type of a switch, None for an unknown name."""
         values = dict(kind.values)
         return types.literal(values[name]) if name in values else None
 
 
-@lower_getattr_generic(FeaturesType)
-def lower_feature(context: Any, builder: Any, kind: FeaturesType, value: Any, name: str) -> Any:
+@lower_getattr_generic(_FeaturesType)
+def _lower_feature(context: Any, builder: Any, kind: _FeaturesType, value: Any, name: str) -> Any:
     """Machine code of ``features.name``: a constant."""
     del value
     literal = types.literal(dict(kind.values)[name])

@@ -22,7 +22,7 @@ from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
 
-class LaneType(types.Type):
+class _LaneType(types.Type):
     """Numba type of ``width`` floating-point numbers in one vector."""
 
     def __init__(self, dtype: Any, width: int) -> None:
@@ -41,7 +41,7 @@ class LaneType(types.Type):
         return Conversion.safe if isinstance(other, types.Number) else None
 
 
-class MaskType(types.Type):
+class _MaskType(types.Type):
     """Numba type of one truth value for each lane."""
 
     def __init__(self, width: int) -> None:
@@ -54,24 +54,24 @@ class MaskType(types.Type):
         return self.width
 
 
-@register_model(LaneType)
-class LaneModel(models.PrimitiveModel):
+@register_model(_LaneType)
+class _LaneModel(models.PrimitiveModel):
     """A lane vector is an LLVM vector of floats."""
 
-    def __init__(self, manager: Any, lane: LaneType) -> None:
+    def __init__(self, manager: Any, lane: _LaneType) -> None:
         element = manager.lookup(lane.dtype).get_value_type()
         super().__init__(manager, lane, ir.VectorType(element, lane.width))
 
 
-@register_model(MaskType)
-class MaskModel(models.PrimitiveModel):
+@register_model(_MaskType)
+class _MaskModel(models.PrimitiveModel):
     """A mask is an LLVM vector of bits, which AVX-512 keeps in a mask register."""
 
-    def __init__(self, manager: Any, mask: MaskType) -> None:
+    def __init__(self, manager: Any, mask: _MaskType) -> None:
         super().__init__(manager, mask, ir.VectorType(ir.IntType(1), mask.width))
 
 
-def splat(builder: Any, scalar: Any, width: int) -> Any:
+def _splat(builder: Any, scalar: Any, width: int) -> Any:
     """Spread one LLVM scalar over ``width`` lanes."""
     single = builder.insert_element(
         ir.Constant(ir.VectorType(scalar.type, width), ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
@@ -80,64 +80,64 @@ def splat(builder: Any, scalar: Any, width: int) -> Any:
     return builder.shuffle_vector(single, single, zeros)
 
 
-@lower_cast(types.Number, LaneType)
-def cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: LaneType, value: Any) -> Any:
+@lower_cast(types.Number, _LaneType)
+def _cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: _LaneType, value: Any) -> Any:
     """Spread a number over the lanes, in the precision of the lanes."""
-    return splat(builder, context.cast(builder, value, from_type, to_type.dtype), to_type.width)
+    return _splat(builder, context.cast(builder, value, from_type, to_type.dtype), to_type.width)
 
 
-def widest_lane(args: tuple[Any, ...]) -> LaneType | None:
+def _widest_lane(args: tuple[Any, ...]) -> _LaneType | None:
     """Lane type among the arguments, if one of them is a lane vector and the others fit it."""
-    lanes = [arg for arg in args if isinstance(arg, LaneType)]
+    lanes = [arg for arg in args if isinstance(arg, _LaneType)]
     if not lanes or not all(arg == lanes[0] or isinstance(arg, types.Number) for arg in args):
         return None
     return lanes[0]
 
 
-def register_arithmetic(function: Any, instruction: str) -> None:
+def _register_arithmetic(function: Any, instruction: str) -> None:
     """Teach numba one arithmetic operator on lane vectors."""
 
     @infer_global(function)
     class Arithmetic(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
-            lane = widest_lane(args)
+            lane = _widest_lane(args)
             return None if lane is None else signature(lane, *[lane] * len(args))
 
-    @lower_builtin(function, *[LaneType] * (1 if instruction == "fneg" else 2))
+    @lower_builtin(function, *[_LaneType] * (1 if instruction == "fneg" else 2))
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         return getattr(builder, instruction)(*args)
 
 
-def register_comparison(function: Any, symbol: str) -> None:
+def _register_comparison(function: Any, symbol: str) -> None:
     """Teach numba one comparison of lane vectors; comparisons with NaN are false."""
 
     @infer_global(function)
     class Comparison(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
-            lane = widest_lane(args)
-            return None if lane is None else signature(MaskType(lane.width), lane, lane)
+            lane = _widest_lane(args)
+            return None if lane is None else signature(_MaskType(lane.width), lane, lane)
 
-    @lower_builtin(function, LaneType, LaneType)
+    @lower_builtin(function, _LaneType, _LaneType)
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         return builder.fcmp_ordered(symbol, *args)
 
 
-def register_logic(function: Any, instruction: str) -> None:
+def _register_logic(function: Any, instruction: str) -> None:
     """Teach numba one logical operator on masks."""
 
     @infer_global(function)
     class Logic(AbstractTemplate):
         def generic(self, args: tuple[Any, ...], kws: Any) -> Any:
             del kws
-            if all(isinstance(arg, MaskType) for arg in args):
+            if all(isinstance(arg, _MaskType) for arg in args):
                 return signature(args[0], *args)
             return None
 
-    @lower_builtin(function, *[MaskType] * (1 if instruction == "not_" else 2))
+    @lower_builtin(function, *[_MaskType] * (1 if instruction == "not_" else 2))
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         return getattr(builder, instruction)(*args)
@@ -150,7 +150,7 @@ for _function, _instruction in (
     (operator.truediv, "fdiv"),
     (operator.neg, "fneg"),
 ):
-    register_arithmetic(_function, _instruction)
+    _register_arithmetic(_function, _instruction)
 for _function, _symbol in (
     (operator.gt, ">"),
     (operator.ge, ">="),
@@ -158,18 +158,18 @@ for _function, _symbol in (
     (operator.le, "<="),
     (operator.ne, "!="),
 ):
-    register_comparison(_function, _symbol)
+    _register_comparison(_function, _symbol)
 for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), (operator.invert, "not_")):
-    register_logic(_function, _instruction)
+    _register_logic(_function, _instruction)
 
 
-def integers(context: Any, builder: Any, index_type: Any, index: Any) -> list[Any]:
+def _integers(context: Any, builder: Any, index_type: Any, index: Any) -> list[Any]:
     """Entries of a compiled index tuple as machine integers; none is negative, so none needs wrapping around."""
     values = zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
     return [context.cast(builder, value, kind, types.intp) for value, kind in values]
 
 
-def row_pointer(
+def _row_pointer(
     context: Any, builder: Any, array_type: Any, array: Any, index_type: Any, index: Any, vector: Any
 ) -> Any:
     """Pointer to row ``index``, an LLVM vector, of a C-contiguous array whose last axis is the lane.
@@ -178,7 +178,7 @@ def row_pointer(
     """
     view = make_array(array_type)(context, builder, array)
     shape = cgutils.unpack_tuple(builder, view.shape)
-    row, *others = integers(context, builder, index_type, index)
+    row, *others = _integers(context, builder, index_type, index)
     for value, length in zip(others, shape[1:-1], strict=True):
         row = builder.add(builder.mul(row, length), value)
     return builder.gep(builder.bitcast(view.data, vector.as_pointer()), [row])
@@ -188,11 +188,11 @@ def row_pointer(
 def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
     """Compiled side of `load`."""
     del typingctx
-    lane = LaneType(array.dtype, width.literal_value)
+    lane = _LaneType(array.dtype, width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         vector = context.get_value_type(lane)
-        pointer = row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], vector)
+        pointer = _row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], vector)
         return builder.load(pointer, align=array.dtype.bitwidth // 8)
 
     return lane(array, index, width), codegen
@@ -204,7 +204,7 @@ def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     del typingctx
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        pointer = row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], args[2].type)
+        pointer = _row_pointer(context, builder, sig.args[0], args[0], sig.args[1], args[1], args[2].type)
         builder.store(args[2], pointer, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -218,7 +218,7 @@ def load_scalar(typingctx: Any, array: Any, index: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         view = make_array(sig.args[0])(context, builder, args[0])
-        place = integers(context, builder, sig.args[1], args[1])
+        place = _integers(context, builder, sig.args[1], args[1])
         return builder.load(cgutils.get_item_pointer(context, builder, sig.args[0], view, place))
 
     return array.dtype(array, index), codegen
@@ -228,11 +228,11 @@ def load_scalar(typingctx: Any, array: Any, index: Any) -> Any:
 def fill_with_scalar(typingctx: Any, number: Any, width: Any) -> Any:
     """Compiled side of `fill_lanes`."""
     del typingctx
-    lane = LaneType(number, width.literal_value)
+    lane = _LaneType(number, width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
-        return splat(builder, args[0], lane.width)
+        return _splat(builder, args[0], lane.width)
 
     return lane(number, width), codegen
 
@@ -253,7 +253,7 @@ def zero_vector(typingctx: Any, value: Any) -> Any:
 def bits_to_mask(typingctx: Any, bits: Any, width: Any) -> Any:
     """Compiled side of `mask_of_bits`."""
     del typingctx
-    mask = MaskType(width.literal_value)
+    mask = _MaskType(width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
@@ -282,7 +282,7 @@ def mask_to_bits(typingctx: Any, mask: Any) -> Any:
 def select_lanes(typingctx: Any, mask: Any, if_true: Any, if_false: Any) -> Any:
     """Compiled side of `select`."""
     del typingctx
-    lane = widest_lane((if_true, if_false))
+    lane = _widest_lane((if_true, if_false))
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         values = [context.cast(builder, value, kind, lane) for value, kind in zip(args[1:], sig.args[1:], strict=True)]
@@ -300,7 +300,7 @@ def unary_intrinsic(name: str) -> Any:
 
         def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
             del context, sig
-            return call_vector_function(builder, name, value, args)
+            return _call_vector_function(builder, name, value, args)
 
         return value(value), codegen
 
@@ -314,12 +314,12 @@ def copy_sign(typingctx: Any, value: Any, sign: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
-        return call_vector_function(builder, "llvm.copysign", value, args)
+        return _call_vector_function(builder, "llvm.copysign", value, args)
 
     return value(value, sign), codegen
 
 
-def call_vector_function(builder: Any, name: str, lane: LaneType, args: tuple[Any, ...]) -> Any:
+def _call_vector_function(builder: Any, name: str, lane: _LaneType, args: tuple[Any, ...]) -> Any:
     """Call the form of an LLVM function that takes and returns lane vectors."""
     vector = args[0].type
     # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.

@@ -62,16 +62,16 @@ def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: S
         arm = scalar(grains.radius, (grain,)) - 0.5 * depth
     if features.linear:
         rim = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes)
-        slide = wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
+        slide = _wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
         normal = closer * scalar(wall_pairs.tangent, (pair, NORMAL))
         stiffness = fill_lanes(scalar(wall_pairs.tangent, (pair, NORMAL)), lanes)
         shear = slide * -scalar(wall_pairs.tangent, (pair, SHEAR))
     else:
         rim = load(front.wall_motion, (level, wall, TANGENT_SPEED), lanes)
-        slide = wall_slide(features, grain, wall, arm, rim, motion.velocity, walls) * dt
+        slide = _wall_slide(features, grain, wall, arm, rim, motion.velocity, walls) * dt
         friction = min(scalar(walls.friction, (wall,)), scalar(grains.friction, (grain,)))
-        normal, stiffness, shear = wall_law(features, pair, friction, depth, slide, system)
-    add_reaction(features, wall, level, normal, -shear, stiffness, front)
+        normal, stiffness, shear = _wall_law(features, pair, friction, depth, slide, system)
+    _add_reaction(features, wall, level, normal, -shear, stiffness, front)
     add_force(features, grain, X, level, normal * normal_x - shear * normal_y, front)
     add_force(features, grain, Y, level, normal * normal_y + shear * normal_x, front)
     if features.rotation:
@@ -79,7 +79,7 @@ def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: S
 
 
 @inline
-def wall_slide(
+def _wall_slide(
     features: Features, grain: int, wall: int, arm: Vector, wall_path: Vector, field: Vector, walls: Walls
 ) -> Vector:
     """Tangential displacement (or velocity) of a disk's rim relative to a wall."""
@@ -93,7 +93,7 @@ def wall_slide(
 
 
 @inline
-def wall_law(
+def _wall_law(
     features: Features, pair: int, friction: float, depth: Vector, slide: Vector, system: System
 ) -> tuple[Vector, Vector, Vector]:
     """Hertz-Mindlin contact of a disk and a wall: normal force, normal stiffness, shear force on the disk."""
@@ -122,7 +122,7 @@ def wall_law(
 
 
 @inline
-def add_reaction(
+def _add_reaction(
     features: Features, wall: int, level: int, normal: Vector, shear: Vector, stiffness: Vector, front: Front
 ) -> None:
     """Add one contact to the sums of a wall."""
@@ -146,7 +146,7 @@ def start_walls(features: Features, together: int, step: int, dt: Vector, system
             for column in range(3):
                 store(front.reaction, (level, wall, column), zero_like(dt))
         for level in range(together - 1):
-            move_wall(features, wall, level, step + level, dt, system)
+            _move_wall(features, wall, level, step + level, dt, system)
 
 
 @inline
@@ -155,7 +155,7 @@ def finish_walls(features: Features, together: int, step: int, dt: Vector, syste
     lanes = features.lanes
     walls, front = system.walls, system.front
     for wall in range(walls.normal.shape[0]):
-        move_wall(features, wall, together - 1, step, dt, system)
+        _move_wall(features, wall, together - 1, step, dt, system)
         for column in range(4):
             store(walls.motion, (wall, column), load(front.wall_motion, (together, wall, column), lanes))
         for column in range(3):
@@ -163,7 +163,7 @@ def finish_walls(features: Features, together: int, step: int, dt: Vector, syste
 
 
 @inline
-def move_wall(features: Features, wall: int, level: int, step: int, dt: Vector, system: System) -> None:
+def _move_wall(features: Features, wall: int, level: int, step: int, dt: Vector, system: System) -> None:
     """Give a wall its velocity of this step and move it; the drive and the servo act here."""
     lanes = features.lanes
     front, recording = system.front, system.recording
@@ -175,7 +175,7 @@ def move_wall(features: Features, wall: int, level: int, step: int, dt: Vector, 
             along_tangent = load(recording.drive, (step,), lanes)
     if features.servo:  # noqa: SIM102 - as above
         if scalar(system.walls.servo, (wall, GAIN)) > 0.0:
-            along_normal = servo_speed(features, wall, level, dt, system.walls, front)
+            along_normal = _servo_speed(features, wall, level, dt, system.walls, front)
     moved_normal = load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) + dt * along_normal
     moved_tangent = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes) + dt * along_tangent
     store(front.wall_motion, (level + 1, wall, NORMAL_PATH), moved_normal)
@@ -197,7 +197,7 @@ def wall_is_far(features: Features, wall: int, walls: Walls, watch: Watch) -> Ve
 
 
 @inline
-def servo_speed(features: Features, wall: int, level: int, dt: Vector, walls: Walls, front: Front) -> Vector:
+def _servo_speed(features: Features, wall: int, level: int, dt: Vector, walls: Walls, front: Front) -> Vector:
     """Speed that would bring the wall's force to its target in 1 / gain steps, up to a largest speed.
 
     ``v = gain (F_target - F) / (K dt)`` with K the summed contact stiffness of the wall, as PFC's servo-mechanism of

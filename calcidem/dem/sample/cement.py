@@ -19,8 +19,8 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.sample.toroid import toroid_area
 
-CENTRES_AT_ONCE = 512
-MOST_CENTRES = 400 * CENTRES_AT_ONCE  # gives up on clusters so small that they hardly ever meet a contact
+_CENTRES_AT_ONCE = 512
+_MOST_CENTRES = 400 * _CENTRES_AT_ONCE  # gives up on clusters so small that they hardly ever meet a contact
 
 
 class CementCapacityError(ValueError):
@@ -199,7 +199,7 @@ class CementOrdering:
         reached = float(self.p_content[p_count])
         clusters = 0
         if content > self.rule.threshold:
-            clusters = nearest_count(self.c_content, content - reached)
+            clusters = _nearest_count(self.c_content, content - reached)
             reached += float(self.c_content[clusters])
         kind = np.full(len(self.p_rank), CementKind.NONE, dtype=np.uint8)
         kind[self.p_rank < p_count] = CementKind.P
@@ -210,10 +210,10 @@ class CementOrdering:
         """Count the P contacts at a content, before clusters take some of them over."""
         if content > self.rule.threshold and not self.rule.keep_p:
             return 0
-        return nearest_count(self.p_content, min(content, self.rule.threshold))
+        return _nearest_count(self.p_content, min(content, self.rule.threshold))
 
 
-def nearest_count(content: Floats, wanted: float) -> int:
+def _nearest_count(content: Floats, wanted: float) -> int:
     """Return the number whose content, of the increasing ``content[number]``, is nearest to that wanted."""
     above = int(np.searchsorted(content, wanted, side="right"))
     below = max(above - 1, 0)
@@ -260,7 +260,7 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     order = random_generator(root_seed, seed, RandomPurpose.P_CONTACTS).permutation(len(pairs))
     p_rank = np.empty_like(order)
     p_rank[order] = np.arange(len(order))
-    centres, first_cluster, areas = draw_clusters(
+    centres, first_cluster, areas = _draw_clusters(
         contact_points(x, y, radius, pairs),
         c_area,
         box=box,
@@ -272,9 +272,9 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     return CementOrdering(
         rule=rule,
         p_rank=p_rank,
-        p_content=percent * running_sum(p_area[order]),
+        p_content=percent * _running_sum(p_area[order]),
         first_cluster=first_cluster,
-        c_content=percent * running_sum(areas),
+        c_content=percent * _running_sum(areas),
         centres=centres,
         pore_content=percent * pore_area,
     )
@@ -289,7 +289,7 @@ def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Flo
     return np.asarray(first + (second - first) * (from_first / distance)[:, None])
 
 
-def draw_clusters(
+def _draw_clusters(
     points: Floats,
     contact_area: Floats,
     *,
@@ -307,7 +307,7 @@ def draw_clusters(
     areas: list[float] = []
     first_cluster = np.full(len(points), -1, dtype=np.int64)
     waiting, room = len(points), pore_area
-    for centre, contacts in circles(points, box, rule.cluster_diameter / 2.0, generator):
+    for centre, contacts in _circles(points, box, rule.cluster_diameter / 2.0, generator):
         reached_now = contacts[first_cluster[contacts] < 0]
         first_cluster[reached_now] = len(centres)
         area = rule.cluster_area or float(contact_area[contacts].sum())
@@ -321,18 +321,18 @@ def draw_clusters(
     return np.reshape(centres, (-1, 2)), first_cluster, np.array(areas)
 
 
-def circles(
+def _circles(
     points: Floats, box: tuple[float, float], radius: float, generator: np.random.Generator
 ) -> Iterator[tuple[Floats, Integers]]:
     """Yield random centres in the box, each with the points (their increasing indices) that its circle holds.
 
-    Circles that hold none are skipped; after `MOST_CENTRES` centres there are no more.
+    Circles that hold none are skipped; after `_MOST_CENTRES` centres there are no more.
     """
     if len(points) == 0:
         return
     tree = cKDTree(points)
-    for _ in range(MOST_CENTRES // CENTRES_AT_ONCE):
-        centres = generator.uniform(0.0, 1.0, (CENTRES_AT_ONCE, 2)) * box
+    for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
+        centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
         # The tree looks a little further than need be: which of its points lie inside is decided here.
         near = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
         for centre, indices in zip(centres, near, strict=True):
@@ -342,6 +342,6 @@ def circles(
                 yield centre, inside
 
 
-def running_sum(values: Floats) -> Floats:
+def _running_sum(values: Floats) -> Floats:
     """Return the sums of the first 0, 1, 2, ... values."""
     return np.concatenate([[0.0], np.cumsum(values)])

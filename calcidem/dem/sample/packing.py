@@ -21,11 +21,11 @@ from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
-RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
-STEP_FRACTION = 0.8  # of the stability limit at the present overlaps
-FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
-FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
-STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
+_RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
+_STEP_FRACTION = 0.8  # of the stability limit at the present overlaps
+_FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
+_FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
+_STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
 
 
 class PackingError(RuntimeError):
@@ -204,14 +204,14 @@ def make_packing(
     cost = Cost()
     radius = draw_radii(rule, generator)
     slippery = replace(sand, friction=rule.friction_preparation)
-    loose = loosest_factor(rule, radius)
+    loose = _loosest_factor(rule, radius)
     x, y = place_apart(rule, radius * loose, generator)
     preload: Preload | None = None
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
         state = relax(scene, preload, rule, cost, check, filling=True)
         x, y = state.position().T
-        preload = preload_of(state)
+        preload = _preload_of(state)
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
     state = relax(scene, preload, rule, cost, check, filling=False)
@@ -229,7 +229,7 @@ def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
     return scale * radius
 
 
-def loosest_factor(rule: PackingRule, radius: Floats) -> float:
+def _loosest_factor(rule: PackingRule, radius: Floats) -> float:
     """Part of the final radii at which the disks can be placed at random without touching.
 
     Random sequential placement of equal disks jams at a covered part of 0.547 (Hinrichsen, Feder and Jossang 1986,
@@ -258,7 +258,7 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
                 for b in range(max(0, row - 1), min(rows, row + 2))
                 for other in cells.get((a, b), ())
             ]
-            if all(square(px - x[o]) + square(py - y[o]) >= square(own + radius[o]) for o in near):
+            if all(_square(px - x[o]) + _square(py - y[o]) >= _square(own + radius[o]) for o in near):
                 break
         else:
             raise PackingError(f"no room for disk {disk}: raise the porosity or enlarge the box")
@@ -267,7 +267,7 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
     return x, y
 
 
-def square(value: float) -> float:
+def _square(value: float) -> float:
     """Square, rounded once; the power of a number is the C library's affair."""
     return value * value
 
@@ -294,8 +294,8 @@ def relax(
     while True:
         check()
         limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
-        state = advance(replace(state, time_step=STEP_FRACTION * limit), RELAXATION_CHUNK)
-        cost.steps += RELAXATION_CHUNK
+        state = advance(replace(state, time_step=_STEP_FRACTION * limit), _RELAXATION_CHUNK)
+        cost.steps += _RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
         if not np.isfinite(ratio) or cost.steps > rule.most_steps:
             raise PackingError(
@@ -303,20 +303,21 @@ def relax(
                 "raise most_steps, damping or unbalanced_force_ratio"
             )
         if filling:
-            if ratio < FILLING_RATIO or overlaps(state).max(initial=0.0) < FILLING_OVERLAP * scene.radius.min():
+            if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < _FILLING_OVERLAP * scene.radius.min():
                 return state
         elif (
-            ratio < rule.unbalanced_force_ratio and abs(lid_stress(state, rule) / rule.stress - 1.0) < STRESS_TOLERANCE
+            ratio < rule.unbalanced_force_ratio
+            and abs(_lid_stress(state, rule) / rule.stress - 1.0) < _STRESS_TOLERANCE
         ):
             return state
 
 
-def lid_stress(state: State, rule: PackingRule) -> float:
+def _lid_stress(state: State, rule: PackingRule) -> float:
     """Normal stress on the lid, Pa."""
     return float(wall_reactions(state)[LID, 0]) / rule.width
 
 
-def preload_of(state: State) -> Preload:
+def _preload_of(state: State) -> Preload:
     """Shear forces of the touching pairs."""
     contacts = contact_forces(state)
     return Preload(contacts.pairs, contacts.shear)
@@ -327,7 +328,7 @@ def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
     height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
     position = state.position()
     contacts = contact_forces(state)
-    backbone = coordination_without_rattlers(contacts.pairs, state)
+    backbone = _coordination_without_rattlers(contacts.pairs, state)
     reactions = wall_reactions(state)[:, 0]
     lengths = np.array([height, height, rule.width, rule.width])
     report = PackingReport(
@@ -353,7 +354,7 @@ def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
     )
 
 
-def coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
+def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
     """Coordination number of the disks that carry load, and the number of the others.
 
     A disk with fewer than two contacts (walls included) carries nothing; taking it away may leave others so.

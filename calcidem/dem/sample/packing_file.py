@@ -13,10 +13,10 @@ from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Cost, Packing, PackingError, PackingRule, box_walls, packing_at_rest, relax
 
-CSV_COLUMNS = ("x", "y", "radius")
-LARGEST_OVERLAP = 0.1
+_CSV_COLUMNS = ("x", "y", "radius")
+_LARGEST_OVERLAP = 0.1
 """Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
-FEWEST_DISKS = 10
+_FEWEST_DISKS = 10
 
 
 class PackingFileError(PackingError):
@@ -27,7 +27,7 @@ def write_packing_csv(packing: Packing, file: Path) -> None:
     """Write the disks of a packing: a head line, then x, y and radius of each in m, in digits that lose nothing."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(CSV_COLUMNS)
+        writer.writerow(_CSV_COLUMNS)
         writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
 
 
@@ -76,8 +76,8 @@ def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
         Naming the line.
     """
     x, y, radius, lines = read_disks(file)
-    check_walls(file, lines, x, y, radius, width)
-    check_overlaps(file, lines, x, y, radius)
+    _check_walls(file, lines, x, y, radius, width)
+    _check_overlaps(file, lines, x, y, radius)
     return x, y, radius
 
 
@@ -91,24 +91,24 @@ def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
     """
     try:
         with file.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(numbered_rows(file, stream.read().splitlines()))
+            rows = list(_numbered_rows(file, stream.read().splitlines()))
     except (OSError, UnicodeDecodeError) as error:
         raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
-    if len(rows) < FEWEST_DISKS:
-        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
+    if len(rows) < _FEWEST_DISKS:
+        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {_FEWEST_DISKS}")
     numbers, values = zip(*rows, strict=True)
     x, y, radius = np.array(values).T
     return x.copy(), y.copy(), radius.copy(), list(numbers)
 
 
-def numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
+def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the line number and x, y, radius of each disk."""
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     table = csv.reader(line for _, line in kept)
     head = [name.strip() for name in next(table, [])]
-    if missing := [name for name in CSV_COLUMNS if name not in head]:
+    if missing := [name for name in _CSV_COLUMNS if name not in head]:
         raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
-    places = [head.index(name) for name in CSV_COLUMNS]
+    places = [head.index(name) for name in _CSV_COLUMNS]
     for (number, line), row in zip(kept[1:], table, strict=True):
         try:
             x, y, radius = (float(row[place]) for place in places)
@@ -119,10 +119,10 @@ def numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[flo
         yield number, (x, y, radius)
 
 
-def check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
+def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
     """Refuse disks that reach out of the box."""
     for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
-        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
+        out = np.flatnonzero(gap < (1.0 - _LARGEST_OVERLAP) * radius)
         if len(out):
             disk = out[0]
             beyond = radius[disk] - gap[disk]
@@ -132,13 +132,13 @@ def check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floa
             )
 
 
-def check_overlaps(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats) -> None:
+def _check_overlaps(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats) -> None:
     """Refuse disks that lie in one another."""
     centres = np.column_stack([x, y])
     pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
     distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
     overlap = radius[pairs].sum(axis=1) - distance
-    deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))
+    deep = np.flatnonzero(overlap > _LARGEST_OVERLAP * radius[pairs].min(axis=1))
     if len(deep):
         first, second = sorted(lines[disk] for disk in pairs[deep[0]])
         raise PackingFileError(

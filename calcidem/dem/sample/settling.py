@@ -9,8 +9,8 @@ from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import State, duplicate, no_recording, run_in_place
 from calcidem.dem.kernels.layout import SPEEDS
 
-SETTLING_CHUNK = 500  # steps between two looks
-SETTLING_DAMPING = 0.7  # local damping factor
+_SETTLING_CHUNK = 500  # steps between two looks
+_SETTLING_DAMPING = 0.7  # local damping factor
 
 
 class SettlingError(RuntimeError):
@@ -44,7 +44,7 @@ def settle(
     lanes = state.features.lanes
     open_lanes = np.ones(lanes, dtype=bool)
     grains = state.assembly.grains
-    damped = grains._replace(damping=np.full_like(grains.damping, SETTLING_DAMPING))
+    damped = grains._replace(damping=np.full_like(grains.damping, _SETTLING_DAMPING))
     features = replace(state.features, servo=True, damping=True, recording=False)
     current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
     while open_lanes.any():
@@ -55,7 +55,7 @@ def settle(
                 "raise most_settling_steps or unbalanced_force_ratio"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
-        current = run_in_place(current, SETTLING_CHUNK, no_recording(current))
+        current = run_in_place(current, _SETTLING_CHUNK, no_recording(current))
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio

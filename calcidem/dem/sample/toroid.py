@@ -52,10 +52,10 @@ def toroid_area(
             f"{min(first.flat[worst], second.flat[worst]):g} m that it cements: "
             "make the cement narrower than the smallest disk"
         )
-    return half_area(first, cement) + half_area(second, cement)
+    return _half_area(first, cement) + _half_area(second, cement)
 
 
-def half_area(diameter: Floats, cement_diameter: Floats) -> Floats:
+def _half_area(diameter: Floats, cement_diameter: Floats) -> Floats:
     """Cement between one disk and the tangent line at the contact, m^2; shapes as given."""
     sine = cement_diameter / diameter
     height = diameter / 2.0 * (1.0 - np.sqrt((1.0 - sine) * (1.0 + sine)))

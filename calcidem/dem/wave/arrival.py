@@ -13,12 +13,12 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.main_peak import MainPeak, PreparedSignals, find_main_peak, parabola_vertex, prepare_signals
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
 
-PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
-APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
-DEFAULT_RULE = PickRule()
+_PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
+_APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
+_DEFAULT_RULE = PickRule()
 
 
-def read_travel_times(signals: Signals, rule: PickRule = DEFAULT_RULE) -> Picks:
+def read_travel_times(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> Picks:
     """Read the travel time of a pulse by three methods.
 
     Without a trusted main peak all three readings fail, for the same reason.
@@ -29,45 +29,45 @@ def read_travel_times(signals: Signals, rule: PickRule = DEFAULT_RULE) -> Picks:
         failed = Reading(failure=main)
         return Picks(failed, failed, failed)
     return Picks(
-        peak=read_peak(record, main),
-        first_arrival=read_first_arrival(record, main),
-        cross_correlation=read_cross_correlation(record, main),
+        peak=_read_peak(record, main),
+        first_arrival=_read_first_arrival(record, main),
+        cross_correlation=_read_cross_correlation(record, main),
     )
 
 
-def has_arrived(signals: Signals, rule: PickRule = DEFAULT_RULE) -> bool:
+def has_arrived(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> bool:
     """Return whether the main peak is settled, so that a longer record of this sample changes no reading."""
     return isinstance(find_main_peak(prepare_signals(signals, rule)), MainPeak)
 
 
-def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = DEFAULT_RULE) -> float:
+def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = _DEFAULT_RULE) -> float:
     """Return the length of record, s, in which a pulse without dispersion is settled; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return 0.5 * period + travel + max((rule.horizon - 1.0) * travel, period) + rule.smoothing * period
 
 
-def read_peak(record: PreparedSignals, main: MainPeak) -> Reading:
+def _read_peak(record: PreparedSignals, main: MainPeak) -> Reading:
     """Read the time between both peaks."""
     travel = main.time - record.sent_peak
-    if main.twin > APART * travel:
+    if main.twin > _APART * travel:
         return Reading(failure=PickFailure.UNSURE)
     return record.reading(travel, main.quality)
 
 
-def read_first_arrival(record: PreparedSignals, main: MainPeak) -> Reading:
+def _read_first_arrival(record: PreparedSignals, main: MainPeak) -> Reading:
     """Read the time between the last rises through the onset level before both peaks."""
     onset, sent = record.rule.onset, record.sent
     if main.noise >= onset * main.height:
         return Reading(failure=PickFailure.NOISE)
-    began = last_rise(sent, record.sent_top, onset * float(sent[record.sent_top]))
-    ended = last_rise(record.smooth, main.index, onset * main.height)
+    began = _last_rise(sent, record.sent_top, onset * float(sent[record.sent_top]))
+    ended = _last_rise(record.smooth, main.index, onset * main.height)
     return record.reading(ended - began, 1.0 - main.precursor)
 
 
-def read_cross_correlation(record: PreparedSignals, main: MainPeak) -> Reading:
+def _read_cross_correlation(record: PreparedSignals, main: MainPeak) -> Reading:
     """Read the lag at which the sent pulse fits the received signal best."""
     sent, received = record.sent, record.received[: main.end]
-    support = np.flatnonzero(np.abs(sent) > PULSE_FLOOR * sent[record.sent_top])
+    support = np.flatnonzero(np.abs(sent) > _PULSE_FLOOR * sent[record.sent_top])
     begin = int(support[0])
     pulse = sent[begin : int(support[-1]) + 1]
     if len(pulse) > len(received):
@@ -83,7 +83,7 @@ def read_cross_correlation(record: PreparedSignals, main: MainPeak) -> Reading:
     return record.reading(best + parabola_vertex(products, best) - begin, coefficient)
 
 
-def last_rise(signal: Floats, top: int, level: float) -> float:
+def _last_rise(signal: Floats, top: int, level: float) -> float:
     """Return the time in samples at which a signal last rises through a level before its peak."""
     below = int(np.flatnonzero(signal[: top + 1] < level)[-1])
     low, high = signal[below], signal[below + 1]

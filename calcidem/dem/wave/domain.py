@@ -14,7 +14,7 @@ from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 
-DEPTH = 6.0  # mean diameters of a damping layer that are kept
+_DEPTH = 6.0  # mean diameters of a damping layer that are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
     count = len(packing.x)
     if WHOLE_DOMAIN in rule.keep or installation != "preserve":
         return Domain(packing, np.arange(len(packing.pairs)), np.zeros(count, dtype=bool))
-    kept = within_reach(packing, rule)
+    kept = _within_reach(packing, rule)
     if rule.regime != "finite":
         kept &= np.bincount(packing.pairs.ravel(), minlength=count) > 0
     kept[listening_disks(packing, rule)] = True
@@ -76,11 +76,11 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
     return np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < rule.listening_depth))
 
 
-def within_reach(packing: Packing, rule: WaveRule) -> Flags:
+def _within_reach(packing: Packing, rule: WaveRule) -> Flags:
     """(N,) disks that are not deep in a layer that damps by 1."""
     if rule.boundary_damping < 1.0:
         return np.ones(len(packing.x), dtype=bool)
     middle = packing.height / 2.0
     bands = max(rule.transmitter_half_width, rule.receiver_half_width)
-    reach = max(middle - rule.boundary_thickness, bands) + DEPTH * 2.0 * float(packing.radius.mean())
+    reach = max(middle - rule.boundary_thickness, bands) + _DEPTH * 2.0 * float(packing.radius.mean())
     return np.asarray(np.abs(packing.y - middle) < reach)

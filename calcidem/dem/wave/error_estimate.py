@@ -12,14 +12,14 @@ import numpy as np
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.recorder import WaveRecord
 
-SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
-TURNING = 3.0  # over mean overlap / mean radius
-STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
-CLOSING = 0.5  # over `WaveRecord.closing_gaps`
-SLIP = 0.8  # over the cube of `slip_ratio`
-SINGLE_PRECISION = 1.0e-3
-CHATTER = 7.5e-3  # see `chatter_error`
-UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
+_SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
+_TURNING = 3.0  # over mean overlap / mean radius
+_STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
+_CLOSING = 0.5  # over `WaveRecord.closing_gaps`
+_SLIP = 0.8  # over the cube of `slip_ratio`
+_SINGLE_PRECISION = 1.0e-3
+_CHATTER = 7.5e-3  # see `_chatter_error`
+_UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 
 
 class ErrorParts(NamedTuple):
@@ -35,7 +35,7 @@ class ErrorParts(NamedTuple):
         The smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by a part
         of an interval. The factor is half as large again as the largest shift found.
     regime
-        See `geometry_error` and `slip_error`. Small and linear displacement also keep gaps open that a pulse closes:
+        See `_geometry_error` and `_slip_error`. Small and linear displacement also keep gaps open that a pulse closes:
         each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Contacts that close").
     precision
         Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob").
@@ -44,7 +44,7 @@ class ErrorParts(NamedTuple):
         a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the first
         arrival, so that n is at least the onset level: chattering contacts make it, and another step another one.
     chatter
-        See `chatter_error`.
+        See `_chatter_error`.
     unbalanced
         Local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced, in
         proportion to its size over that of the wave (docs/accuracy.md, "Regime over the amplitude of the pulse").
@@ -74,19 +74,19 @@ def error_parts(
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
     # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))
-    geometry = geometry_error(experiment, frequency) + CLOSING * record.closing_gaps
+    geometry = _geometry_error(experiment, frequency) + _CLOSING * record.closing_gaps
     return ErrorParts(
         step=0.5 * record.time_step / travel_time + coarse * coarse / 24.0,
-        sampling=SAMPLING * record.sampling_interval / travel_time,
-        regime=shape * geometry + slip_error(experiment, frequency, travel_time),
-        precision=shape * (SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
+        sampling=_SAMPLING * record.sampling_interval / travel_time,
+        regime=shape * geometry + _slip_error(experiment, frequency, travel_time),
+        precision=shape * (_SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
         noise=experiment.pick.onset / (np.pi * frequency * travel_time) if noisy else 0.0,
-        chatter=chatter_error(experiment, record),
-        unbalanced=UNBALANCED * record.unbalanced_speed,
+        chatter=_chatter_error(experiment, record),
+        unbalanced=_UNBALANCED * record.unbalanced_speed,
     )
 
 
-def chatter_error(experiment: Experiment, record: WaveRecord) -> float:
+def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     """Estimated relative error of a velocity by local damping of the stiffest contacts.
 
     Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
@@ -96,10 +96,10 @@ def chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     """
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
-    return float(CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
+    return float(_CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
 
 
-def geometry_error(experiment: Experiment, frequency: float) -> float:
+def _geometry_error(experiment: Experiment, frequency: float) -> float:
     """Estimated relative error of a velocity by geometry and stiffnesses that a regime takes for constant.
 
     - A loaded contact that turns by ``u / (2 R)`` pushes sideways with ``F_n / (2 R)`` per displacement u. For Hertz,
@@ -110,11 +110,11 @@ def geometry_error(experiment: Experiment, frequency: float) -> float:
     if wave.regime == "finite":
         return 0.0
     overlap = packing.report.mean_overlap
-    turning = TURNING * overlap / float(np.mean(packing.radius))
-    return turning + (STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0)
+    turning = _TURNING * overlap / float(np.mean(packing.radius))
+    return turning + (_STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0)
 
 
-def slip_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
+def _slip_error(experiment: Experiment, frequency: float, travel_time: float) -> float:
     """Estimated relative error of a velocity by contacts that do not slip in the linear regime.
 
     The share of contacts so weakly pressed that they slip rises with about the square of `slip_ratio`, and what each of
@@ -124,7 +124,7 @@ def slip_error(experiment: Experiment, frequency: float, travel_time: float) -> 
     if experiment.wave.regime != "linear":
         return 0.0
     ratio = slip_ratio(experiment, frequency, travel_time)
-    return SLIP * (ratio * ratio * ratio)
+    return _SLIP * (ratio * ratio * ratio)
 
 
 def slip_ratio(experiment: Experiment, frequency: float, travel_time: float) -> float:

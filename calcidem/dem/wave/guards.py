@@ -16,9 +16,9 @@ from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import State
 from calcidem.dem.kernels.layout import Floats
 
-BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
-LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
-NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
+_BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
+_LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
+_NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 
 
 def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
@@ -35,28 +35,28 @@ def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
     """
     problems = [""] * state.features.lanes
     # NaN compares with nothing, so it is asked for by what it is not.
-    for lane in np.flatnonzero(~(largest_translation(state.motion.velocity) <= BLOW_UP * amplitude)).tolist():
+    for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= _BLOW_UP * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
-        problems[lane] = f"{name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
+        problems[lane] = f"{_name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
     if state.features.linear:
         return problems
-    motion = largest_translation(state.motion.displacement)
-    for find in (find_unlisted_neighbours, find_broken_bonds, find_steps_above_limit):
+    motion = _largest_translation(state.motion.displacement)
+    for find in (_find_unlisted_neighbours, _find_broken_bonds, _find_steps_above_limit):
         for lane, problem in find(state, motion, overlap):
             problems[lane] = problems[lane] or problem
     return problems
 
 
-def find_unlisted_neighbours(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+def _find_unlisted_neighbours(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes in which a disk may have met one that is not in the list of pairs."""
     if state.features.search or not state.features.finite:
         return
     for lane in np.flatnonzero(motion > 0.5 * state.skin).tolist():
         moved = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
-        yield lane, f"{name_disk(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
+        yield lane, f"{_name_disk(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
 
 
-def find_broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+def _find_broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes in which bonds broke."""
     broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
     if not broken.any():
@@ -67,12 +67,12 @@ def find_broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterato
             yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
 
 
-def find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
+def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
     """Give the lanes whose step is above the limit of the contacts as they are pressed now."""
-    noticed = motion > NOTICEABLE * overlap
+    noticed = motion > _NOTICEABLE * overlap
     if not noticed.any():
         return
-    limit = present_limit(state)
+    limit = _present_limit(state)
     for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
         problem = (
             f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
@@ -81,7 +81,7 @@ def find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iter
         yield lane, problem
 
 
-def largest_translation(field: Floats) -> Floats:
+def _largest_translation(field: Floats) -> Floats:
     """(L,) largest absolute value of the translations in each lane; not a number if one of them is none."""
     # All components of a disk at once, rotation too: a long contiguous row is reduced much faster.
     translations: Floats = np.abs(field).max(axis=0)[:2]
@@ -99,7 +99,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
     Raises
     ------
     ValueError
-        If that is more than `LARGEST_UNBALANCED_SPEED`.
+        If that is more than `_LARGEST_UNBALANCED_SPEED`.
     """
     lanes = state.features.lanes
     if state.features.linear:
@@ -111,17 +111,17 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
         force = length(*net_forces(state, lane)[:, :2].T)
         speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(swing[lane])
     require(
-        bool(np.all(speed <= LARGEST_UNBALANCED_SPEED * amplitude)),
+        bool(np.all(speed <= _LARGEST_UNBALANCED_SPEED * amplitude)),
         "amplitude",
         amplitude,
         f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than "
-        f'{LARGEST_UNBALANCED_SPEED:g} of the pulse: choose a stronger pulse, regime = "linear", or a packing with a '
+        f'{_LARGEST_UNBALANCED_SPEED:g} of the pulse: choose a stronger pulse, regime = "linear", or a packing with a '
         "smaller unbalanced_force_ratio",
     )
     return speed / amplitude
 
 
-def name_disk(state: State, values: Floats) -> str:
+def _name_disk(state: State, values: Floats) -> str:
     """Say which disk has the largest value; the first that is not a number, if there is one.
 
     By its place, since disks that the wave cannot reach are left out and the others numbered anew.
@@ -130,6 +130,6 @@ def name_disk(state: State, values: Floats) -> str:
     return f"the disk at ({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
 
 
-def present_limit(state: State) -> Floats:
+def _present_limit(state: State) -> Floats:
     """Stability limit at the present overlaps, (L,) s: Hertz contacts stiffen under load."""
     return critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))

@@ -13,7 +13,7 @@ from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
-TWIN = 0.03  # of the height of a top; step and regime change signals by half of that (docs/accuracy.md)
+_TWIN = 0.03  # of the height of a top; step and regime change signals by half of that (docs/accuracy.md)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class MainPeak:
     quality
         See `Picks`.
     twin
-        Number of samples to its farthest twin, see `farthest_twin`.
+        Number of samples to its farthest twin, see `_farthest_twin`.
     end
         Number of samples on which all this, and every other reading, depends.
     """
@@ -135,20 +135,20 @@ def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
         time = index + parabola_vertex(smooth, index)
         horizon = int(np.ceil(time + max((rule.horizon - 1.0) * (time - record.sent_peak), record.period)))
         if horizon + record.reach > len(smooth):
-            return PickFailure.PRECURSOR if doubtful else why_no_peak(record, cut_off=True)
-        peak = judge_peak(record, index, time, horizon)
+            return PickFailure.PRECURSOR if doubtful else _why_no_peak(record, cut_off=True)
+        peak = _judge_peak(record, index, time, horizon)
         if peak is not None and peak.precursor >= rule.precursor:
             doubtful = max(doubtful, peak.height)
         elif peak is not None:
             return peak if doubtful < rule.significance * peak.height else PickFailure.PRECURSOR
-    return PickFailure.PRECURSOR if doubtful else why_no_peak(record, cut_off=False)
+    return PickFailure.PRECURSOR if doubtful else _why_no_peak(record, cut_off=False)
 
 
-def judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) -> MainPeak | None:
+def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) -> MainPeak | None:
     """Weigh a peak against the record up to its horizon; None if it cannot be the main one."""
     rule, view = record.rule, record.smooth[:horizon]
     height, largest = float(view[index]), float(view.max())
-    noise = noise_level(record, horizon)
+    noise = _noise_level(record, horizon)
     prominence = float(peak_prominences(view, [index])[0][0])
     width = float(peak_widths(view, [index], rel_height=0.5)[0][0])
     if (
@@ -169,35 +169,35 @@ def judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) -
         noise=noise,
         precursor=precursor,
         quality=stands_out * max(0.0, 1.0 - precursor),
-        twin=farthest_twin(view, index, (1.0 + TWIN) * rule.prominence * largest),
+        twin=_farthest_twin(view, index, (1.0 + _TWIN) * rule.prominence * largest),
         end=horizon + record.reach,
     )
 
 
-def farthest_twin(view: Floats, index: int, prominence: float) -> int:
+def _farthest_twin(view: Floats, index: int, prominence: float) -> int:
     """Return the number of samples to the farthest top that a slightly different signal would have as its main peak.
 
     The lower of two tops loses its prominence to the higher one, unless the dip between them is deep enough.
     """
     height = float(view[index])
     farthest = 0
-    for top in find_peaks(view, height=(1.0 - TWIN) * height)[0].tolist():
+    for top in find_peaks(view, height=(1.0 - _TWIN) * height)[0].tolist():
         between = view[min(top, index) : max(top, index) + 1]
         if height - float(between.min()) < prominence:
             farthest = max(farthest, abs(top - index))
     return farthest
 
 
-def noise_level(record: PreparedSignals, horizon: int) -> float:
+def _noise_level(record: PreparedSignals, horizon: int) -> float:
     """Return the larger of what was there before any wave, and of what smoothing takes away (rms)."""
     quiet = np.abs(record.smooth[: max(1, int(record.earliest))]).max()
     rough = np.std(record.received[:horizon] - record.smooth[:horizon])
     return float(max(quiet, rough))
 
 
-def why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
+def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     """Tell silence, a record that ends too early, and a record without a clear peak apart."""
-    smooth, noise = record.smooth, noise_level(record, len(record.smooth))
+    smooth, noise = record.smooth, _noise_level(record, len(record.smooth))
     if np.abs(smooth).max() <= max(record.signals.floor, record.rule.signal_to_noise * noise):
         return PickFailure.SILENT
     rising = np.argmax(smooth) >= len(smooth) - record.period

@@ -13,12 +13,12 @@ from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 
-LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
-INEXACT = "the estimated numerical error is above 5 %: lower amplitude, or choose regime = 'finite'"
-NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower amplitude or the frequency"
-SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
-MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
-MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
+_LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
+_INEXACT = "the estimated numerical error is above 5 %: lower amplitude, or choose regime = 'finite'"
+_NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower amplitude or the frequency"
+_SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
+_MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
+_MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
 
 
 class Outcome(StrEnum):
@@ -111,7 +111,9 @@ def measure(
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     seconds = (perf_counter() - began) / len(seeds)
     return tuple(
-        Measurement(seed, content, *interpret_record(experiment, frequency, record), frequency, cement, record, seconds)
+        Measurement(
+            seed, content, *_interpret_record(experiment, frequency, record), frequency, cement, record, seconds
+        )
         for seed, cement, record in zip(seeds, placed, records, strict=True)
     )
 
@@ -138,14 +140,14 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     of the slowest velocity that is looked for, ``rho V v`` times the length of the receiver.
     """
     wave = experiment.wave
-    floor = (MUTED if wave.damping > MUTING else SILENT) * wave.amplitude
+    floor = (_MUTED if wave.damping > _MUTING else _SILENT) * wave.amplitude
     if experiment.signal == "velocity":
         return Signals(record.sampling_interval, record.sent, record.velocity, experiment.packing.width, floor)
     floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
     return Signals(record.sampling_interval, record.sent, record.force, experiment.packing.width, floor)
 
 
-def interpret_record(
+def _interpret_record(
     experiment: Experiment, frequency: float, record: WaveRecord
 ) -> tuple[Outcome, str, float | None, Picks | None, float | None]:
     """Outcome, reason, vs, picks and error of a record; what cannot be trusted has a reason and never a number."""
@@ -160,6 +162,6 @@ def interpret_record(
         return Outcome.NO_ARRIVAL, reason, None, picks, None
     noisy = picks.first_arrival.failure == PickFailure.NOISE
     error = numerical_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
-    if error > LARGEST_ERROR:
-        return Outcome.NO_ARRIVAL, NOISY if noisy else INEXACT, None, picks, None
+    if error > _LARGEST_ERROR:
+        return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, None, picks, None
     return Outcome.DONE, "", reading.velocity, picks, error

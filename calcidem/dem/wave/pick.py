@@ -7,7 +7,7 @@ import numpy as np
 
 from calcidem.dem.kernels.layout import Floats
 
-PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
+_PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
 
 
 class PickFailure(StrEnum):
@@ -77,8 +77,8 @@ class PickRule:
         for name in ("significance", "prominence", "width", "precursor", "correlation", "smoothing"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
-        if not PULSE_START <= self.onset < 1.0:
-            raise ValueError(f"onset = {self.onset}: give a part of the peak in [{PULSE_START:g}, 1)")
+        if not _PULSE_START <= self.onset < 1.0:
+            raise ValueError(f"onset = {self.onset}: give a part of the peak in [{_PULSE_START:g}, 1)")
         for name in ("horizon", "signal_to_noise"):
             if not 1.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a finite number of 1 or more")
@@ -122,7 +122,7 @@ class Signals:
             raise ValueError(f"received {np.shape(self.received)}: give a one-dimensional array of samples")
         if np.ndim(self.sent) != 1 or np.size(self.sent) == 0:
             raise ValueError(f"sent {np.shape(self.sent)}: give a one-dimensional array of samples")
-        if not max(self.sent[0], self.sent[-1]) < PULSE_START * np.max(self.sent):
+        if not max(self.sent[0], self.sent[-1]) < _PULSE_START * np.max(self.sent):
             raise ValueError("sent: give one whole positive pulse, which starts and ends at rest")
 
 

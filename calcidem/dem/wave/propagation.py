@@ -26,7 +26,7 @@ from calcidem.dem.wave.recorder import Recorder, WaveRecord
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
-LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
+_LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
 
 
 def send_waves(
@@ -88,10 +88,10 @@ def prepare_recorder(
     packing = domain.packing
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
     scene = replace(wave_scene(packing, sand, rule, bonds), held=domain.held)
-    skin = wave_skin(packing, pulse)
+    skin = _wave_skin(packing, pulse)
     state = start(
         scene,
-        features=wave_features(scene, rule, skin, lanes),
+        features=_wave_features(scene, rule, skin, lanes),
         precision=rule.precision,
         preload=packing.preload,
         step_fraction=rule.step_fraction,
@@ -112,16 +112,16 @@ def prepare_recorder(
     return Recorder(
         state,
         pulse,
-        stride=samples_stride(packing, sand, rule, bonds, frequency),
+        stride=_samples_stride(packing, sand, rule, bonds, frequency),
         listeners=np.sort(rank[listening_disks(packing, rule)]),
         samples=len(bonded),
         longest=record_duration(packing.width, rule.slowest, frequency),
         unbalanced_speed=speed,
-        closing_gaps=0.0 if rule.regime == "finite" else closing_gaps(whole, pulse.stroke),
+        closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(whole, pulse.stroke),
     )
 
 
-def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None, frequency: float) -> int:
+def _samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None, frequency: float) -> int:
     """Steps between two samples, the same for all samples of one content.
 
     It is taken from the step of the fully cemented packing (or the bare one), so that it depends neither on the
@@ -133,13 +133,13 @@ def samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | 
     return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
-def closing_gaps(packing: Packing, stroke: float) -> float:
+def _closing_gaps(packing: Packing, stroke: float) -> float:
     """Pairs with a gap below the stroke of a pulse, over the contacts: they may touch while it passes."""
     near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
     return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 
 
-def wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Features:
+def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Features:
     """What the wave needs of the kernel, and what the rule keeps all the same."""
     # A pulse that moves the grains little needs no contact search: the pairs that can meet are listed from the start.
     search = rule.regime == "finite" and skin >= SKIN
@@ -147,6 +147,6 @@ def wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Feat
     return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 
-def wave_skin(packing: Packing, pulse: Pulse) -> float:
+def _wave_skin(packing: Packing, pulse: Pulse) -> float:
     """How far apart, in mean radii, two disks may be that meet during the pulse; not more than `state.SKIN`."""
-    return min(SKIN, 2.0 * LARGEST_MOTION * pulse.stroke / float(packing.radius.mean()))
+    return min(SKIN, 2.0 * _LARGEST_MOTION * pulse.stroke / float(packing.radius.mean()))

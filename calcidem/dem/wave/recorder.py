@@ -66,12 +66,12 @@ class WaveRecord:
     @property
     def start_time(self) -> float:
         """Time of the first sample, s: half a time step before `sampling_interval`."""
-        return float(sample_times(1, self.stride, self.time_step)[0])
+        return float(_sample_times(1, self.stride, self.time_step)[0])
 
     @property
     def times(self) -> Floats:
         """(S,) times of the samples, s."""
-        return sample_times(len(self.sent), self.stride, self.time_step)
+        return _sample_times(len(self.sent), self.stride, self.time_step)
 
     @property
     def duration(self) -> float:
@@ -79,7 +79,7 @@ class WaveRecord:
         return len(self.sent) * self.sampling_interval
 
 
-def sample_times(count: int, stride: int, time_step: float) -> Floats:
+def _sample_times(count: int, stride: int, time_step: float) -> Floats:
     """(count,) times of samples, s.
 
     A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
@@ -166,7 +166,7 @@ class Recorder:
         return WaveRecord(
             time_step=step,
             stride=self.stride,
-            sent=self.pulse.velocity(sample_times(len(signals), self.stride, step)),
+            sent=self.pulse.velocity(_sample_times(len(signals), self.stride, step)),
             # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
             force=-signals[:, RECEIVED],
             velocity=signals[:, LISTENED],

@@ -10,9 +10,9 @@ from calcidem.dem.wave.pulse import Pulse
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
-STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
-LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
-LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
+_STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
+_LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
+_LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,11 @@ class WaveRule:
         smooth = "a smooth transmitter moves nothing; give a positive coefficient"
         coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
         for name, possible, cure in (
-            ("damping", self.damping <= STRONGEST_DAMPING, f"{deaf}{STRONGEST_DAMPING:g} (boundary_damping may be 1)"),
+            (
+                "damping",
+                self.damping <= _STRONGEST_DAMPING,
+                f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
+            ),
             ("band_friction", self.band_friction > 0.0, smooth),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
@@ -93,8 +97,8 @@ def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> Non
     """
     stroke, overlap = Pulse(rule.amplitude, frequency).stroke, packing.report.mean_overlap
     bounds = {
-        "linear": (LOUDEST_LINEAR * overlap, f"{LOUDEST_LINEAR:g} mean overlaps"),
-        "small": (LOUDEST_SMALL * float(packing.radius.min()), f"{LOUDEST_SMALL:g} radii of the smallest disk"),
+        "linear": (_LOUDEST_LINEAR * overlap, f"{_LOUDEST_LINEAR:g} mean overlaps"),
+        "small": (_LOUDEST_SMALL * float(packing.radius.min()), f"{_LOUDEST_SMALL:g} radii of the smallest disk"),
     }
     if rule.regime in bounds:
         bound, meaning = bounds[rule.regime]

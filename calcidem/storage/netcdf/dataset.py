@@ -19,7 +19,7 @@ from calcidem.storage.store import Store
 FORMAT_VERSION = 2
 """Version of the layout of exported files."""
 
-INDEX_NAMES = ("seed", "content")
+_INDEX_NAMES = ("seed", "content")
 
 
 def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]:
@@ -43,19 +43,19 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
     QueryError
         For an unknown quantity.
     """
-    columns = store.table((*INDEX_NAMES, *names))
+    columns = store.table((*_INDEX_NAMES, *names))
     seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
     contents, column = np.unique(columns["content"], return_inverse=True)
     coordinates = {
         name: xr.Variable((name,), values, _attributes(QUANTITY_BY_NAME[name]))
-        for name, values in zip(INDEX_NAMES, (seeds, contents), strict=True)
+        for name, values in zip(_INDEX_NAMES, (seeds, contents), strict=True)
     }
     matrices: dict[str, xr.DataArray] = {}
     for name in names:
         values, gap = _values_and_gap(QUANTITY_BY_NAME[name], columns.pop(name))
         matrix = np.full((seeds.size, contents.size), gap, dtype=values.dtype)
         matrix[row, column] = values
-        matrices[name] = xr.DataArray(matrix, coordinates, INDEX_NAMES, name, _attributes(QUANTITY_BY_NAME[name]))
+        matrices[name] = xr.DataArray(matrix, coordinates, _INDEX_NAMES, name, _attributes(QUANTITY_BY_NAME[name]))
     return matrices
 
 
@@ -83,7 +83,7 @@ def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str
         For an unknown quantity.
     """
     wanted = QUANTITY_BY_NAME if names is None else names
-    matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])
+    matrices = cell_matrices(store, [name for name in wanted if name not in _INDEX_NAMES])
     if not any(matrix.size for matrix in matrices.values()):
         raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
     return xr.Dataset(matrices, attrs=_global_attributes(store, campaign))

@@ -17,10 +17,10 @@ from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.store import Store
 
-CELLS_COPIED_AT_ONCE = 1000
+_CELLS_COPIED_AT_ONCE = 1000
 """Cells whose arrays are in memory at a time."""
 
-WHOLE_NUMBER_FILL = -1
+_WHOLE_NUMBER_FILL = -1
 
 
 def export_netcdf(
@@ -65,9 +65,9 @@ def export_netcdf(
                 packing = store.load_packing(index)
                 if packing is not None:
                     append_packing(file, packing)
-            for attempts in chunks(store.history(), CELLS_COPIED_AT_ONCE):
+            for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
                 append_attempts(file, attempts)
-            for results in chunks(store.results(with_arrays=bool(wanted)), CELLS_COPIED_AT_ONCE):
+            for results in chunks(store.results(with_arrays=bool(wanted)), _CELLS_COPIED_AT_ONCE):
                 append_samples(file, results, wanted)
     return Path(path).absolute()
 
@@ -82,7 +82,7 @@ def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
         if quantity.name == "status":
             encoding[quantity.name] = compressed
         elif quantity.kind == "whole":
-            encoding[quantity.name] = compressed | {"dtype": "int64", "_FillValue": WHOLE_NUMBER_FILL}
+            encoding[quantity.name] = compressed | {"dtype": "int64", "_FillValue": _WHOLE_NUMBER_FILL}
         elif quantity.kind == "real":
             encoding[quantity.name] = compressed | {"_FillValue": np.nan}
     return {name: options for name, options in encoding.items() if name in dataset.variables}

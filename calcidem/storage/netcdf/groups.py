@@ -20,22 +20,22 @@ T = TypeVar("T")
 Group = Any
 """A netCDF4.Dataset or netCDF4.Group; that library has no types."""
 
-Column = tuple[str, str, NDArray[Any]]
+_Column = tuple[str, str, NDArray[Any]]
 """Unit ("" for texts), long name and values of a variable."""
 
-COUNT = "_count"
+_COUNT = "_count"
 
 SAMPLE_GROUPS = ("paths", "signals", "cement")
 """Groups of arrays of single cells, which make up nearly all of a file."""
 
-CELLS_READ_AT_ONCE = 500
+_CELLS_READ_AT_ONCE = 500
 """Cells whose arrays are in memory at a time."""
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-MICROSECOND = timedelta(microseconds=1)
-NO_NUMBER = -1  # stands for None in whole-number columns, all of whose real values are 0 or more
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+_NO_NUMBER = -1  # stands for None in whole-number columns, all of whose real values are 0 or more
 
-PACKING_NUMBERS = {
+_PACKING_NUMBERS = {
     "width": ("m", "width of the box"),
     "height": ("m", "height of the lid"),
     "porosity": ("1", "area of the voids over area of the box"),
@@ -47,11 +47,11 @@ PACKING_NUMBERS = {
     "seconds": ("s", "computing time"),
 }
 
-FORMER_NAMES = {"mean_overlap": "mean_relative_overlap", "largest_overlap": "largest_relative_overlap"}
+_FORMER_NAMES = {"mean_overlap": "mean_relative_overlap", "largest_overlap": "largest_relative_overlap"}
 """Of numbers of a packing, in files of layout 1."""
 
 
-def append_columns(group: Group, dimension: str, columns: Mapping[str, Column]) -> None:
+def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
     """Append columns of equal length along an unlimited dimension, creating what isn't there yet.
 
     A column named ``<other dimension>_count`` tells how many elements of that dimension belong to each
@@ -68,12 +68,12 @@ def append_columns(group: Group, dimension: str, columns: Mapping[str, Column]) 
             variable.long_name = long_name
             if unit:
                 variable.units = unit
-            if name.endswith(COUNT):
-                variable.sample_dimension = name.removesuffix(COUNT)
+            if name.endswith(_COUNT):
+                variable.sample_dimension = name.removesuffix(_COUNT)
         group.variables[name][start : start + len(values)] = values
 
 
-def read_columns(group: Group, dimension: str, rows: slice = slice(None)) -> dict[str, NDArray[Any]]:
+def _read_columns(group: Group, dimension: str, rows: slice = slice(None)) -> dict[str, NDArray[Any]]:
     """Read all columns along a dimension, or some of their rows."""
     return {
         name: np.asarray(variable[rows])
@@ -82,7 +82,7 @@ def read_columns(group: Group, dimension: str, rows: slice = slice(None)) -> dic
     }
 
 
-def slice_by_counts(counts: NDArray[np.integer[Any]]) -> list[slice]:
+def _slice_by_counts(counts: NDArray[np.integer[Any]]) -> list[slice]:
     """Return where the elements of each owner are.
 
     Examples
@@ -94,38 +94,38 @@ def slice_by_counts(counts: NDArray[np.integer[Any]]) -> list[slice]:
     return [slice(end - count, end) for end, count in zip(ends, counts.tolist(), strict=True)]
 
 
-def texts(values: list[str | None]) -> NDArray[np.object_]:
+def _texts(values: list[str | None]) -> NDArray[np.object_]:
     """Texts as a column; a missing one is empty."""
     return np.array([value or "" for value in values], dtype=object)
 
 
-def optional_texts(values: NDArray[Any]) -> list[str | None]:
-    """Inverse of `texts`."""
+def _optional_texts(values: NDArray[Any]) -> list[str | None]:
+    """Inverse of `_texts`."""
     return [value or None for value in values.tolist()]
 
 
 def append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
     """Append attempts to the group ``attempts``."""
-    recorded = [(attempt.recorded - EPOCH) // MICROSECOND for attempt in attempts]
+    recorded = [(attempt.recorded - _EPOCH) // _MICROSECOND for attempt in attempts]
     seconds = [np.nan if attempt.seconds is None else attempt.seconds for attempt in attempts]
     columns = {
         "seed": ("1", "seed of the cell", np.array([a.key.seed for a in attempts], dtype=np.int64)),
         "content": ("percent", "calcite content of the cell", np.array([a.key.content for a in attempts])),
         "number": ("1", "number of the attempt", np.array([a.number for a in attempts], dtype=np.int32)),
         "run": ("1", "number of the run", _whole([a.run_id for a in attempts])),
-        "outcome": ("", "outcome", texts([a.outcome for a in attempts])),
-        "reason": ("", "why", texts([a.reason for a in attempts])),
+        "outcome": ("", "outcome", _texts([a.outcome for a in attempts])),
+        "reason": ("", "why", _texts([a.reason for a in attempts])),
         "rank": ("1", "MPI rank", _whole([a.rank for a in attempts])),
-        "host": ("", "host", texts([a.host for a in attempts])),
+        "host": ("", "host", _texts([a.host for a in attempts])),
         "seconds": ("s", "computing time", np.array(seconds)),
         "recorded": ("microseconds since 1970-01-01T00:00:00Z", "time of storing", np.array(recorded, dtype=np.int64)),
         "forgiven": ("1", "1 if a retry came after it", np.array([a.forgiven for a in attempts], dtype=np.int8)),
     }
-    append_columns(file.createGroup("attempts"), "attempt", columns)
+    _append_columns(file.createGroup("attempts"), "attempt", columns)
 
 
 def _whole(values: Iterable[int | None]) -> "np.ndarray[tuple[int], np.dtype[np.int32]]":
-    return np.array([NO_NUMBER if value is None else value for value in values], dtype=np.int32)
+    return np.array([_NO_NUMBER if value is None else value for value in values], dtype=np.int32)
 
 
 def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptRecord]:
@@ -139,8 +139,8 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
     """
     if "attempts" not in file.groups:
         return
-    columns = read_columns(file.groups["attempts"], "attempt")
-    hosts = optional_texts(columns["host"])
+    columns = _read_columns(file.groups["attempts"], "attempt")
+    hosts = _optional_texts(columns["host"])
     for i, host in enumerate(hosts):
         run, rank, seconds = int(columns["run"][i]), int(columns["rank"][i]), float(columns["seconds"][i])
         yield AttemptRecord(
@@ -148,11 +148,11 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
             number=int(columns["number"][i]),
             outcome=str(columns["outcome"][i]),
             reason=str(columns["reason"][i]),
-            rank=None if rank == NO_NUMBER else rank,
+            rank=None if rank == _NO_NUMBER else rank,
             host=host,
             seconds=None if np.isnan(seconds) else seconds,
-            recorded=EPOCH + int(columns["recorded"][i]) * MICROSECOND,
-            run_id=None if run == NO_NUMBER else run_numbers[run],
+            recorded=_EPOCH + int(columns["recorded"][i]) * _MICROSECOND,
+            run_id=None if run == _NO_NUMBER else run_numbers[run],
             forgiven=bool(columns["forgiven"][i]),
         )
 
@@ -163,27 +163,27 @@ def append_packing(file: Group, packing: PackingRecord) -> None:
     state = np.frombuffer(packing.state, dtype=np.uint8)
     columns = {
         "index": ("1", "index of the packing", np.array([packing.index], dtype=np.int32)),
-        "hash": ("", "hash of what it was made from", texts([packing.hash])),
-        "content_hash": ("", "hash of its own bits: disks, walls and forces", texts([packing.content_hash])),
+        "hash": ("", "hash of what it was made from", _texts([packing.hash])),
+        "content_hash": ("", "hash of its own bits: disks, walls and forces", _texts([packing.content_hash])),
         "wall_stress": (
             "",
             "normal stress on each wall in Pa, as JSON",
-            texts([json.dumps(dict(packing.wall_stress))]),
+            _texts([json.dumps(dict(packing.wall_stress))]),
         ),
         "grain_count": ("1", "number of grains", np.array([packing.radius.size], dtype=np.int64)),
         "state_byte_count": ("1", "bytes of the complete state", np.array([state.size], dtype=np.int64)),
     }
     numbers = {
-        name: (unit, meaning, np.array([getattr(packing, name)])) for name, (unit, meaning) in PACKING_NUMBERS.items()
+        name: (unit, meaning, np.array([getattr(packing, name)])) for name, (unit, meaning) in _PACKING_NUMBERS.items()
     }
-    append_columns(group, "packing", columns | numbers)
+    _append_columns(group, "packing", columns | numbers)
     grains = {
         "x": ("m", "horizontal position of the centre", packing.x),
         "y": ("m", "vertical position of the centre", packing.y),
         "radius": ("m", "radius", packing.radius),
     }
-    append_columns(group, "grain", grains)
-    append_columns(group, "state_byte", {"state": ("1", "complete state, a NumPy .npz file", state)})
+    _append_columns(group, "grain", grains)
+    _append_columns(group, "state_byte", {"state": ("1", "complete state, a NumPy .npz file", state)})
 
 
 def read_packings(file: Group) -> Iterator[PackingRecord]:
@@ -191,17 +191,17 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
     if "packings" not in file.groups:
         return
     group = file.groups["packings"]
-    columns = {FORMER_NAMES.get(name, name): column for name, column in read_columns(group, "packing").items()}
-    grains, states = slice_by_counts(columns["grain_count"]), slice_by_counts(columns["state_byte_count"])
+    columns = {_FORMER_NAMES.get(name, name): column for name, column in _read_columns(group, "packing").items()}
+    grains, states = _slice_by_counts(columns["grain_count"]), _slice_by_counts(columns["state_byte_count"])
     for i, (of_grains, of_state) in enumerate(zip(grains, states, strict=True)):
-        values: dict[str, Any] = {name: float(columns[name][i]) for name in PACKING_NUMBERS}
-        values |= read_columns(group, "grain", of_grains)
+        values: dict[str, Any] = {name: float(columns[name][i]) for name in _PACKING_NUMBERS}
+        values |= _read_columns(group, "grain", of_grains)
         yield PackingRecord(
             index=int(columns["index"][i]),
             hash=str(columns["hash"][i]),
             content_hash=str(columns["content_hash"][i]) or None if "content_hash" in columns else None,
             wall_stress=json.loads(columns["wall_stress"][i]),
-            state=read_columns(group, "state_byte", of_state)["state"].tobytes(),
+            state=_read_columns(group, "state_byte", of_state)["state"].tobytes(),
             **values,
         )
 
@@ -220,9 +220,9 @@ def _append_paths(file: Group, paths: Sequence[tuple[CellKey, tuple[int, ...]]])
     if not paths:
         return
     group = file.createGroup("paths")
-    append_columns(group, "cell", _key_columns(paths) | _count_column("grain", [len(path) for _, path in paths]))
+    _append_columns(group, "cell", _key_columns(paths) | _count_column("grain", [len(path) for _, path in paths]))
     grains = np.concatenate([np.array(path, dtype=np.int32) for _, path in paths])
-    append_columns(group, "grain", {"grain": ("1", "index of a grain along the preferential path", grains)})
+    _append_columns(group, "grain", {"grain": ("1", "index of a grain along the preferential path", grains)})
 
 
 def _append_signals(file: Group, signals: Sequence[tuple[CellKey, Signal]]) -> None:
@@ -238,7 +238,7 @@ def _append_signals(file: Group, signals: Sequence[tuple[CellKey, Signal]]) -> N
         name: (unit, meaning, np.array([getattr(signal, name) for _, signal in signals]))
         for name, (unit, meaning) in times.items()
     }
-    append_columns(group, "cell", columns)
+    _append_columns(group, "cell", columns)
     series = {
         "sent_velocity": ("m s-1", "velocity of the transmitter"),
         "received_force": ("N m-1", "shear force on the receiver for a metre of thickness"),
@@ -248,7 +248,7 @@ def _append_signals(file: Group, signals: Sequence[tuple[CellKey, Signal]]) -> N
         name: (unit, meaning, np.concatenate([getattr(signal, name) for _, signal in signals]))
         for name, (unit, meaning) in series.items()
     }
-    append_columns(group, "sample", samples)
+    _append_columns(group, "sample", samples)
 
 
 def _append_cement(file: Group, patterns: Sequence[tuple[CellKey, CementPattern]]) -> None:
@@ -256,7 +256,7 @@ def _append_cement(file: Group, patterns: Sequence[tuple[CellKey, CementPattern]
         return
     group = file.createGroup("cement")
     columns = _key_columns(patterns) | _count_column("contact", [len(pattern.contacts) for _, pattern in patterns])
-    append_columns(
+    _append_columns(
         group, "cell", columns | _count_column("cluster", [len(pattern.cluster_centres) for _, pattern in patterns])
     )
     contacts = np.concatenate([pattern.contacts for _, pattern in patterns])
@@ -266,23 +266,23 @@ def _append_cement(file: Group, patterns: Sequence[tuple[CellKey, CementPattern]
         "second": ("1", "index of the other grain", contacts[:, 1]),
         "kind": ("1", "1 for a P contact, 2 for one in a C cluster", kinds),
     }
-    append_columns(group, "contact", of_contacts)
+    _append_columns(group, "contact", of_contacts)
     centres = np.concatenate([pattern.cluster_centres for _, pattern in patterns])
     of_clusters = {
         "x": ("m", "horizontal position of the centre of a C cluster", centres[:, 0]),
         "y": ("m", "vertical position of the centre of a C cluster", centres[:, 1]),
     }
-    append_columns(group, "cluster", of_clusters)
+    _append_columns(group, "cluster", of_clusters)
 
 
-def _key_columns(items: Sequence[tuple[CellKey, Any]]) -> dict[str, Column]:
+def _key_columns(items: Sequence[tuple[CellKey, Any]]) -> dict[str, _Column]:
     return {
         "seed": ("1", "seed of the cell", np.array([key.seed for key, _ in items], dtype=np.int64)),
         "content": ("percent", "calcite content of the cell", np.array([key.content for key, _ in items])),
     }
 
 
-def _count_column(dimension: str, counts: list[int]) -> dict[str, Column]:
+def _count_column(dimension: str, counts: list[int]) -> dict[str, _Column]:
     return {f"{dimension}_count": ("1", f"number of elements of {dimension}", np.array(counts, dtype=np.int64))}
 
 
@@ -322,7 +322,7 @@ class CellArrays(Generic[T]):
         self.cells: dict[str, NDArray[Any]] = {}
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
-            self.cells = read_columns(self._group, "cell")
+            self.cells = _read_columns(self._group, "cell")
             self._ends = {name: np.concatenate(([0], np.cumsum(self.cells[f"{name}_count"]))) for name in dimensions}
             keys = zip(self.cells["seed"].tolist(), self.cells["content"].tolist(), strict=True)
             self._row = {key: row for row, key in enumerate(keys)}
@@ -342,9 +342,9 @@ class CellArrays(Generic[T]):
 
     def _read_block(self, row: int) -> None:
         """Read a cell together with those after it, since a file is mostly read in its order."""
-        self._block = range(row, min(row + CELLS_READ_AT_ONCE, len(self._row)))
+        self._block = range(row, min(row + _CELLS_READ_AT_ONCE, len(self._row)))
         self._arrays = {
-            dimension: read_columns(self._group, dimension, slice(ends[row], ends[self._block.stop]))
+            dimension: _read_columns(self._group, dimension, slice(ends[row], ends[self._block.stop]))
             for dimension, ends in self._ends.items()
         }
 

@@ -34,16 +34,16 @@ from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
 
-LAYOUTS = (1, FORMAT_VERSION)
+_LAYOUTS = (1, FORMAT_VERSION)
 """That can be read: the first has other names (`calcidem.storage.netcdf.groups`)."""
 
-SEEDS_IN_MEMORY = 500
-VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
-PATH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(PATH_PREFIX))
-GRAPH_NAMES = tuple(name for name in VALUE_NAMES if name.startswith(GRAPH_PREFIX))
-STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
-WITHOUT_OUTCOME = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
-CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
+_SEEDS_IN_MEMORY = 500
+_VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
+_PATH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(PATH_PREFIX))
+_GRAPH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(GRAPH_PREFIX))
+_STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
+_WITHOUT_OUTCOME = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
+_CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
 
 
 def import_netcdf(
@@ -113,7 +113,7 @@ def _open(path: Path) -> Group:
         raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
     layout = getattr(file, "calcidem_format", None)
-    if layout in LAYOUTS:
+    if layout in _LAYOUTS:
         return file
     file.close()
     if layout is None:
@@ -128,21 +128,21 @@ def _check_hash(path: str | os.PathLike[str], campaign: CampaignRecord) -> None:
     try:
         found = canonical_hash(json.loads(campaign.config))
     except ValueError as error:
-        raise DamagedStoreError(f"{path}: its configuration is no JSON text ({error}).", CURE_OF_CHANGE) from error
+        raise DamagedStoreError(f"{path}: its configuration is no JSON text ({error}).", _CURE_OF_CHANGE) from error
     if found != campaign.hash:
         raise DamagedStoreError(
             f"{path}: its configuration has the hash {found}, but its cells were computed with the one of hash "
             f"{campaign.hash}.",
-            CURE_OF_CHANGE,
+            _CURE_OF_CHANGE,
         )
 
 
 def _check_packings_of_cells(path: str | os.PathLike[str], file: Group, packings: Sequence[PackingRecord]) -> None:
-    with_outcome = ~np.isin(file["status"][:], WITHOUT_OUTCOME)
+    with_outcome = ~np.isin(file["status"][:], _WITHOUT_OUTCOME)
     lacking = set(np.asarray(file["packing_index"][:])[with_outcome].tolist()) - {packing.index for packing in packings}
     if lacking:
         raise DamagedStoreError(
-            f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", CURE_OF_CHANGE
+            f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", _CURE_OF_CHANGE
         )
 
 
@@ -185,22 +185,22 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
     paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
-    for start in range(0, len(seeds), SEEDS_IN_MEMORY):
-        rows = slice(start, start + SEEDS_IN_MEMORY)
+    for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
+        rows = slice(start, start + _SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
-        columns = {name: _python_values(name, file[name][rows]) for name in VALUE_NAMES if name in file.variables}
-        for i, j in np.argwhere(~np.isin(status[rows], WITHOUT_OUTCOME)).tolist():
+        columns = {name: _python_values(name, file[name][rows]) for name in _VALUE_NAMES if name in file.variables}
+        for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
-            values: dict[str, Any] = dict.fromkeys(VALUE_NAMES)
+            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)
             values |= {name: column[i, j] for name, column in columns.items()}
-            of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in PATH_NAMES}
-            of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in GRAPH_NAMES}
+            of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in _PATH_NAMES}
+            of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in _GRAPH_NAMES}
             features = None
             if of_path["contacts"] is not None:
                 features = PathFeatures(**of_path, path=paths.get(key) or ())
             yield CellResult(
                 key,
-                CellStatus(STATUS_NAMES[int(status[start + i, j])]),
+                CellStatus(_STATUS_NAMES[int(status[start + i, j])]),
                 features=features,
                 graph=GraphSummary(**of_graph) if of_graph["contacts"] is not None else None,
                 signal=signals.get(key),

@@ -11,7 +11,7 @@ from enum import StrEnum
 from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
 
-CONTENT_DECIMALS = 9
+_CONTENT_DECIMALS = 9
 
 
 class CellStatus(StrEnum):
@@ -49,7 +49,7 @@ def canonical_content(content: float) -> float:
     ValueError
         Unless 0 <= content <= 100.
     """
-    rounded = round(float(content), CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
+    rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
     if not 0.0 <= rounded <= 100.0:  # noqa: PLR2004 - percent; the comparison also refuses NaN
         raise ValueError(f"content is {content}; give percent of the sand's mass between 0 and 100.")
     return rounded

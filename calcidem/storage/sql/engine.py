@@ -28,12 +28,12 @@ from calcidem.storage.sql.filesystem import is_network_filesystem
 BUSY_TIMEOUT_SECONDS = 30.0
 WAL_SIZE_LIMIT_BYTES = 64 * 2**20
 
-WRITES = "calcidem_writes"
+_WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction is going to write."""
 
-PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
+_PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
 
-SQLITE_ERRORS: dict[int, type[StoreError]] = {
+_SQLITE_ERRORS: dict[int, type[StoreError]] = {
     5: StoreLockedError,  # SQLITE_BUSY
     6: StoreLockedError,  # SQLITE_LOCKED
     8: ReadOnlyStoreError,  # SQLITE_READONLY
@@ -45,7 +45,7 @@ SQLITE_ERRORS: dict[int, type[StoreError]] = {
     26: ForeignDatabaseError,  # SQLITE_NOTADB
 }
 
-POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
+_POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
     ("40", StoreLockedError),  # serialization failure, deadlock
     ("55P03", StoreLockedError),  # lock not available
     ("53100", DiskFullError),
@@ -60,7 +60,7 @@ POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
     ("57P", StoreUnavailableError),  # shutdown
 )
 
-CURE_OF_ERROR: dict[type[StoreError], str] = {
+_CURE_OF_ERROR: dict[type[StoreError], str] = {
     StoreLockedError: "Try again when the other process has finished; it was not stored.",
     DiskError: "Check the disk, your quota and the file system's network; nothing of this was stored.",
     DiskFullError: "Free some space and continue; nothing of this was stored, all before it is safe.",
@@ -166,7 +166,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         # A writer takes its lock at once: upgrading a read lock later can fail without waiting.
-        writes = connection.get_execution_options().get(WRITES, False)
+        writes = connection.get_execution_options().get(_WRITES, False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
@@ -201,33 +201,33 @@ def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Se
     StoreError
         The translation of whatever the database reported.
     """
-    bound = engine.execution_options(**{WRITES: True}) if write else engine
+    bound = engine.execution_options(**{_WRITES: True}) if write else engine
     try:
         with Session(bound, expire_on_commit=False) as session, session.begin():
             yield session
     except SQLAlchemyError as error:
-        raise translate_error(error, address) from error
+        raise _translate_error(error, address) from error
 
 
-def translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
+def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store that an error of the database means."""
     original = error.orig if isinstance(error, DBAPIError) else error
     kind = _kind(original)
     problem = f"{address}: {str(original).strip()}."
     if kind is None:
         return StoreError(problem, "This is not expected; please report it with this message.")
-    return kind(problem, CURE_OF_ERROR[kind])
+    return kind(problem, _CURE_OF_ERROR[kind])
 
 
 def _kind(original: BaseException | None) -> type[StoreError] | None:
     sqlite_code = getattr(original, "sqlite_errorcode", None)
     if sqlite_code is not None:
-        return SQLITE_ERRORS.get(sqlite_code & PRIMARY_CODE)
+        return _SQLITE_ERRORS.get(sqlite_code & _PRIMARY_CODE)
     # psycopg gives no state when no connection was made at all.
     state = getattr(original, "sqlstate", None)
     if state is None:
         return StoreUnavailableError if type(original).__name__ == "OperationalError" else None
-    return next((kind for prefix, kind in POSTGRESQL_ERRORS if state.startswith(prefix)), None)
+    return next((kind for prefix, kind in _POSTGRESQL_ERRORS if state.startswith(prefix)), None)
 
 
 def measure_commits(path: Path, count: int) -> tuple[str, float]:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-NETWORK_FILESYSTEMS = (
+_NETWORK_FILESYSTEMS = (
     *("9p", "acfs", "afs", "beegfs", "ceph", "cifs", "gfs", "gfs2", "gpfs", "lustre", "ncpfs", "nfs", "nfs4", "ocfs2"),
     *("orangefs", "panfs", "pvfs2", "smb3", "smbfs", "virtiofs", "wekafs"),
 )
@@ -50,7 +50,7 @@ def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
     other way it costs data.
     """
     kind = filesystem_type(path, mountinfo)
-    return kind is not None and (kind in NETWORK_FILESYSTEMS or kind.startswith("fuse."))
+    return kind is not None and (kind in _NETWORK_FILESYSTEMS or kind.startswith("fuse."))
 
 
 def _unescape(field: str) -> str:

@@ -29,10 +29,10 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
 
 LOST = "lost"
-LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
+_LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 
 
-class UtcDateTime(TypeDecorator[datetime]):
+class _UtcDateTime(TypeDecorator[datetime]):
     """A moment in UTC; SQLite has no time zones, so it is taken off on the way in and put back."""
 
     impl = DateTime(timezone=True)
@@ -67,29 +67,29 @@ class Base(DeclarativeBase):
     type_annotation_map = {  # noqa: RUF012 - the name and the mutable default are SQLAlchemy's
         float: Double,
         str: Text,
-        datetime: UtcDateTime,
+        datetime: _UtcDateTime,
         dict[str, Any]: JSON,
         list[int]: JSON,
         list[dict[str, Any]]: JSON,
     }
 
 
-def check_finite(column: str) -> CheckConstraint:
+def _check_finite(column: str) -> CheckConstraint:
     """Constraint that a column is a finite number or NULL."""
-    return CheckConstraint(f"{column} > -{LARGEST} AND {column} < {LARGEST}", name=f"{column}_finite")
+    return CheckConstraint(f"{column} > -{_LARGEST} AND {column} < {_LARGEST}", name=f"{column}_finite")
 
 
-def check_positive(column: str) -> CheckConstraint:
+def _check_positive(column: str) -> CheckConstraint:
     """Constraint that a column is a positive finite number or NULL."""
-    return CheckConstraint(f"{column} > 0 AND {column} < {LARGEST}", name=f"{column}_positive")
+    return CheckConstraint(f"{column} > 0 AND {column} < {_LARGEST}", name=f"{column}_positive")
 
 
-def check_not_negative(column: str) -> CheckConstraint:
+def _check_not_negative(column: str) -> CheckConstraint:
     """Constraint that a column is a finite number of 0 or more, or NULL."""
-    return CheckConstraint(f"{column} >= 0 AND {column} < {LARGEST}", name=f"{column}_not_negative")
+    return CheckConstraint(f"{column} >= 0 AND {column} < {_LARGEST}", name=f"{column}_not_negative")
 
 
-def check_one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
+def _check_one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
     """Constraint that a text column is one of the values."""
     return CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
 
@@ -148,12 +148,12 @@ class PackingRow(Base):
     __tablename__ = "packing"
     __table_args__ = (
         UniqueConstraint("campaign_id", "number"),
-        check_not_negative("number"),
-        check_positive("width"),
-        check_positive("height"),
-        *(check_not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
+        _check_not_negative("number"),
+        _check_positive("width"),
+        _check_positive("height"),
+        *(_check_not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
         *(
-            check_not_negative(c)
+            _check_not_negative(c)
             for c in ("mean_relative_overlap", "largest_relative_overlap", "unbalanced_ratio", "seconds")
         ),
     )
@@ -200,8 +200,8 @@ class AttemptRow(Base):
     __tablename__ = "attempt"
     __table_args__ = (
         CheckConstraint("number >= 1", name="number_positive"),
-        check_one_of("outcome", (*STORED_STATUSES, LOST)),
-        check_not_negative("seconds"),
+        _check_one_of("outcome", (*STORED_STATUSES, LOST)),
+        _check_not_negative("seconds"),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("cell.id"), primary_key=True)
@@ -222,16 +222,16 @@ class ResultRow(Base):
     __tablename__ = "result"
     __table_args__ = (
         ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
-        check_one_of("status", STORED_STATUSES),
+        _check_one_of("status", STORED_STATUSES),
         CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
         CheckConstraint(
             "status <> 'done' OR (" + " AND ".join(f"{c} IS NOT NULL" for c in NUMERICS_OF_DONE) + ")",
             name="done_has_numerics",
         ),
-        *(check_positive(column) for column in POSITIVE_COLUMNS),
-        *(check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
-        *(check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
-        *(check_finite(c) for c in ("energy_error", "error_estimate")),
+        *(_check_positive(column) for column in POSITIVE_COLUMNS),
+        *(_check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
+        *(_check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
+        *(_check_finite(c) for c in ("energy_error", "error_estimate")),
         Index(None, "status", "vs"),
     )
 
@@ -264,7 +264,7 @@ class SignalRow(Base):
     """Signals of a cell (`Signal`): one blob with the three arrays."""
 
     __tablename__ = "signal"
-    __table_args__ = (check_positive("sampling_interval"), check_finite("start_time"))
+    __table_args__ = (_check_positive("sampling_interval"), _check_finite("start_time"))
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
     sampling_interval: Mapped[float]
@@ -287,8 +287,8 @@ class PathRow(Base):
     __tablename__ = "path_features"
     __table_args__ = (
         CheckConstraint("hertz_contacts + bonded_contacts = contacts", name="contacts_add_up"),
-        *(check_finite(c) for c in ("bonded_fraction", "longest_bonded_run_fraction")),
-        *(check_finite(c) for c in ("connectivity", "normalized_connectivity")),
+        *(_check_finite(c) for c in ("bonded_fraction", "longest_bonded_run_fraction")),
+        *(_check_finite(c) for c in ("connectivity", "normalized_connectivity")),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
@@ -309,7 +309,7 @@ class GraphRow(Base):
     __tablename__ = "graph_summary"
     __table_args__ = (
         CheckConstraint("bonded_contacts >= 0 AND bonded_contacts <= contacts", name="bonded_are_contacts"),
-        *(check_not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
+        *(_check_not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
     )
 
     cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)

@@ -29,12 +29,12 @@ from calcidem.storage.store import Selection
 
 T = TypeVar("T")
 
-ROWS_READ_AT_ONCE = 10_000
+_ROWS_READ_AT_ONCE = 10_000
 """Rows that are in memory as Python objects at a time while columns are read."""
 
-KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
+_KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 
-LARGEST_LIMIT = 2**63 - 1
+_LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
 
 KEYS_PER_QUERY = 500
@@ -98,24 +98,24 @@ def table(
     limit: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """See `Store.table`."""
-    check_names([*names, *(name.removeprefix("-") for name in sort)])
-    if not names or (limit is not None and not 0 <= limit <= LARGEST_LIMIT):
+    _check_names([*names, *(name.removeprefix("-") for name in sort)])
+    if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
     statement = join_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
     statement = statement.where(*conditions(campaign_id, selection))
     statement = statement.order_by(*map(_order_of, sort), CellRow.seed, CellRow.content).limit(limit)
-    types = [KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
+    types = [_KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
-    for rows_of_block in session.execute(statement, execution_options={"yield_per": ROWS_READ_AT_ONCE}).partitions():
+    for rows_of_block in session.execute(statement, execution_options={"yield_per": _ROWS_READ_AT_ONCE}).partitions():
         columns = zip(*rows_of_block, strict=True)
         blocks.append([np.array(column, dtype=kind) for column, kind in zip(columns, types, strict=True)])
     return {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
 
 
-def check_names(names: Iterable[str]) -> None:
+def _check_names(names: Iterable[str]) -> None:
     """Refuse names that are not in the catalogue of quantities.
 
     Raises

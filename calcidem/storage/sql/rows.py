@@ -35,11 +35,11 @@ RESULT_FIELDS = tuple(f.name for f in fields(CellResult) if f.name in ResultRow.
 ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
 PATH_FIELDS = tuple(f.name for f in fields(PathFeatures))
 GRAPH_FIELDS = tuple(f.name for f in fields(GraphSummary))
-RUN_FIELDS = tuple(f.name for f in fields(RunRecord))
-PACKING_ARRAYS = ("x", "y", "radius")
-PACKING_FIELDS = tuple(f.name for f in fields(PackingRecord) if f.name not in (*PACKING_ARRAYS, "index"))
-SIGNAL_ARRAYS = ("sent_velocity", "received_force", "received_velocity")
-CEMENT_ARRAYS = ("contacts", "kind", "cluster_centres")
+_RUN_FIELDS = tuple(f.name for f in fields(RunRecord))
+_PACKING_ARRAYS = ("x", "y", "radius")
+_PACKING_FIELDS = tuple(f.name for f in fields(PackingRecord) if f.name not in (*_PACKING_ARRAYS, "index"))
+_SIGNAL_ARRAYS = ("sent_velocity", "received_force", "received_velocity")
+_CEMENT_ARRAYS = ("contacts", "kind", "cluster_centres")
 
 RESULT_COLUMNS = (
     *(getattr(ResultRow, name) for name in RESULT_FIELDS),
@@ -104,7 +104,7 @@ def graph_values(cell_id: int, graph: GraphSummary) -> dict[str, Any]:
 
 def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:
     """Columns of a `SignalRow`."""
-    samples = pack_arrays({name: getattr(signal, name) for name in SIGNAL_ARRAYS})
+    samples = pack_arrays({name: getattr(signal, name) for name in _SIGNAL_ARRAYS})
     times = {"sampling_interval": signal.sampling_interval, "start_time": signal.start_time}
     return {"cell_id": cell_id, **times, "samples": samples}
 
@@ -116,7 +116,7 @@ def signal_from_row(row: SignalRow) -> Signal:
 
 def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:
     """Columns of a `CementRow`."""
-    return {"cell_id": cell_id, "pattern": pack_arrays({name: getattr(cement, name) for name in CEMENT_ARRAYS})}
+    return {"cell_id": cell_id, "pattern": pack_arrays({name: getattr(cement, name) for name in _CEMENT_ARRAYS})}
 
 
 def cement_from_row(row: CementRow) -> CementPattern:
@@ -132,26 +132,26 @@ def attempt_from_row(row: Row[*tuple[Any, ...]]) -> AttemptRecord:
 
 def row_from_packing(campaign_id: int, packing: PackingRecord) -> PackingRow:
     """Row of a packing."""
-    values = {name: getattr(packing, name) for name in PACKING_FIELDS}
+    values = {name: getattr(packing, name) for name in _PACKING_FIELDS}
     values["wall_stress"] = dict(packing.wall_stress)
-    grains = pack_arrays({name: getattr(packing, name) for name in PACKING_ARRAYS})
+    grains = pack_arrays({name: getattr(packing, name) for name in _PACKING_ARRAYS})
     return PackingRow(campaign_id=campaign_id, number=packing.index, grains=grains, **values)
 
 
 def packing_from_row(row: PackingRow) -> PackingRecord:
     """Inverse of `row_from_packing`."""
-    values: dict[str, Any] = {name: getattr(row, name) for name in PACKING_FIELDS}
+    values: dict[str, Any] = {name: getattr(row, name) for name in _PACKING_FIELDS}
     return PackingRecord(index=row.number, **(values | unpack_arrays(row.grains)))
 
 
 def row_from_run(campaign_id: int, run: RunRecord) -> RunRow:
     """Row of a run."""
-    values = {name: getattr(run, name) for name in RUN_FIELDS}
+    values = {name: getattr(run, name) for name in _RUN_FIELDS}
     values |= {"versions": dict(run.versions), "workers": [asdict(worker) for worker in run.workers]}
     return RunRow(campaign_id=campaign_id, **values)
 
 
 def run_from_row(row: RunRow) -> RunRecord:
     """Inverse of `row_from_run`."""
-    values = {name: getattr(row, name) for name in RUN_FIELDS}
+    values = {name: getattr(row, name) for name in _RUN_FIELDS}
     return RunRecord(**(values | {"workers": tuple(WorkerRecord(**worker) for worker in row.workers or ())}))

@@ -15,26 +15,26 @@ from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TI
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
 
-SIGNALS_OF_0003 = f"""
+_SIGNALS_OF_0003 = f"""
 CREATE TEMP VIEW signal AS
 SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
 """  # noqa: S608 - constants
 
-RUNS_OF_0004 = "CREATE TEMP VIEW run AS SELECT *, NULL AS workers FROM main.run"
-PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
-PACKINGS_OF_0003 = """
+_RUNS_OF_0004 = "CREATE TEMP VIEW run AS SELECT *, NULL AS workers FROM main.run"
+_PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
+_PACKINGS_OF_0003 = """
 CREATE TEMP VIEW packing AS
 SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap, NULL AS content_hash
 FROM main.packing
 """
 
-READ_AS_CURRENT = {
-    "0003": (SIGNALS_OF_0003, PACKINGS_OF_0003, RUNS_OF_0004),
-    "0004": (PACKINGS_OF_0004, RUNS_OF_0004),
+_READ_AS_CURRENT = {
+    "0003": (_SIGNALS_OF_0003, _PACKINGS_OF_0003, _RUNS_OF_0004),
+    "0004": (_PACKINGS_OF_0004, _RUNS_OF_0004),
 }
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 
-UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+_UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
 
 def _configuration(connection: Connection | None = None) -> Config:
@@ -53,8 +53,8 @@ def prepare_schema(connection: Connection, address: Address) -> None:
         As `read_revision`.
     """
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
-        connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
-    if read_revision(connection, address) != _head():
+        connection.execute(select(func.pg_advisory_xact_lock(_UPGRADE_LOCK)))
+    if read_revision(connection, address) != head_revision():
         command.upgrade(_configuration(connection), "head")
 
 
@@ -71,18 +71,19 @@ def prepare_reading(connection: Connection, address: Address) -> tuple[str, ...]
     revision = read_revision(connection, address)
     if revision is None:
         raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
-    if revision in READ_AS_CURRENT and connection.dialect.name == "sqlite":
-        return READ_AS_CURRENT[revision]
-    if revision != _head():
+    if revision in _READ_AS_CURRENT and connection.dialect.name == "sqlite":
+        return _READ_AS_CURRENT[revision]
+    if revision != head_revision():
         raise OlderSchemaError(
-            f"{address} was written by an earlier calcidem (schema {revision}, this one reads {_head()}).",
+            f"{address} was written by an earlier calcidem (schema {revision}, this one reads {head_revision()}).",
             "Continue its campaign, or run 'calcidem retry' on it: opening it for writing upgrades it "
             "and keeps its values.",
         )
     return ()
 
 
-def _head() -> str:
+def head_revision() -> str:
+    """Newest version of the schema."""
     head = ScriptDirectory.from_config(_configuration()).get_current_head()
     if head is None:
         raise RuntimeError("calcidem was installed without its migrations; install it again.")

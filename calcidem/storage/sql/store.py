@@ -30,7 +30,7 @@ from calcidem.storage.sql.models import CampaignRow, CellRow, LeaseRow, PackingR
 from calcidem.storage.sql.schema import prepare_reading, prepare_schema, read_revision
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, LeaseHolder, Selection, Store
 
-NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
+_NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
 
 
 def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "SqlStore":
@@ -224,7 +224,7 @@ class SqlStore(Store):
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
     ) -> tuple[CellKey, ...]:
-        wrong = NEVER_RETRIED & set(statuses)
+        wrong = _NEVER_RETRIED & set(statuses)
         if wrong:
             raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
         with self._writing() as session:

@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, 
 from calcidem.storage.errors import QueryError
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 
-COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.Gt: operator.gt,
@@ -28,11 +28,11 @@ COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 
-LONGEST = 10_000
-LARGEST_WHOLE = 2**63 - 1
+_LONGEST = 10_000
+_LARGEST_WHOLE = 2**63 - 1
 """Whole numbers beyond it are compared as real ones."""
 
-EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
+_EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
 def parse_where(text: str) -> ColumnElement[bool]:
@@ -49,14 +49,14 @@ def parse_where(text: str) -> ColumnElement[bool]:
     QueryError
         If the text is anything else or names an unknown quantity.
     """
-    if len(text) > LONGEST:
-        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {LONGEST}.")
+    if len(text) > _LONGEST:
+        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST}.")
     try:
         tree = ast.parse(_python_equality(text), mode="eval")
         return _condition(tree.body, text)
     # Deep nesting ends Python's parser with errors of its own.
     except (SyntaxError, ValueError, tokenize.TokenError, RecursionError, MemoryError) as error:
-        raise QueryError(f"The filter {text!r} can't be read.", EXAMPLE) from error
+        raise QueryError(f"The filter {text!r} can't be read.", _EXAMPLE) from error
 
 
 def _python_equality(text: str) -> str:
@@ -75,21 +75,21 @@ def _condition(node: ast.expr, text: str) -> ColumnElement[bool]:
         sides = [node.left, *node.comparators]
         pairs = zip(sides, node.ops, sides[1:], strict=False)
         return and_(*(_comparison(left, op, right, text) for left, op, right in pairs))
-    raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is not a comparison.", EXAMPLE)
+    raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is not a comparison.", _EXAMPLE)
 
 
 def _comparison(left: ast.expr, op: ast.cmpop, right: ast.expr, text: str) -> ColumnElement[bool]:
     first = _operand(left, text)
     if isinstance(op, ast.Is | ast.IsNot):
         if not (isinstance(right, ast.Constant) and right.value is None):
-            raise QueryError(f"'is' in the filter '{text}' goes with None only.", EXAMPLE)
+            raise QueryError(f"'is' in the filter '{text}' goes with None only.", _EXAMPLE)
         return first.is_(None) if isinstance(op, ast.Is) else first.is_not(None)
     if isinstance(op, ast.In | ast.NotIn):
         if not isinstance(right, ast.Tuple | ast.List):
-            raise QueryError(f"'in' in the filter '{text}' needs a list in parentheses.", EXAMPLE)
+            raise QueryError(f"'in' in the filter '{text}' needs a list in parentheses.", _EXAMPLE)
         values = [_operand(item, text) for item in right.elts]
         return first.in_(values) if isinstance(op, ast.In) else first.not_in(values)
-    result: ColumnElement[bool] = COMPARISONS[type(op)](first, _operand(right, text))
+    result: ColumnElement[bool] = _COMPARISONS[type(op)](first, _operand(right, text))
     return result
 
 
@@ -101,8 +101,10 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
     except ValueError:
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise QueryError(f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", EXAMPLE)
-    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        raise QueryError(
+            f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", _EXAMPLE
+        )
+    if isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
         value = float(value) if abs(value) < sys.float_info.max else math.copysign(math.inf, value)
     if isinstance(value, str) and not _storable(value):
         raise QueryError(f"{value!r} in the filter can't be in a database.", "Write plain characters.")

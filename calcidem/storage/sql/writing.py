@@ -161,13 +161,13 @@ def _replace(
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
     session.execute(delete(ResultRow).where(ResultRow.cell_id.in_([cell_id for cell_id, _ in accepted])))
-    listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
+    listed = attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
     new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
     outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
     if outdated:
-        session.execute(delete(AttemptRow).where(_attempt_in(outdated)))
+        session.execute(delete(AttemptRow).where(attempt_in(outdated)))
     if new:
         session.execute(insert(AttemptRow), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
     session.execute(insert(ResultRow), [rows.result_values(i, result) for i, result in accepted])
@@ -181,7 +181,7 @@ def _replace(
             session.execute(insert(model), values)
 
 
-def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
+def attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
     """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
     listed = tuple_(AttemptRow.cell_id, AttemptRow.number).in_(numbered)
     return and_(AttemptRow.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
@@ -234,7 +234,7 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
     """See `Store.restore_attempts`."""
     for chunk in chunks(attempts):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
-        listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
+        listed = attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(AttemptRow.cell_id, AttemptRow.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
         names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")

@@ -15,10 +15,10 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 
-AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
-DENSE_SAMPLES = 400  # in a period of the pulse
+_AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
+_DENSE_SAMPLES = 400  # in a period of the pulse
 
-CellsFound = dict[tuple[int, float], Measurement]
+_CellsFound = dict[tuple[int, float], Measurement]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,36 +55,36 @@ def amplitude_rows(
     experiment: Experiment,
     contents: Sequence[float],
     seeds: Sequence[int],
-    amplitudes: Sequence[float] = AMPLITUDES,
+    amplitudes: Sequence[float] = _AMPLITUDES,
     *,
     regimes: Sequence[Regime] = ("linear", "small"),
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AmplitudeRow, ...]:
     """Measure some regimes at several amplitudes against the finite one."""
-    own, _ = measure_regime(experiment, "finite", experiment.wave.amplitude, contents, seeds, lanes)
+    own, _ = _measure_regime(experiment, "finite", experiment.wave.amplitude, contents, seeds, lanes)
     rows = []
     for amplitude in amplitudes:
         progress(f"regimes at {amplitude:g} m/s")
-        finite, refusal = measure_regime(experiment, "finite", amplitude, contents, seeds, lanes)
-        rows.append(row_of(amplitude, "finite", finite, own, refusal))
+        finite, refusal = _measure_regime(experiment, "finite", amplitude, contents, seeds, lanes)
+        rows.append(_row_of(amplitude, "finite", finite, own, refusal))
         for regime in regimes:
-            found, refusal = measure_regime(experiment, regime, amplitude, contents, seeds, lanes)
-            rows.append(row_of(amplitude, regime, found, finite, refusal))
+            found, refusal = _measure_regime(experiment, regime, amplitude, contents, seeds, lanes)
+            rows.append(_row_of(amplitude, regime, found, finite, refusal))
     return tuple(rows)
 
 
-def measure_regime(
+def _measure_regime(
     experiment: Experiment,
     regime: Regime,
     amplitude: float,
     contents: Sequence[float],
     seeds: Sequence[int],
     lanes: int,
-) -> tuple[CellsFound, str]:
+) -> tuple[_CellsFound, str]:
     """Cells of a regime at an amplitude, and why some were refused."""
-    setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=DENSE_SAMPLES)
-    found: CellsFound = {}
+    setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
+    found: _CellsFound = {}
     refusal = ""
     for content in contents:
         try:
@@ -96,7 +96,7 @@ def measure_regime(
     return found, refusal
 
 
-def row_of(amplitude: float, regime: Regime, found: CellsFound, exact: CellsFound, refusal: str) -> AmplitudeRow:
+def _row_of(amplitude: float, regime: Regime, found: _CellsFound, exact: _CellsFound, refusal: str) -> AmplitudeRow:
     """Errors of the cells that are in both."""
     pairs = [(found[key], exact[key]) for key in found.keys() & exact.keys()]
     errors = [abs(error) for cell, other in pairs if (error := relative_deviation(cell.vs, other.vs)) is not None]

@@ -88,7 +88,7 @@ def plan_task(
     else:
         with open_campaign_of(configuration, database) as campaign:
             packing = campaign.experiment().packing
-            velocities = stored_velocities(campaign, contents)
+            velocities = _stored_velocities(campaign, contents)
 
     def packing_of(ratio: float) -> Packing:
         if ratio == configuration.packing.unbalanced_force_ratio:
@@ -108,7 +108,7 @@ def plan_task(
     )
 
 
-def stored_velocities(campaign: StoredCampaign, contents: Sequence[float]) -> dict[float, list[float]]:
+def _stored_velocities(campaign: StoredCampaign, contents: Sequence[float]) -> dict[float, list[float]]:
     """Velocities of a stored campaign at those of some contents that it has, m/s."""
     vs = campaign.vs()
     known = [value for value in contents if value in vs.content.to_numpy()]
@@ -148,7 +148,7 @@ def accuracy(
         If the target is no positive number, or there is no setting of a name.
     """
     wanted = None if target is None else parse_target(target)
-    findings = compare_some(task, only, progress) if only else measure_everything(task, progress)
+    findings = _compare_some(task, only, progress) if only else _measure_everything(task, progress)
     if out is not None:
         save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
         (out / "accuracy.md").write_text(accuracy_tables(findings))
@@ -159,7 +159,7 @@ def accuracy(
         say(f"Cheapest setting with an error of at most {100 * wanted:g} %: {name_of(chosen)}")
 
 
-def compare_some(task: Task, only: Sequence[str], progress: Callable[[str], None]) -> Findings:
+def _compare_some(task: Task, only: Sequence[str], progress: Callable[[str], None]) -> Findings:
     """Compare the default and some settings with the reference."""
     study = run_study(
         task.experiment,
@@ -182,12 +182,12 @@ def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting
     return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
 
 
-def measure_everything(task: Task, progress: Callable[[str], None]) -> Findings:
+def _measure_everything(task: Task, progress: Callable[[str], None]) -> Findings:
     """Measure everything."""
     experiment, contents, seeds, lanes = task.experiment, task.contents, task.seeds, task.lanes
     study = run_study(experiment, contents, seeds, lanes=lanes, progress=progress)
     orders = []
-    for content, velocity in slowest_velocities(study).items():
+    for content, velocity in _slowest_velocities(study).items():
         for damped in (True, False):
             progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}")
             orders.append(measure_convergence(experiment, content, seeds, velocity, damped=damped, lanes=lanes))
@@ -205,7 +205,7 @@ def measure_everything(task: Task, progress: Callable[[str], None]) -> Findings:
     )
 
 
-def slowest_velocities(study: Study) -> dict[float, float]:
+def _slowest_velocities(study: Study) -> dict[float, float]:
     """Smallest velocity of the reference at each content that has one, m/s."""
     slowest: dict[float, float] = {}
     for cell in study.references:

@@ -13,7 +13,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
 
-RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is taken for exact
+_RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is taken for exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ def equilibrium_rows(
     contents: Sequence[float],
     seeds: Sequence[int],
     packing_of: Callable[[float], Packing],
-    ratios: Sequence[float] = RATIOS,
+    ratios: Sequence[float] = _RATIOS,
     *,
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
@@ -59,7 +59,7 @@ def equilibrium_rows(
         packings[ratio] = packing_of(ratio)
     velocities = {}
     for ratio, packing in packings.items():
-        setting = with_wave(replace(experiment, packing=same_contacts(packing, experiment.packing)), regime="linear")
+        setting = with_wave(replace(experiment, packing=_same_contacts(packing, experiment.packing)), regime="linear")
         cells = [
             cell
             for content in contents
@@ -71,23 +71,23 @@ def equilibrium_rows(
     for ratio in ratios:
         pairs = zip(velocities[ratio], velocities[best], strict=True)
         errors = [abs(error) for found, exact in pairs if (error := relative_deviation(found, exact)) is not None]
-        changed = set(keys_of(packings[ratio]).tolist()) ^ set(keys_of(packings[best]).tolist())
+        changed = set(_keys_of(packings[ratio]).tolist()) ^ set(_keys_of(packings[best]).tolist())
         rows.append(
             EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
         )
     return tuple(rows)
 
 
-def same_contacts(packing: Packing, model: Packing) -> Packing:
+def _same_contacts(packing: Packing, model: Packing) -> Packing:
     """Packing with the list of contacts of another one, so that cement is drawn at the same places.
 
     Which contacts touch is a matter of the positions; the list says where cement may go and which carry shear.
     """
-    known = dict(zip(keys_of(packing).tolist(), np.asarray(packing.preload.shear).tolist(), strict=True))
-    shear = np.array([known.get(key, 0.0) for key in keys_of(model).tolist()])
+    known = dict(zip(_keys_of(packing).tolist(), np.asarray(packing.preload.shear).tolist(), strict=True))
+    shear = np.array([known.get(key, 0.0) for key in _keys_of(model).tolist()])
     return replace(packing, preload=Preload(model.pairs, shear))
 
 
-def keys_of(packing: Packing) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _keys_of(packing: Packing) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """One number for each contact."""
     return pair_keys(packing.pairs, len(packing.radius))

@@ -12,9 +12,9 @@ from calcidem.app.studies.accuracy.reference import Convergence
 from calcidem.app.studies.accuracy.scatter import Scatter
 from calcidem.app.studies.accuracy.study import Study
 
-DIGITS = 5
+_DIGITS = 5
 
-PACKAGED = Path(__file__).with_name("measured.json")
+_PACKAGED = Path(__file__).with_name("measured.json")
 """Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see docs/accuracy.md."""
 
 
@@ -62,17 +62,17 @@ class MeasuredErrors:
 
 def findings_json(findings: Findings) -> str:
     """Everything as JSON, to five digits."""
-    return json.dumps(round_numbers(asdict(findings)), separators=(",", ":"))
+    return json.dumps(_round_numbers(asdict(findings)), separators=(",", ":"))
 
 
-def round_numbers(value: object) -> object:
+def _round_numbers(value: object) -> object:
     """Return the same with all numbers to five digits, and null for what is no finite number."""
     if isinstance(value, dict):
-        return {f"{key:g}" if isinstance(key, float) else str(key): round_numbers(item) for key, item in value.items()}
+        return {f"{key:g}" if isinstance(key, float) else str(key): _round_numbers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [round_numbers(item) for item in value]
+        return [_round_numbers(item) for item in value]
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
     return value
 
 
@@ -91,7 +91,7 @@ def measured_errors(campaign_hash: str, path: Path | None = None) -> MeasuredErr
     ValueError
         If the given file is none, or about another campaign.
     """
-    source = path or PACKAGED
+    source = path or _PACKAGED
     try:
         found = json.loads(source.read_text())
         measured_hash, cells = found["campaign_hash"], found["study"]["cells"]

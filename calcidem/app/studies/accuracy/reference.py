@@ -123,11 +123,11 @@ def find_reference(
     A cell that is still moving at `FINEST` stays with that, and says by how much.
     """
     step, waiting = coarsest, list(seeds)
-    before, _ = measure_by_seed(experiment, step, content, waiting, lanes)
+    before, _ = _measure_by_seed(experiment, step, content, waiting, lanes)
     done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
     while waiting:
         step /= 2.0
-        now, seconds = measure_by_seed(experiment, step, content, waiting, lanes)
+        now, seconds = _measure_by_seed(experiment, step, content, waiting, lanes)
         for seed in waiting:
             change = relative_deviation(now[seed].vs, before[seed].vs)
             if change is None or abs(change) < HALVING or step <= FINEST:
@@ -138,7 +138,7 @@ def find_reference(
     return Reference(tuple(row[0] for row in rows), tuple(row[1] for row in rows), float(np.mean([r[2] for r in rows])))
 
 
-def measure_by_seed(
+def _measure_by_seed(
     experiment: Experiment, step: float, content: float, seeds: Sequence[int], lanes: int
 ) -> tuple[dict[int, Measurement], float]:
     """Measurements with a step, and processor time of a cell, s."""
@@ -176,7 +176,7 @@ def cell_error(
         vs=found.vs,
         reference_vs=exact.vs,
         vs_error=relative_deviation(found.vs, exact.vs),
-        arrival_error=relative_deviation(first_arrival(found), first_arrival(exact)),
+        arrival_error=relative_deviation(_first_arrival(found), _first_arrival(exact)),
         signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
         estimate=found.error_estimate,
     )
@@ -187,7 +187,7 @@ def relative_deviation(found: float | None, exact: float | None) -> float | None
     return None if found is None or exact is None else found / exact - 1.0
 
 
-def first_arrival(measurement: Measurement) -> float | None:
+def _first_arrival(measurement: Measurement) -> float | None:
     """Travel time of the first arrival, s."""
     return None if measurement.picks is None else measurement.picks.first_arrival.travel_time
 
@@ -201,12 +201,12 @@ def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exac
     coarser = max(times, key=lambda time: float(time[1] - time[0]))
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = coarser[(coarser >= begin) & (coarser <= end)]
-    first = at_times(common, times[0], found.velocity / amplitude)
-    second = at_times(common, times[1], exact.velocity / exact_amplitude)
+    first = _at_times(common, times[0], found.velocity / amplitude)
+    second = _at_times(common, times[1], exact.velocity / exact_amplitude)
     return float(np.linalg.norm(first - second) / np.linalg.norm(second))
 
 
-def at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
+def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
     """Values between samples, by a cubic spline; where they are not finite there is none."""
     if not np.all(np.isfinite(values)):
         return np.full(len(wanted), np.nan)
@@ -243,16 +243,16 @@ def measure_convergence(
     even = replace(even, early_stop=False, installation="preserve")
     width = fitting_lanes(seeds, lanes)
     runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in CONVERGENCE_STEPS]
-    changes = np.median([signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
+    changes = np.median([_signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
     orders = np.log2(changes[:-1] / changes[1:])
     return Convergence(content, damped, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
-def signal_changes(records: Sequence[WaveRecord]) -> Floats:
+def _signal_changes(records: Sequence[WaveRecord]) -> Floats:
     """Change from each record to the next, at the times of the first."""
     times = [record.times for record in records]
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = times[0][(times[0] >= begin) & (times[0] <= end)]
-    signals = [at_times(common, time, record.velocity) for time, record in zip(times, records, strict=True)]
+    signals = [_at_times(common, time, record.velocity) for time, record in zip(times, records, strict=True)]
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])

@@ -15,49 +15,49 @@ from calcidem.app.studies.accuracy.scatter import Scatter
 from calcidem.app.studies.accuracy.settings import DEFAULT
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered_share, default_of, pareto
 
-TARGETS = (0.005, 0.002, 0.001)
-MANY_CELLS = 40  # above which the table of cells is left to the JSON
-SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
-STAIRS = 4  # names one below the other, before they begin again
+_TARGETS = (0.005, 0.002, 0.001)
+_MANY_CELLS = 40  # above which the table of cells is left to the JSON
+_SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
+_STAIRS = 4  # names one below the other, before they begin again
 
 
-def accuracy_tables(findings: Findings, targets: Sequence[float] = TARGETS) -> str:
+def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> str:
     """Give all tables as Markdown; those that were not measured are left out."""
     study = findings.study
     parts = [
-        [opening(study)],
-        settings_table(study.summaries),
+        [_opening(study)],
+        _settings_table(study.summaries),
         ["Cheapest setting whose worst error stays below a target:"],
         [f"- {100 * target:g} %: {name_of(cheapest(study, target))}" for target in targets],
-        content_table(study),
-        cell_table(study),
-        convergence_table(findings.convergence),
-        amplitude_table(findings.amplitudes),
-        equilibrium_table(findings.equilibrium),
-        scatter_table(findings.scatter),
+        _content_table(study),
+        _cell_table(study),
+        _convergence_table(findings.convergence),
+        _amplitude_table(findings.amplitudes),
+        _equilibrium_table(findings.equilibrium),
+        _scatter_table(findings.scatter),
     ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines) + "\n"
 
 
-def opening(study: Study) -> str:
+def _opening(study: Study) -> str:
     """Say the most important numbers."""
     row = default_of(study)
     return (
         f"Default against the reference, {row.cells} cells: median {row.median:.1e}, worst {row.worst:.1e}, "
         f"{study.reference_seconds / row.seconds:.0f} times faster ({row.seconds:.2f} s against "
         f"{study.reference_seconds:.1f} s of processor time a cell). The last halving of the reference's step "
-        f"changed Vs by {study.halving:.1e} at most; {converged_share(study)}. "
+        f"changed Vs by {study.halving:.1e} at most; {_converged_share(study)}. "
         f"The error is at most the cell's own estimate in {100 * row.covered:.1f} % of the cells."
     )
 
 
-def converged_share(study: Study) -> str:
+def _converged_share(study: Study) -> str:
     """Say in how many cells the reference's step is small enough."""
     changes = [abs(cell.halving) for cell in study.references if cell.halving is not None]
     return f"{sum(change < HALVING for change in changes)} of {len(changes)} cells are below {HALVING:g}"
 
 
-def settings_table(summaries: Sequence[Summary]) -> list[str]:
+def _settings_table(summaries: Sequence[Summary]) -> list[str]:
     """Give one line for each setting; those that ask another question are marked."""
     lines = [
         "| setting | Vs median | Vs worst | first arrival | signal (L2) | within estimate | s a cell | cells lost |",
@@ -71,7 +71,7 @@ def settings_table(summaries: Sequence[Summary]) -> list[str]:
     return lines
 
 
-def content_table(study: Study) -> list[str]:
+def _content_table(study: Study) -> list[str]:
     """Give reference and default at each content."""
     lines = [
         (
@@ -96,10 +96,10 @@ def content_table(study: Study) -> list[str]:
     return lines
 
 
-def cell_table(study: Study) -> list[str]:
+def _cell_table(study: Study) -> list[str]:
     """Give every cell of the default beside its reference, unless they are too many to read."""
     found = {(cell.seed, cell.content): cell for cell in study.cells if cell.setting == DEFAULT}
-    if not found or len(study.references) > MANY_CELLS:
+    if not found or len(study.references) > _MANY_CELLS:
         return []
     lines = [
         (
@@ -111,15 +111,15 @@ def cell_table(study: Study) -> list[str]:
     for exact in study.references:
         cell = found[exact.seed, exact.content]
         numbers = (cell.vs_error, cell.estimate, cell.arrival_error, cell.signal_error)
-        errors = " | ".join(or_dash(number) for number in numbers)
+        errors = " | ".join(_or_dash(number) for number in numbers)
         lines.append(
-            f"| {exact.content:g} | {exact.seed} | {or_dash(exact.vs, '.2f')} | {exact.step_fraction:g} "
-            f"| {or_dash(exact.halving)} | {or_dash(cell.vs, '.2f')} | {errors} |"
+            f"| {exact.content:g} | {exact.seed} | {_or_dash(exact.vs, '.2f')} | {exact.step_fraction:g} "
+            f"| {_or_dash(exact.halving)} | {_or_dash(cell.vs, '.2f')} | {errors} |"
         )
     return lines
 
 
-def convergence_table(rows: Sequence[Convergence]) -> list[str]:
+def _convergence_table(rows: Sequence[Convergence]) -> list[str]:
     """Give change of the signal and observed order for each halving of the step."""
     if not rows:
         return []
@@ -135,7 +135,7 @@ def convergence_table(rows: Sequence[Convergence]) -> list[str]:
     return lines
 
 
-def amplitude_table(rows: Sequence[AmplitudeRow]) -> list[str]:
+def _amplitude_table(rows: Sequence[AmplitudeRow]) -> list[str]:
     """Give the error of the regimes at each amplitude; the finite regime's own line is an effect, and marked."""
     if not rows:
         return []
@@ -147,13 +147,13 @@ def amplitude_table(rows: Sequence[AmplitudeRow]) -> list[str]:
         name = f"*{row.regime}, effect of the amplitude*" if row.regime == "finite" else row.regime
         reason = row.refusal.split(":")[0] if row.refusal else ""
         lines.append(
-            f"| {row.amplitude:g} | {name} | {or_dash(row.median)} | {or_dash(row.worst)} | {row.cells} | {row.lost} "
+            f"| {row.amplitude:g} | {name} | {_or_dash(row.median)} | {_or_dash(row.worst)} | {row.cells} | {row.lost} "
             f"| {reason} |"
         )
     return lines
 
 
-def equilibrium_table(rows: Sequence[EquilibriumRow]) -> list[str]:
+def _equilibrium_table(rows: Sequence[EquilibriumRow]) -> list[str]:
     """Give what the unbalanced forces left in a packing do."""
     if not rows:
         return []
@@ -168,7 +168,7 @@ def equilibrium_table(rows: Sequence[EquilibriumRow]) -> list[str]:
     ]
 
 
-def scatter_table(rows: Sequence[Scatter]) -> list[str]:
+def _scatter_table(rows: Sequence[Scatter]) -> list[str]:
     """Give statistical and numerical error beside each other, per content, for the default setting."""
     if not rows:
         return []
@@ -187,7 +187,7 @@ def scatter_table(rows: Sequence[Scatter]) -> list[str]:
     return lines
 
 
-def or_dash(value: float | None, form: str = ".1e") -> str:
+def _or_dash(value: float | None, form: str = ".1e") -> str:
     """Write a number, or a dash."""
     return "-" if value is None else format(value, form)
 
@@ -204,16 +204,18 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     axes = figure.subplots()
     rows = [row for row in study.summaries if row.numerical and row.cells]
     front = pareto(rows)
-    axes.plot([row.seconds for row in front], [drawable(row.median) for row in front], color=BLUE, label="Pareto front")
+    axes.plot(
+        [row.seconds for row in front], [_drawable(row.median) for row in front], color=BLUE, label="Pareto front"
+    )
     for row in rows:
-        draw_setting(axes, row, on_front=row in front)
+        _draw_setting(axes, row, on_front=row in front)
     named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
     for number, row in enumerate(named):
         # Below the marks, where no bar is, and one below the other, because settings of one price stand close together.
         axes.annotate(
             row.setting,
-            (row.seconds, drawable(row.median)),
-            xytext=(-10, -10 - 9 * (number % STAIRS)),
+            (row.seconds, _drawable(row.median)),
+            xytext=(-10, -10 - 9 * (number % _STAIRS)),
             textcoords="offset points",
             fontsize=6.5,
             color=BLACK,
@@ -227,19 +229,19 @@ def draw_error_against_run_time(study: Study) -> "Figure":
         xlabel="processor time of a cell (s)",
         ylabel="relative error of $V_s$: median to worst",
         xlim=(0.3 * min(row.seconds for row in rows), 1.5 * study.reference_seconds),
-        ylim=(0.4 * min(drawable(row.median) for row in rows), None),
+        ylim=(0.4 * min(_drawable(row.median) for row in rows), None),
     )
     axes.legend(loc="lower left")
     return figure
 
 
-def draw_setting(axes: "Axes", row: Summary, *, on_front: bool) -> None:
+def _draw_setting(axes: "Axes", row: Summary, *, on_front: bool) -> None:
     """Draw one setting: a bar from median to worst error."""
     colour = VERMILION if row.setting == DEFAULT else BLUE if on_front else GREY
-    axes.plot([row.seconds] * 2, [drawable(row.median), drawable(row.worst)], color=colour, linewidth=0.8)
-    axes.plot(row.seconds, drawable(row.median), "o", color=colour, markersize=5 if row.setting == DEFAULT else 3)
+    axes.plot([row.seconds] * 2, [_drawable(row.median), _drawable(row.worst)], color=colour, linewidth=0.8)
+    axes.plot(row.seconds, _drawable(row.median), "o", color=colour, markersize=5 if row.setting == DEFAULT else 3)
 
 
-def drawable(error: float) -> float:
+def _drawable(error: float) -> float:
     """Error as it can be drawn on a logarithmic axis."""
-    return max(error, SMALLEST)
+    return max(error, _SMALLEST)

@@ -12,9 +12,9 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 DEFAULT = "default"
-STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
-SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
-BANDS = (0.8, 1.25)  # half-widths over the experiment's own
+_STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
+_SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
+_BANDS = (0.8, 1.25)  # half-widths over the experiment's own
 REFERENCE_SAMPLES = 1600
 
 
@@ -70,11 +70,11 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     """Give the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave
     yield Setting(DEFAULT, "", experiment)
-    yield from vary(experiment, "step_fraction", STEP_FRACTIONS)
-    yield from vary(experiment, "samples_per_period", SAMPLES_PER_PERIOD)
-    yield from vary(experiment, "precision", ("float32", "float64"))
+    yield from _vary(experiment, "step_fraction", _STEP_FRACTIONS)
+    yield from _vary(experiment, "samples_per_period", _SAMPLES_PER_PERIOD)
+    yield from _vary(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
-        yield from vary(experiment, "regime", ("linear", "small", "finite"))
+        yield from _vary(experiment, "regime", ("linear", "small", "finite"))
     yield Setting("whole domain", "", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
     yield Setting(
         "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
@@ -84,12 +84,12 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     finer = with_wave(experiment, regime="finite", step_fraction=0.4, samples_per_period=400)
     yield Setting("finite, 400 samples, step", "0.4", finer)
     for name in ("transmitter_half_width", "receiver_half_width"):
-        for factor in BANDS:
+        for factor in _BANDS:
             width = factor * getattr(wave, name)
             yield Setting(name, f"{1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
 
 
-def vary(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
+def _vary(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
     """Give the experiment with each value of one field of its `WaveRule` that is not its own."""
     for value in values:
         if value != getattr(experiment.wave, knob):

@@ -22,9 +22,9 @@ from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.dem.wave.experiment import Experiment
 
 ROUNDS = 3
-SLOW = 3.0  # settings that take this many times the default's time are timed only once
+_SLOW = 3.0  # settings that take this many times the default's time are timed only once
 
-CompiledKernels = set[tuple[str, str, bool, int]]
+_CompiledKernels = set[tuple[str, str, bool, int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
     """
     compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)
-    compiled: CompiledKernels = set()
+    compiled: _CompiledKernels = set()
     exact: dict[float, Reference] = {}
     cells: list[CellError] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
@@ -133,25 +133,25 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
         progress(f"{content:g} %: reference")
         exact[content] = find_reference(experiment, content, seeds, width, coarsest)
         progress(f"{content:g} %: {len(compared)} settings")
-        found, times = compare_settings(compared, content, exact[content], width, compiled, rounds, progress)
+        found, times = _compare_settings(compared, content, exact[content], width, compiled, rounds, progress)
         cells += found
         for name, value in times.items():
             seconds[name][content] = value
     return Study(
         cells=tuple(cells),
-        summaries=summaries_of(cells, compared, seconds),
+        summaries=_summaries_of(cells, compared, seconds),
         references=tuple(cell for row in exact.values() for cell in row.cells),
         reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
         seconds={name: dict(row) for name, row in seconds.items()},
     )
 
 
-def compare_settings(
+def _compare_settings(
     compared: Sequence[Setting],
     content: float,
     exact: Reference,
     lanes: int,
-    compiled: CompiledKernels,
+    compiled: _CompiledKernels,
     rounds: int,
     progress: Callable[[str], None],
 ) -> tuple[list[CellError], dict[str, float]]:
@@ -162,10 +162,10 @@ def compare_settings(
     times: dict[str, list[float]] = {}
     for round_ in range(rounds):
         for setting in compared:
-            if round_ and (setting.name not in times or times[setting.name][0] > SLOW * times[compared[0].name][0]):
+            if round_ and (setting.name not in times or times[setting.name][0] > _SLOW * times[compared[0].name][0]):
                 continue
             try:
-                compile_kernel(setting, content, seeds[0], lanes, compiled)
+                _compile_kernel(setting, content, seeds[0], lanes, compiled)
                 found, taken = measure_and_time(setting.experiment, content, seeds, lanes)
             except ValueError as refused:
                 progress(f"{setting.name} at {content:g} %: {refused}")
@@ -179,7 +179,7 @@ def compare_settings(
     return cells, {name: median(values) for name, values in times.items()}
 
 
-def compile_kernel(setting: Setting, content: float, seed: int, lanes: int, compiled: CompiledKernels) -> None:
+def _compile_kernel(setting: Setting, content: float, seed: int, lanes: int, compiled: _CompiledKernels) -> None:
     """Compile the kernel that a setting needs unless that has been done, so that no run time contains it."""
     wave = setting.experiment.wave
     kernel = (wave.regime, wave.precision, content > 0.0, lanes)
@@ -188,7 +188,7 @@ def compile_kernel(setting: Setting, content: float, seed: int, lanes: int, comp
         run_first_chunk(setting.experiment, content, seed, lanes)
 
 
-def summaries_of(
+def _summaries_of(
     cells: Iterable[CellError], compared: Iterable[Setting], seconds: Mapping[str, Mapping[float, float]]
 ) -> tuple[Summary, ...]:
     """Summaries of the settings, in their order."""
@@ -196,12 +196,12 @@ def summaries_of(
     for cell in cells:
         rows[cell.setting].append(cell)
     return tuple(
-        summary_of(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
+        _summary_of(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
         for setting in compared
     )
 
 
-def summary_of(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
+def _summary_of(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
     """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]

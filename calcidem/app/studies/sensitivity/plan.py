@@ -18,7 +18,7 @@ REFERENCE = "reference"
 """Name of the configuration as it stands."""
 
 
-class ListedVariant(BaseModel):
+class _ListedVariant(BaseModel):
     """One ``[[variant]]`` of the file.
 
     Attributes
@@ -51,7 +51,7 @@ class ListedVariant(BaseModel):
         return f"{self.choice}: {self.value}"
 
 
-class ListedPlan(BaseModel):
+class _ListedPlan(BaseModel):
     """The whole file.
 
     Attributes
@@ -71,7 +71,7 @@ class ListedPlan(BaseModel):
     configuration: str
     contents: list[float]
     seeds: int = Field(ge=2)
-    variant: list[ListedVariant] = Field(default_factory=list)
+    variant: list[_ListedVariant] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Variant:
     name
         Of the variant, and of its campaign in the database.
     choice, value, against
-        See `ListedVariant`.
+        See `_ListedVariant`.
     configuration
         What is computed.
     """
@@ -101,7 +101,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
     Parameters
     ----------
     path
-        TOML file, see `ListedPlan`.
+        TOML file, see `_ListedPlan`.
     database
         Where the cells of all of them go, each variant as a campaign of its own.
 
@@ -111,7 +111,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
         With everything that is wrong with the file or with a configuration that comes of it.
     """
     source = os.fspath(path)
-    listed = _read(ListedPlan, path)
+    listed = _read(_ListedPlan, path)
     base = _document(Path(path).parent / listed.configuration)
     base["run"] = {**base.get("run", {}), "database": database, "store_signals": False}
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
@@ -124,11 +124,11 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
         problems.append(Problem("two variants have the same choice and value; rename one"))
     if problems:
         raise ConfigurationError(source, problems)
-    first = ListedVariant(choice=REFERENCE, value="")
+    first = _ListedVariant(choice=REFERENCE, value="")
     return tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant))
 
 
-def _variant(entry: ListedVariant, base: Mapping[str, Any], plan: ListedPlan, source: str) -> Variant:
+def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
     name = REFERENCE if entry.choice == REFERENCE else entry.name
     document = deepcopy(dict(base))
     for place, value in entry.change.items():
@@ -143,7 +143,7 @@ def _variant(entry: ListedVariant, base: Mapping[str, Any], plan: ListedPlan, so
     return Variant(name, entry.choice, entry.value, entry.against, configuration)
 
 
-def _read(model: type[ListedPlan], path: str | os.PathLike[str]) -> ListedPlan:
+def _read(model: type[_ListedPlan], path: str | os.PathLike[str]) -> _ListedPlan:
     try:
         return model.model_validate(_document(Path(path)))
     except ValidationError as error:

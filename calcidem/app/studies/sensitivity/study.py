@@ -33,7 +33,7 @@ def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) ->
         run(variant.configuration).close()
 
 
-def variant_velocities(variant: Variant) -> xr.DataArray | None:
+def _variant_velocities(variant: Variant) -> xr.DataArray | None:
     """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
     plan = variant.configuration.campaign
     try:
@@ -46,7 +46,7 @@ def variant_velocities(variant: Variant) -> xr.DataArray | None:
 
 def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
     """Compare every computed variant with what it is an alternative to, by its name."""
-    found = {variant.name: variant_velocities(variant) for variant in variants}
+    found = {variant.name: _variant_velocities(variant) for variant in variants}
     compared = {}
     for variant in variants:
         own, other = found[variant.name], found[variant.against]
@@ -71,13 +71,13 @@ def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequenc
             continue
         choice = variant.choice if variant.choice != former else ""
         former = variant.choice
-        entries = [table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
+        entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
         value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
         lines.append(f"| {' | '.join([choice, value, *entries])} |")
     return "\n".join(lines) + "\n"
 
 
-def table_entry(change: Change | None, *, is_reference: bool) -> str:
+def _table_entry(change: Change | None, *, is_reference: bool) -> str:
     """One entry of the table."""
     if change is None or not change.measured:
         return ABSENT if change is None else f"none of {change.planned} read"

@@ -12,13 +12,13 @@ from calcidem.app.studies.stability.report import draw_maps, random_scene_tables
 from calcidem.app.studies.stability.scenes import BOXES, Extreme, draw_scenes
 from calcidem.app.studies.stability.verdict import Judgement, judge_scene, packing_map, walks
 
-CONTRASTS = (1.0, 1e2, 1e4, 1e6)
-FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
-PROGRESS = 64  # drawn scenes between two words
+_CONTRASTS = (1.0, 1e2, 1e4, 1e6)
+_FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
+_PROGRESS = 64  # drawn scenes between two words
 
 
 @dataclass(frozen=True, slots=True)
-class Maps:
+class _Maps:
     """What the maps gave.
 
     Attributes
@@ -50,10 +50,10 @@ def stability(
     progress: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Map what is stable, refused and detected; ``out`` takes ``stability.png``, ``.md`` and ``.json``."""
-    found = Maps(
+    found = _Maps(
         walks=walks(progress=progress),
         packings=packing_map(progress=progress),
-        limits={contrast: limits_at(contrast) for contrast in CONTRASTS},
+        limits={contrast: _limits_at(contrast) for contrast in _CONTRASTS},
         endurance=endurance(),
         detections=detections(),
     )
@@ -66,9 +66,9 @@ def stability(
     say(as_json if json else text)
 
 
-def limits_at(contrast: float) -> tuple[Limits, ...]:
+def _limits_at(contrast: float) -> tuple[Limits, ...]:
     """Predicted and true limits of bare, partly and fully bonded scenes."""
-    return tuple(limits(Extreme(contrast=contrast, content=content)) for content in FILLINGS)
+    return tuple(limits(Extreme(contrast=contrast, content=content)) for content in _FILLINGS)
 
 
 def random_scenes(
@@ -97,7 +97,7 @@ def random_scenes(
         found[box] = []
         for scene in draw_scenes(count, draw, box):
             found[box].append(judge_scene(scene))
-            if len(found[box]) % PROGRESS == 0:
+            if len(found[box]) % _PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
     data = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
     say(to_json.dumps(data, indent=1) if json else random_scene_tables(found))

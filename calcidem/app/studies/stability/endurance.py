@@ -13,9 +13,9 @@ from calcidem.dem.engine.scene import Regime, Scene
 from calcidem.dem.engine.state import State, advance, choose_features, duplicate, start
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
-LONG = 100_000  # steps
-LOOKS = 20  # at the energy during them
-MOTION = 1.0e-2  # of the disks in a time of the stability limit, over the mean overlap: no contact opens or slips
+_LONG = 100_000  # steps
+_LOOKS = 20  # at the energy during them
+_MOTION = 1.0e-2  # of the disks in a time of the stability limit, over the mean overlap: no contact opens or slips
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,36 +43,36 @@ class Endurance:
     restarted: bool
 
 
-def endurance(steps: int = LONG) -> tuple[Endurance, ...]:
+def endurance(steps: int = _LONG) -> tuple[Endurance, ...]:
     """Long runs in all regimes of a lattice with a third of its cement."""
     return tuple(
         Endurance(
-            regime, steps, energy_drift(regime, steps), residual_motion(regime, steps), restart_keeps_bits(regime)
+            regime, steps, energy_drift(regime, steps), _residual_motion(regime, steps), _restart_keeps_bits(regime)
         )
         for regime in REGIMES
     )
 
 
-def pressed_lattice(regime: Regime) -> Extreme:
+def _pressed_lattice(regime: Regime) -> Extreme:
     """Lattice that is pressed well."""
     return Extreme(regime=regime, confinement=1e6)
 
 
-def scene_at_rest(regime: Regime, damping: float) -> Scene:
+def _scene_at_rest(regime: Regime, damping: float) -> Scene:
     """The lattice without a pulse: walls at rest, bonds at a third of the contacts."""
-    extreme = pressed_lattice(regime)
+    extreme = _pressed_lattice(regime)
     experiment = experiment_of_scene(extreme)
     bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
     bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
     return replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=damping)
 
 
-def moving_state(regime: Regime) -> State:
+def _moving_state(regime: Regime) -> State:
     """That scene without damping and with random velocities, so small that no contact opens or slips."""
-    scene = scene_at_rest(regime, 0.0)
+    scene = _scene_at_rest(regime, 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
-    speed = MOTION * experiment_of_scene(pressed_lattice(regime)).packing.report.mean_overlap / limit
+    speed = _MOTION * experiment_of_scene(_pressed_lattice(regime)).packing.report.mean_overlap / limit
     velocity = speed * np.random.default_rng(1).standard_normal((scene.count, 2))
     return start(scene, features=features, velocity=velocity)
 
@@ -82,18 +82,18 @@ def energy_drift(regime: Regime, steps: int) -> float:
 
     The linear regime has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.
     """
-    state = advance(moving_state(regime), 1)
-    balance = linear_invariant(state) if regime == "linear" else lambda state: energies(state).imbalance
+    state = advance(_moving_state(regime), 1)
+    balance = _linear_invariant(state) if regime == "linear" else lambda state: energies(state).imbalance
     inertia = inertia_of(state)
     begin, kinetic = balance(state), 0.5 * float(inertia @ state.motion.velocity[:, :, 0].ravel() ** 2)
     largest = 0.0
-    for _ in range(LOOKS):
-        state = advance(state, steps // LOOKS)
+    for _ in range(_LOOKS):
+        state = advance(state, steps // _LOOKS)
         largest = max(largest, abs(balance(state) - begin) / kinetic)
     return largest
 
 
-def linear_invariant(state: State) -> Callable[[State], float]:
+def _linear_invariant(state: State) -> Callable[[State], float]:
     """Energy that a leapfrog keeps to rounding in the linear regime, as a function of its state, J/m."""
     inertia, matrix, step = inertia_of(state), acceleration_matrix(duplicate(state)), float(state.time_step[0])
 
@@ -107,17 +107,17 @@ def linear_invariant(state: State) -> Callable[[State], float]:
     return energy
 
 
-def residual_motion(regime: Regime, steps: int) -> float:
+def _residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in a balanced scene that is left alone, over the mean overlap."""
-    scene = scene_at_rest(regime, 0.3)
+    scene = _scene_at_rest(regime, 0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     moved = np.abs(advance(state, steps).motion.displacement[:, :2]).max()
-    return float(moved) / experiment_of_scene(pressed_lattice(regime)).packing.report.mean_overlap
+    return float(moved) / experiment_of_scene(_pressed_lattice(regime)).packing.report.mean_overlap
 
 
-def restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
+def _restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
     """Whether a run that was stored half-way and read back ends with the same bits as one that was not."""
-    state = moving_state(regime)
+    state = _moving_state(regime)
     half = advance(state, steps // 2)
     again = advance(pickle.loads(pickle.dumps(half)), steps - steps // 2)  # noqa: S301 - what was just written
     whole = advance(state, steps)

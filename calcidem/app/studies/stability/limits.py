@@ -15,7 +15,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
-FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
+_FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +76,11 @@ def limits(scene: Extreme) -> Limits:
     damped = replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=scene.damping)
     predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
     undamped = replace(damped, damping=0.0)
-    fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
+    fastest = _fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
     return Limits(predicted, 2.0 / (fastest * np.sqrt(1.0 + scene.damping)))
 
 
-def fastest_mode(state: State) -> float:
+def _fastest_mode(state: State) -> float:
     """Largest angular frequency of a scene in the linear regime, rad/s."""
     root = np.sqrt(inertia_of(state))
     # Rotations are scaled so that the matrix is symmetric up to rounding.
@@ -110,7 +110,7 @@ def acceleration_matrix(state: State) -> Floats:
     return matrix
 
 
-def detections(factors: tuple[float, ...] = FACTORS) -> tuple[Detection, ...]:
+def detections(factors: tuple[float, ...] = _FACTORS) -> tuple[Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
     return tuple(force_step(factor, regime) for factor in factors for regime in REGIMES)
 
@@ -120,7 +120,7 @@ def force_step(factor: float, regime: Regime) -> Detection:
     scene = Extreme(regime=regime, damping=0.0)
     experiment = experiment_of_scene(scene)
     undamped = replace(experiment.wave, boundary_damping=0.0)
-    return run_with_step(
+    return _run_with_step(
         replace(experiment, wave=undamped),
         content_of(scene, experiment),
         scene.seed,
@@ -129,7 +129,7 @@ def force_step(factor: float, regime: Regime) -> Detection:
     )
 
 
-def run_with_step(experiment: Experiment, content: float, seed: int, factor: float, step: float) -> Detection:
+def _run_with_step(experiment: Experiment, content: float, seed: int, factor: float, step: float) -> Detection:
     """Send a pulse through one sample of an experiment with any step, s."""
     bonded = experiment.ordering(seed).at(content).bonded
     recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)

@@ -12,13 +12,13 @@ from calcidem.app.studies.stability.limits import Detection, Limits
 from calcidem.app.studies.stability.scenes import REGIMES, Extreme, Packed
 from calcidem.app.studies.stability.verdict import WALKS, Judgement, StabilityVerdict
 
-COLOURS = {
+_COLOURS = {
     StabilityVerdict.STABLE: BLUE,
     StabilityVerdict.REFUSED: GREY,
     StabilityVerdict.DETECTED: ORANGE,
     StabilityVerdict.WRONG: VERMILION,
 }
-PANELS_ACROSS = 2
+_PANELS_ACROSS = 2
 
 
 def stability_tables(
@@ -30,16 +30,16 @@ def stability_tables(
 ) -> str:
     """Give all tables of the maps."""
     parts = (
-        verdict_table("quantity", walks),
-        small_packing_table(packings),
-        limit_table(limits),
-        endurance_table(endurance),
-        detection_table(detections),
+        _verdict_table("quantity", walks),
+        _small_packing_table(packings),
+        _limit_table(limits),
+        _endurance_table(endurance),
+        _detection_table(detections),
     )
     return "\n\n".join("\n".join(lines) for lines in parts) + "\n"
 
 
-def verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> list[str]:
+def _verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> list[str]:
     """Give the number of scenes of each verdict in every row."""
     lines = [f"| {title} | " + " | ".join(StabilityVerdict) + " |", "|---|" + "---|" * len(StabilityVerdict)]
     for name, row in found.items():
@@ -50,7 +50,7 @@ def verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> list[
 
 def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
     """Give the verdicts of each box, the errors of the velocities, and every scene that was wrong."""
-    lines = [*verdict_table("box", found), "", "| box | velocities | error, median | worst |", "|---|---|---|---|"]
+    lines = [*_verdict_table("box", found), "", "| box | velocities | error, median | worst |", "|---|---|---|---|"]
     for box, row in found.items():
         errors = [abs(judgement.error) for judgement in row if judgement.error is not None]
         if errors:
@@ -60,7 +60,7 @@ def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def small_packing_table(found: Sequence[Judgement]) -> list[str]:
+def _small_packing_table(found: Sequence[Judgement]) -> list[str]:
     """Give the verdict of each small packing in each regime."""
     lines = [f"| stress, Pa | friction | content % | {' | '.join(REGIMES)} |", "|---|---|---|" + "---|" * len(REGIMES)]
     rows: dict[tuple[float, float, float], dict[str, str]] = {}
@@ -68,14 +68,14 @@ def small_packing_table(found: Sequence[Judgement]) -> list[str]:
         scene = judgement.scene
         if isinstance(scene, Packed):
             key = (scene.stress, scene.friction, scene.content)
-            rows.setdefault(key, {})[scene.regime] = describe_judgement(judgement)
+            rows.setdefault(key, {})[scene.regime] = _describe_judgement(judgement)
     for key, row in rows.items():
         place = " | ".join(f"{number:g}" for number in key)
         lines.append(f"| {place} | " + " | ".join(row.get(regime, "") for regime in REGIMES) + " |")
     return lines
 
 
-def describe_judgement(judgement: Judgement) -> str:
+def _describe_judgement(judgement: Judgement) -> str:
     """Give the velocity and its error, or the verdict and the start of its reason."""
     if judgement.verdict == StabilityVerdict.STABLE and judgement.vs is not None:
         return f"{judgement.vs:.3g} m/s" + (f" ({judgement.error:+.1e})" if judgement.error is not None else "")
@@ -84,7 +84,7 @@ def describe_judgement(judgement: Judgement) -> str:
     return f"{judgement.verdict}: {clauses[1 if ' = ' in clauses[0] else 0].split(',')[0]}"
 
 
-def limit_table(limits: Mapping[float, Sequence[Limits]]) -> list[str]:
+def _limit_table(limits: Mapping[float, Sequence[Limits]]) -> list[str]:
     """Give predicted over true time-step limit for bare, partly and fully bonded scenes."""
     lines = ["| stiffness contrast | bare | 30 % of the capacity | fully bonded |", "|---|---|---|---|"]
     for contrast, row in limits.items():
@@ -92,7 +92,7 @@ def limit_table(limits: Mapping[float, Sequence[Limits]]) -> list[str]:
     return lines
 
 
-def endurance_table(rows: Iterable[Endurance]) -> list[str]:
+def _endurance_table(rows: Iterable[Endurance]) -> list[str]:
     """Give what long runs do in each regime."""
     lines = [
         (
@@ -107,7 +107,7 @@ def endurance_table(rows: Iterable[Endurance]) -> list[str]:
     return lines
 
 
-def detection_table(rows: Iterable[Detection]) -> list[str]:
+def _detection_table(rows: Iterable[Detection]) -> list[str]:
     """Give the steps until a forced step is found out."""
     lines = ["| step over the true limit | regime | ended after steps | steps between looks | reason |"]
     lines.append("|---|---|---|---|---|")
@@ -120,19 +120,19 @@ def detection_table(rows: Iterable[Detection]) -> list[str]:
 @apply_style
 def draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
     """Draw one row of marks for each regime along each quantity."""
-    rows = -(-len(found) // PANELS_ACROSS)
+    rows = -(-len(found) // _PANELS_ACROSS)
     figure = new_figure(1.4 * rows)
-    panels = figure.subplots(rows, PANELS_ACROSS, squeeze=False).ravel()
+    panels = figure.subplots(rows, _PANELS_ACROSS, squeeze=False).ravel()
     for axes, (name, row) in zip(panels, found.items(), strict=False):
         for judgement in row:
             if isinstance(judgement.scene, Extreme):
                 place = WALKS[name].index(getattr(judgement.scene, name)), REGIMES.index(judgement.scene.regime)
-                axes.plot(*place, "s", color=COLOURS[judgement.verdict], markersize=6)
+                axes.plot(*place, "s", color=_COLOURS[judgement.verdict], markersize=6)
         axes.set_xticks(range(len(WALKS[name])), [f"{value:g}" for value in WALKS[name]], fontsize=6)
         axes.set_yticks(range(len(REGIMES)), REGIMES, fontsize=7)
         axes.set(ylim=(-0.6, len(REGIMES) - 0.4), title=name.replace("_", " "))
     for axes in panels[len(found) :]:
         axes.set_axis_off()
-    handles = [panels[0].plot([], [], "s", color=colour, label=verdict)[0] for verdict, colour in COLOURS.items()]
+    handles = [panels[0].plot([], [], "s", color=colour, label=verdict)[0] for verdict, colour in _COLOURS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return figure

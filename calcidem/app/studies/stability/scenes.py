@@ -21,10 +21,10 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.rule import WaveRule
 
-RADIUS = 1.25e-3  # m, of the largest disks
-DISKS_ACROSS, DISKS_UP = 6, 10
-SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
-SMALL_DISKS = 0.2  # of the pores that hold one
+_RADIUS = 1.25e-3  # m, of the largest disks
+_DISKS_ACROSS, _DISKS_UP = 6, 10
+_SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
+_SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
 RANGES = {
     "step_fraction": (0.5, 1.1),
@@ -38,7 +38,7 @@ RANGES = {
     "missing": (-0.6, 0.3),
     "strength": (-2.0, 6.0),
 }
-"""Lower and upper end of every quantity of `Extreme`; powers of ten for those of `POWERS`."""
+"""Lower and upper end of every quantity of `Extreme`; powers of ten for those of `_POWERS`."""
 PLAUSIBLE = {
     "step_fraction": (0.5, 1.0),
     "contrast": (0.0, 4.5),
@@ -53,17 +53,17 @@ PLAUSIBLE = {
 }
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
-POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
-FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
+_POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
+_FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
 STRESSES = (1.0e2, 5.0e3, 5.0e5)  # on a small packing, Pa
 FRICTIONS = (0.0, 0.2, 1.0)  # while packing
 CONTENTS = (0.0, 2.0)  # of small packings, percent
-BOX_WIDTH, BOX_HEIGHT = 0.025, 0.04  # m
-UNBALANCED_FORCE_RATIO = 1.0e-7  # so few contacts take long to come to rest
-STROKE = 0.1  # of the pulse over the mean overlap
-SLOW_PULSE = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
-CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave, whatever presses the contacts
+_BOX_WIDTH, _BOX_HEIGHT = 0.025, 0.04  # m
+_UNBALANCED_FORCE_RATIO = 1.0e-7  # so few contacts take long to come to rest
+_STROKE = 0.1  # of the pulse over the mean overlap
+_SLOW_PULSE = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
+_CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave, whatever presses the contacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, .
     scenes = []
     for number, row in enumerate(sample):
         values: dict[str, Any] = {
-            name: float(10.0**value if name in POWERS else value) for name, value in zip(ranges, row, strict=True)
+            name: float(10.0**value if name in _POWERS else value) for name, value in zip(ranges, row, strict=True)
         }
         scenes.append(Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number))
     return tuple(scenes)
@@ -162,8 +162,8 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
         If the scene is refused.
     """
     sand = Sand()
-    packing = lattice(extreme, sand)
-    stiffness = pressed_stiffness(packing, RADIUS, sand)
+    packing = _lattice(extreme, sand)
+    stiffness = _pressed_stiffness(packing, _RADIUS, sand)
     modulus = extreme.contrast * stiffness
     stress = max(extreme.amplitude * np.sqrt(sand.density * modulus), 1e-3)
     cement = Cement(
@@ -172,18 +172,18 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
         cohesion=extreme.strength * stress,
     )
     width = 0.5 * float(packing.radius.min())
-    cut_off = cutoff_frequency(stiffness, sand.density * np.pi * RADIUS**2)
+    cut_off = cutoff_frequency(stiffness, sand.density * np.pi * _RADIUS**2)
     frequency = extreme.frequency * cut_off
     wave = WaveRule(
         amplitude=extreme.amplitude,
         damping=extreme.damping,
         regime=extreme.regime,
         step_fraction=extreme.step_fraction,
-        transmitter_half_width=4.0 * RADIUS,
-        receiver_half_width=6.0 * RADIUS,
-        boundary_thickness=2.0 * RADIUS,
-        listening_depth=4.0 * RADIUS,
-        slowest=2.0 * RADIUS * cut_off,
+        transmitter_half_width=4.0 * _RADIUS,
+        receiver_half_width=6.0 * _RADIUS,
+        boundary_thickness=2.0 * _RADIUS,
+        listening_depth=4.0 * _RADIUS,
+        slowest=2.0 * _RADIUS * cut_off,
     )
     return Experiment(
         packing,
@@ -201,46 +201,46 @@ def content_of(extreme: Extreme, experiment: Experiment) -> float:
     return extreme.content * experiment.ordering(extreme.seed).maximum_content
 
 
-def lattice(extreme: Extreme, sand: Sand) -> Packing:
+def _lattice(extreme: Extreme, sand: Sand) -> Packing:
     """Square lattice of disks in equilibrium under the confining stress; small disks and gaps sown in at random."""
     generator = np.random.default_rng(extreme.seed)
-    overlap = overlap_under(extreme.confinement, sand)
-    spacing = 2.0 * RADIUS - overlap
+    overlap = _overlap_under(extreme.confinement, sand)
+    spacing = 2.0 * _RADIUS - overlap
     # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
-    to_wall = RADIUS - overlap / 2.0 ** (1.0 / 3.0)
-    column, row = np.meshgrid(np.arange(DISKS_ACROSS), np.arange(DISKS_UP))
+    to_wall = _RADIUS - overlap / 2.0 ** (1.0 / 3.0)
+    column, row = np.meshgrid(np.arange(_DISKS_ACROSS), np.arange(_DISKS_UP))
     kept = generator.random(column.size) >= extreme.missing
     x, y = (to_wall + index.ravel()[kept] * spacing for index in (column, row))
-    radius = np.full(len(x), RADIUS)
-    small = RADIUS / extreme.size_ratio
-    if extreme.size_ratio > SMALLEST_RATIO:
+    radius = np.full(len(x), _RADIUS)
+    small = _RADIUS / extreme.size_ratio
+    if extreme.size_ratio > _SMALLEST_RATIO:
         # They sit in the pores and touch one disk so slightly that the balance does not change.
-        hosts = np.flatnonzero(generator.random(len(x)) < SMALL_DISKS)
-        apart = (RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
+        hosts = np.flatnonzero(generator.random(len(x)) < _SMALL_DISKS)
+        apart = (_RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
         x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
         radius = np.append(radius, np.full(len(hosts), small))
-    inside = (x < spacing * (DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (DISKS_UP - 1) + 1.1 * to_wall)
-    x, y, radius = with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
+    inside = (x < spacing * (_DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (_DISKS_UP - 1) + 1.1 * to_wall)
+    x, y, radius = _with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
     pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
     return Packing(
         x,
         y,
         radius,
-        width=spacing * (DISKS_ACROSS - 1) + 2.0 * to_wall,
-        height=spacing * (DISKS_UP - 1) + 2.0 * to_wall,
+        width=spacing * (_DISKS_ACROSS - 1) + 2.0 * to_wall,
+        height=spacing * (_DISKS_UP - 1) + 2.0 * to_wall,
         preload=Preload(pairs, np.zeros(len(pairs))),
-        report=report_of(extreme, overlap),
+        report=_report_of(extreme, overlap),
     )
 
 
-def with_floaters(
+def _with_floaters(
     count: int, x: Floats, y: Floats, radius: Floats, to_wall: float, spacing: float
 ) -> tuple[Floats, Floats, Floats]:
     """Disks and a row of floating ones in the pore in the middle of the lattice."""
-    own = FLOATER * RADIUS
+    own = _FLOATER * _RADIUS
     # They overlap by rounding alone, so that they touch without pushing.
     along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
-    middle = to_wall + spacing * np.array([DISKS_ACROSS // 2 - 0.5, DISKS_UP // 2 - 0.5])
+    middle = to_wall + spacing * np.array([_DISKS_ACROSS // 2 - 0.5, _DISKS_UP // 2 - 0.5])
     return (
         np.append(x, middle[0] + along),
         np.append(y, np.full(count, middle[1])),
@@ -248,7 +248,7 @@ def with_floaters(
     )
 
 
-def report_of(extreme: Extreme, overlap: float) -> PackingReport:
+def _report_of(extreme: Extreme, overlap: float) -> PackingReport:
     """Report of a lattice: what the wave stage reads of it."""
     return PackingReport(
         porosity=0.1,
@@ -264,20 +264,20 @@ def report_of(extreme: Extreme, overlap: float) -> PackingReport:
     )
 
 
-def overlap_under(stress: float, sand: Sand) -> float:
+def _overlap_under(stress: float, sand: Sand) -> float:
     """Overlap of the contacts of a lattice that a stress (Pa) presses, m: force = stress times diameter, Hertz."""
-    coefficient = float(sand.hertz_coefficient(np.array(RADIUS), np.array(RADIUS)))
-    return float((stress * 2.0 * RADIUS / coefficient) ** (2.0 / 3.0))
+    coefficient = float(sand.hertz_coefficient(np.array(_RADIUS), np.array(_RADIUS)))
+    return float((stress * 2.0 * _RADIUS / coefficient) ** (2.0 / 3.0))
 
 
 def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
     rule = PackingRule(
-        width=BOX_WIDTH,
-        height=BOX_HEIGHT,
+        width=_BOX_WIDTH,
+        height=_BOX_HEIGHT,
         stress=stress,
         friction_preparation=friction,
-        unbalanced_force_ratio=UNBALANCED_FORCE_RATIO,
+        unbalanced_force_ratio=_UNBALANCED_FORCE_RATIO,
     )
     return make_packing(rule, Sand(), np.random.default_rng(seed))
 
@@ -286,13 +286,13 @@ def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
     """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
     sand = Sand()
     radius = float(np.mean(packing.radius))
-    cut_off = cutoff_frequency(pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
-    frequency = CEMENTED_FREQUENCY if scene.content > 0.0 else SLOW_PULSE * cut_off
+    cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
+    frequency = _CEMENTED_FREQUENCY if scene.content > 0.0 else _SLOW_PULSE * cut_off
     wave = WaveRule(
-        amplitude=STROKE * packing.report.mean_overlap * frequency,
-        transmitter_half_width=BOX_HEIGHT / 5.0,
-        receiver_half_width=BOX_HEIGHT / 5.0,
-        boundary_thickness=BOX_HEIGHT / 8.0,
+        amplitude=_STROKE * packing.report.mean_overlap * frequency,
+        transmitter_half_width=_BOX_HEIGHT / 5.0,
+        receiver_half_width=_BOX_HEIGHT / 5.0,
+        boundary_thickness=_BOX_HEIGHT / 8.0,
         listening_depth=5.0 * radius,
         slowest=0.3 * radius * cut_off,
         regime=scene.regime,
@@ -300,7 +300,7 @@ def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
     return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))
 
 
-def pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
+def _pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
     """Normal stiffness, N/m, of a contact of mean overlap between disks of a radius (m), Hertz."""
     coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
     return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))

@@ -22,9 +22,9 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 
-TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless the cell itself states more
-FINER = 4  # times smaller step, and denser samples, of the run that decides
-ALIKE = 0.1
+_TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless the cell itself states more
+_FINER = 4  # times smaller step, and denser samples, of the run that decides
+_ALIKE = 0.1
 """Distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call."""
 
 WALKS: dict[str, tuple[float, ...]] = {
@@ -40,8 +40,8 @@ WALKS: dict[str, tuple[float, ...]] = {
     "strength": (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
     "floating": (0, 1, 2, 3),
 }
-"""Values of each quantity; all others stay as `Extreme` has them, except those of `BASES`."""
-BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(amplitude=1e-3)}
+"""Values of each quantity; all others stay as `Extreme` has them, except those of `_BASES`."""
+_BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(amplitude=1e-3)}
 """Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
 
@@ -86,48 +86,50 @@ def judge_scene(scene: Extreme) -> Judgement:
         experiment = experiment_of_scene(scene)
         return experiment, content_of(scene, experiment)
 
-    return judge_experiment(scene, make)
+    return _judge_experiment(scene, make)
 
 
 def judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
     """Do the same on a real packing."""
-    return judge_experiment(scene, lambda: (experiment, scene.content))
+    return _judge_experiment(scene, lambda: (experiment, scene.content))
 
 
-def judge_experiment(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
+def _judge_experiment(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
     """Run what ``make`` gives: an experiment, and a content in percent."""
     try:
         experiment, content = make()
-        found = measure_sample(experiment, content, scene)
+        found = _measure_sample(experiment, content, scene)
     except ValueError as error:
         return Judgement(scene, StabilityVerdict.REFUSED, str(error))
     if found.outcome != Outcome.DONE or found.vs is None:
         return Judgement(scene, StabilityVerdict.DETECTED, found.reason)
     finer = replace(
         experiment.wave,
-        step_fraction=experiment.wave.step_fraction / FINER,
-        samples_per_period=experiment.wave.samples_per_period * FINER,
+        step_fraction=experiment.wave.step_fraction / _FINER,
+        samples_per_period=experiment.wave.samples_per_period * _FINER,
         slowest=experiment.wave.slowest / 2.0,
     )
-    return compare_with_finer(scene, experiment, found, measure_sample(replace(experiment, wave=finer), content, scene))
+    return _compare_with_finer(
+        scene, experiment, found, _measure_sample(replace(experiment, wave=finer), content, scene)
+    )
 
 
-def measure_sample(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
+def _measure_sample(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
     """Measure the scene's one sample."""
     return measure(experiment, content, [scene.seed], lanes=1)[0]
 
 
-def compare_with_finer(
+def _compare_with_finer(
     scene: Extreme | Packed, experiment: Experiment, found: Measurement, exact: Measurement
 ) -> Judgement:
     """Hold a velocity against that of a far smaller step."""
     if found.vs is None or exact.vs is None:
         amplitude = experiment.wave.amplitude
         distance = signal_distance(found.record, amplitude, exact.record, amplitude)
-        verdict = StabilityVerdict.STABLE if distance < ALIKE else StabilityVerdict.WRONG
+        verdict = StabilityVerdict.STABLE if distance < _ALIKE else StabilityVerdict.WRONG
         return Judgement(scene, verdict, f"{exact.reason} with a smaller step, signals {distance:.2g} apart", found.vs)
     error = found.vs / exact.vs - 1.0
-    right = abs(error) <= max(TOLERANCE, found.error_estimate or 0.0)
+    right = abs(error) <= max(_TOLERANCE, found.error_estimate or 0.0)
     return Judgement(
         scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, found.record.retry, found.vs, error
     )
@@ -140,14 +142,16 @@ def walks(
     found = {}
     for name in names:
         progress(name)
-        found[name] = tuple(judge_scene(scene_with(name, value, regime)) for value in WALKS[name] for regime in REGIMES)
+        found[name] = tuple(
+            judge_scene(_scene_with(name, value, regime)) for value in WALKS[name] for regime in REGIMES
+        )
     return found
 
 
-def scene_with(name: str, value: float, regime: Regime) -> Extreme:
+def _scene_with(name: str, value: float, regime: Regime) -> Extreme:
     """Return the plain scene with one quantity changed."""
     changes: dict[str, Any] = {name: value, "regime": regime}
-    return replace(BASES.get(name, Extreme()), **changes)
+    return replace(_BASES.get(name, Extreme()), **changes)
 
 
 def packing_map(
