@@ -12,10 +12,10 @@ from calcidem.app.campaign import identity
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import identify_packing, packing_record
-from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.campaign.run import run
 from calcidem.app.campaign.status import read_status
 from calcidem.app.config import schema
-from calcidem.app.config.schema import Configuration, RunOptions
+from calcidem.app.config.schema import Configuration
 from calcidem.app.report import write_report
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.packing import Packing, make_packing
@@ -124,9 +124,9 @@ def test_run_refuses_another_physics_version(
 ) -> None:
     """A campaign of an earlier physics version is not continued; one sentence names both versions."""
     copy = shutil.copy(small_database, tmp_path / "copy.db")
-    configuration = replace(small_configuration, run=RunOptions(database=str(copy)))
+    configuration = replace(small_configuration)  # a new one: hashes are kept where they were computed
     with pytest.raises(CampaignMismatchError, match=rf"version {stored_version}, .* has version {stored_version + 1}:"):
-        CampaignRun(configuration, ranks=1, tell=lambda _: None)
+        run(configuration, db=copy)
 
 
 def test_verify_refuses_another_physics_version(small_database: Path, stored_version: int) -> None:
