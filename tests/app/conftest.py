@@ -66,6 +66,7 @@ class Workshop:
     folder: Path
     cache: Path
     variables: dict[str, str] = field(default_factory=dict)
+    python: str = sys.executable
 
     @property
     def database(self) -> Path:
@@ -83,7 +84,7 @@ class Workshop:
         """Start the command, or a program in Python that does, and return at once."""
         command = ["-c", program] if program else ["-m", "calcidem"]
         return subprocess.Popen(
-            [sys.executable, *command, *arguments],
+            [self.python, *command, *arguments],
             cwd=self.folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
