@@ -146,7 +146,8 @@ def main() -> None:
             signal, setup, run = newmark(state, pulse, listening_disks(stiffened, wave), duration, step)
             error = distance((np.arange(len(signal)) + 1) * step, signal)
             print(
-                f"| {content:g} | Newmark | {step / state.critical_time_step[0]:.0f} | {setup + run:.2f} | {error:.1e} |", flush=True
+                f"| {content:g} | Newmark | {step / state.critical_time_step[0]:.0f} | {setup + run:.2f} | {error:.1e} |",
+                flush=True,
             )
 
 

@@ -239,7 +239,7 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
 
 def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> None:
     """SIGTERM while the packing is made, which takes half a minute, ends all ranks within seconds with 75."""
-    (workshop.folder / "c.toml").write_text('[campaign]\nseeds = 1\n[packing]\nseed = 47\n')
+    (workshop.folder / "c.toml").write_text("[campaign]\nseeds = 1\n[packing]\nseed = 47\n")
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
     process = workshop.start("run", "c.toml", "--ranks", "2")
     assert process.stdout is not None

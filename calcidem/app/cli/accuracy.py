@@ -17,7 +17,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
 
 
-def _accuracy_command(
+def accuracy_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
     seeds: Annotated[int, typer.Option(min=1, help="Number of seeds of the campaign to measure.")] = 4,

@@ -9,7 +9,7 @@ from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.report import analyse
 
 
-def _analyse_command(
+def analyse_command(
     database: Database,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; created if it is missing.")] = Path(
         "analysis"

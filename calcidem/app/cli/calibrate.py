@@ -10,7 +10,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, read_targets, text_with_values
 
 
-def _calibrate_command(
+def calibrate_command(
     configuration: Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")],
     target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],

@@ -13,7 +13,7 @@ from calcidem.app.doctor.checkup import findings
 _STYLES = {FindingLevel.OK: "green", FindingLevel.WARNING: "yellow", FindingLevel.PROBLEM: "bold red"}
 
 
-def _doctor_command(
+def doctor_command(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder for the database; the current one by default.")
     ] = Path(),

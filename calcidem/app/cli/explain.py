@@ -20,7 +20,7 @@ _DEFAULT_CELLS = 8
 """Seeds of one content that are measured, one batch."""
 
 
-def _explain_command(
+def explain_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: Annotated[
         list[float] | None, typer.Option(help="Only this content, percent; may be repeated. By default three.")

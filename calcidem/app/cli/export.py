@@ -19,7 +19,7 @@ class _ArrayGroup(StrEnum):
     CEMENT = "cement"
 
 
-def _export_command(
+def export_command(
     database: Database,
     netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
     campaign: CampaignName = None,

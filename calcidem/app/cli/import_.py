@@ -10,7 +10,7 @@ from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.sql.store import open_store
 
 
-def _import_command(
+def import_command(
     file: Annotated[Path, typer.Argument(help="NetCDF file that 'calcidem export' wrote.")],
     database: Annotated[
         str, typer.Option("--db", metavar="DB", help="SQLite file or database URL; created if it does not exist.")

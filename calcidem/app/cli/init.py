@@ -19,7 +19,7 @@ class Preset(StrEnum):
     PAPER_LOCKED = "paper-locked"
 
 
-def _init_command(
+def init_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = DEFAULT_CONFIGURATION,
     preset: Annotated[
         Preset,

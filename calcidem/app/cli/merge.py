@@ -9,7 +9,7 @@ from calcidem.app.campaign.merge import Merged, conflict_lines, merge_databases
 from calcidem.app.cli.arguments import CampaignName
 
 
-def _merge_command(
+def merge_command(
     sources: Annotated[list[str], typer.Argument(metavar="A.db B.db ...", help="Databases of the same campaign.")],
     out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; must not exist yet.")],
     prefer: Annotated[

@@ -8,7 +8,7 @@ from calcidem.app.cli.tables import packing_lines
 from calcidem.app.config.reader import load_configuration
 
 
-def _packing_command(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
+def packing_command(configuration: ConfigurationFile = DEFAULT_CONFIGURATION) -> None:
     """Report on the packing of a campaign; unless it comes with calcidem, it is made and kept in the cache."""
     for line in packing_lines(provide_packing(load_configuration(configuration), None, typer.echo)):
         typer.echo(line)

@@ -15,7 +15,7 @@ _FEWEST = 3
 """Cells below which a standard deviation says nothing."""
 
 
-def _plan_command(
+def plan_command(
     database: Database,
     content: Annotated[float, typer.Option(help="Content to plan for, percent.")],
     half_width: Annotated[

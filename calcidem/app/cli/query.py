@@ -38,7 +38,7 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
-def _query_command(
+def query_command(
     database: Database,
     content: OnlyContents = None,
     seed: OnlySeeds = None,

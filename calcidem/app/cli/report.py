@@ -10,7 +10,7 @@ from calcidem.app.report import write_report
 from calcidem.app.studies.frequency_and_damping import run_studies
 
 
-def _report_command(
+def report_command(
     database: Database,
     out: Annotated[Path, typer.Option(metavar="FILE.html", help="Page to write or replace.")] = Path("report.html"),
     with_studies: Annotated[

@@ -15,7 +15,7 @@ _MOST_LISTED = 10
 """Cells that are listed one by one; more are only counted."""
 
 
-def _retry_command(
+def retry_command(
     database: Database,
     status: Annotated[
         list[CellStatus] | None,

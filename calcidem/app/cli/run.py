@@ -12,7 +12,7 @@ from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
 # ruff: noqa: PLC0415
 
 
-def _run_command(
+def run_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     database: Annotated[
         str | None, typer.Option("--db", metavar="FILE", help="Database: file or URL, instead of the configuration's.")

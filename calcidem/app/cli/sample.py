@@ -9,7 +9,7 @@ from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
 from calcidem.app.cli.arguments import CampaignName, Database
 
 
-def _sample_command(
+def sample_command(
     database: Database,
     out: Annotated[Path, typer.Argument(help=f"File to write; its ending decides: {', '.join(SUFFIXES)}.")],
     seed: Annotated[int, typer.Option(help="Seed of the sample.")],

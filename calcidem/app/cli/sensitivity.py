@@ -9,7 +9,7 @@ from calcidem.app.studies.sensitivity.plan import load_plan
 from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
 
 
-def _sensitivity_command(
+def sensitivity_command(
     plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Variants of a configuration.")],
     database: Annotated[str, typer.Option("--db", metavar="FILE", help="Database for all variants.")],
     out: Annotated[Path | None, typer.Option(metavar="TABLE.md", help="File for the table.")] = None,

@@ -12,7 +12,7 @@ from calcidem.app.cli.tables import make_console
 from calcidem.app.report import show_cell
 
 
-def _show_command(
+def show_command(
     database: Database,
     seed: Annotated[int, typer.Option(help="Seed of the cell.")],
     content: Annotated[float, typer.Option(help="Content of the cell, percent.")],

@@ -10,7 +10,7 @@ from calcidem.app.studies.stability.command import random_scenes, stability
 from calcidem.app.studies.stability.verdict import StabilityVerdict
 
 
-def _stability_command(
+def stability_command(
     scenes: Annotated[
         int, typer.Option(min=0, help="Judge this many random scenes of each box instead of the maps.")
     ] = 0,

@@ -15,7 +15,7 @@ from calcidem.app.cli.status_view import status_as_json, status_view
 from calcidem.app.cli.tables import PLAIN_WIDTH
 
 
-def _status_command(
+def status_command(
     database: Database,
     watch: Annotated[
         bool, typer.Option("--watch", help="Refresh until every cell has finished; Ctrl-C ends it.")

@@ -19,7 +19,7 @@ class _StudyName(StrEnum):
     DAMPING = "damping"
 
 
-def _study_command(
+def study_command(
     database: Database,
     names: Annotated[
         list[_StudyName] | None, typer.Argument(metavar="frequency|damping", help="By default both.")

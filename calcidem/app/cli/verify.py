@@ -17,7 +17,7 @@ from calcidem.sweep.progress import pluralize
 _EXIT_CODE_OF = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
 
 
-def _verify_command(
+def verify_command(
     database: Database,
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[

@@ -55,14 +55,14 @@ def critical_time_step(
     _add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
     if not features.rotation:
         matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
-    largest = _largest_eigenvalue(matrices)
+    largest = largest_eigenvalue(matrices)
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
     squared = (2.0 * inverse_mass[:, None] * largest).max(axis=0)
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
 
 
-def _largest_eigenvalue(matrices: Floats) -> Floats:
+def largest_eigenvalue(matrices: Floats) -> Floats:
     """Upper bound (...) of the eigenvalues of symmetric matrices (..., 3, 3) without negative ones, good to 1e-12.
 
     Jacobi's rotations in a fixed order, made of ``+ - * /`` and square roots alone, since LAPACK's last bits depend on

@@ -31,7 +31,7 @@ _SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).p
 without it an edited contact law would run with yesterday's machine code."""
 
 
-class _FeaturesType(types.Type):
+class FeaturesType(types.Type):
     """Numba type of one combination of features."""
 
     def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
@@ -46,19 +46,19 @@ class _FeaturesType(types.Type):
 
 
 @typeof_impl.register(Features)
-def _type_of_features(features: Features, context: Any) -> _FeaturesType:
+def _type_of_features(features: Features, context: Any) -> FeaturesType:
     """Numba type of a `Features` object."""
     del context
-    return _FeaturesType(features.items())
+    return FeaturesType(features.items())
 
 
-@register_model(_FeaturesType)
+@register_model(FeaturesType)
 class _FeaturesModel(models.OpaqueModel):
     """Nothing is passed at run time."""
 
 
-@unbox(_FeaturesType)
-def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
+@unbox(FeaturesType)
+def _unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
     """Pass no data: the type says it all."""
     del kind, features
     return NativeValue(context.context.get_dummy_value())
@@ -68,16 +68,16 @@ def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
 class _FeaturesAttributes(AttributeTemplate):
     """Type of ``features.name``: the literal value itself."""
 
-    key = _FeaturesType
+    key = FeaturesType
 
-    def generic_resolve(self, kind: _FeaturesType, name: str) -> Any:
+    def generic_resolve(self, kind: FeaturesType, name: str) -> Any:
         """Literal type of a switch, None for an unknown name."""
         values = dict(kind.values)
         return types.literal(values[name]) if name in values else None
 
 
-@lower_getattr_generic(_FeaturesType)
-def _lower_feature(context: Any, builder: Any, kind: _FeaturesType, value: Any, name: str) -> Any:
+@lower_getattr_generic(FeaturesType)
+def _lower_feature(context: Any, builder: Any, kind: FeaturesType, value: Any, name: str) -> Any:
     """Machine code of ``features.name``: a constant."""
     del value
     literal = types.literal(dict(kind.values)[name])

@@ -1,0 +1,122 @@
+"""The same bits on every processor: hashes of the real scene on faked ones, and what that costs against an older checkout.
+
+    python benchmarks/bits/run.py [--scene paper] [--against CHECKOUT] [--rounds 7] [--json FILE]
+
+The scene is the paper's packing of 4,663 disks, made anew on every processor, then cemented and crossed by waves in the
+linear and the finite regime, in one lane and in eight. With ``--against`` only the cost is measured: CPU seconds of a step
+of this checkout and the other one, in turns, on this computer as it is.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+PROGRAM = ROOT / "tests" / "dem" / "bits" / "program.py"
+sys.path.insert(0, str(PROGRAM.parent))
+
+from processors import environment, playable
+
+KINDS = ("packing", "step", "cement", "signal", "Vs")
+CASES = (
+    *("linear 8 0 8", "linear 8 2.55 2", "linear 1 0 8", "linear 1 2.55 2"),
+    *("finite 8 0 8", "finite 8 2.55 2", "finite 1 0 8", "finite 1 2.55 2"),
+)
+"""Regime, lanes, content in percent, chunks of 50 samples."""
+
+
+def hashes_on(processor: str, scene: str) -> dict[str, str]:
+    """What the program prints on one processor."""
+    command = [sys.executable, str(PROGRAM), scene]
+    done = subprocess.run(command, env=environment(processor), stdout=subprocess.PIPE, text=True, check=True)
+    return {line.split(" ", 1)[1]: line.split(" ", 1)[0] for line in done.stdout.splitlines()}
+
+
+def show_hashes(scene: str) -> dict[str, dict[str, str]]:
+    """Print the table: how many hashes of each kind are those of the first processor."""
+    found: dict[str, dict[str, str]] = {}
+    print("| processor |", " | ".join(KINDS), "|\n|---|", "---|" * len(KINDS), sep="", flush=True)
+    for processor in playable():
+        found[processor] = hashes_on(processor, scene)
+        reference = next(iter(found.values()))
+        cells = []
+        for kind in KINDS:
+            names = [name for name in reference if name.split(",")[0] == kind]
+            same = sum(found[processor][name] == reference[name] for name in names)
+            first = found[processor][names[0]][:6] if len(names) == 1 else "same"
+            cells.append(f"{first} {same}/{len(names)}")
+        print("|", processor, "|", " | ".join(cells), "|", flush=True)
+    return found
+
+
+class Worker:
+    """A process that measures steps of one checkout."""
+
+    def __init__(self, checkout: Path, packing: Path) -> None:
+        paths = os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])
+        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, str(HERE / "worker.py"), str(packing)],
+            env={**os.environ, **threads, "PYTHONPATH": paths},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def seconds(self, case: str) -> float:
+        """CPU seconds of a step."""
+        print(case, file=self.process.stdin, flush=True)
+        return float((self.process.stdout or sys.stdin).readline())
+
+
+def show_cost(against: Path, rounds: int) -> list[dict[str, object]]:
+    """Print CPU time of a step, in turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        packing = Path(folder, "packing.npz")
+        subprocess.run(
+            [sys.executable, str(PROGRAM), "paper", "--packing", str(packing), "--regimes"],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        before, after = Worker(against, packing), Worker(ROOT, packing)
+        rows: list[dict[str, object]] = []
+        print("| regime, lanes, content | before, us a step | now | change of the median | spread of repeats |")
+        print("|---|---|---|---|---|", flush=True)
+        for case in CASES:
+            old, new = [], []
+            for worker in (before, after):
+                worker.seconds(case)  # compiles
+            for turn in range(rounds):
+                for worker, seconds in ((before, old), (after, new))[:: 1 if turn % 2 else -1]:
+                    seconds.append(worker.seconds(case))
+            change, spread = median(new) / median(old) - 1.0, max(old) / min(old) - 1.0
+            name = "{} {} {} %".format(*case.split())
+            print(
+                f"| {name} | {1e6 * median(old):.1f} | {1e6 * median(new):.1f} | {change:+.1%} | {spread:.1%} |",
+                flush=True,
+            )
+            rows.append({"case": case, "before": old, "now": new})
+    return rows
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", choices=("small", "paper"), default="paper")
+    parser.add_argument("--against", type=Path)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found = show_hashes(options.scene) if options.against is None else show_cost(options.against, options.rounds)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

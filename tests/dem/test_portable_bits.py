@@ -1,0 +1,138 @@
+"""The bits of a sample are the same on every processor."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calcidem.dem.engine import portable
+from calcidem.dem.engine.stability import largest_eigenvalue
+
+FOLDER = Path(__file__).parent / "bits"
+sys.path.insert(0, str(FOLDER))
+from processors import environment, playable  # noqa: E402 - a helper beside the tests
+
+QUICK = ("SSE2", "AVX2")
+"""Processors of every run; the others take their turn with ``-m full``."""
+
+
+def hashes_on(processors: list[str], *options: str) -> dict[str, dict[str, str]]:
+    """What the program prints on each of several processors, all at once."""
+    command = [sys.executable, str(FOLDER / "program.py"), "small", *options]
+    running = {
+        name: subprocess.Popen(command, env=environment(name), stdout=subprocess.PIPE, text=True) for name in processors
+    }
+    found = {}
+    for name, process in running.items():
+        text, _ = process.communicate()
+        assert process.returncode == 0, name
+        found[name] = {line.split(" ", 1)[1]: line.split(" ", 1)[0] for line in text.splitlines()}
+    return found
+
+
+def expected() -> dict[str, str]:
+    """Hashes kept in the tree."""
+    return dict(json.loads((FOLDER / "hashes.json").read_text()))
+
+
+def test_two_processors_give_the_bits_that_are_kept() -> None:
+    """Packing, cement, steps, signals and velocities of 280 disks have the bits that are kept in the tree."""
+    processors = [name for name in QUICK if name in playable()] or ["as it is"]
+    kept = expected()
+    for name, found in hashes_on(processors, "--lanes", "8", "--contents", "2.55").items():
+        assert found == {key: kept[key] for key in found}, name
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("processor", playable())
+def test_every_processor_gives_the_bits_that_are_kept(processor: str) -> None:
+    """The same for every processor that this computer can play, one and eight lanes, with and without cement."""
+    assert hashes_on([processor])[processor] == expected()
+
+
+def in_last_places(values: np.ndarray, exact: np.ndarray) -> float:
+    """Largest error in units in the last place."""
+    return float(np.max(np.abs(values - exact) / np.spacing(np.abs(exact).astype(float))))
+
+
+def test_sines_are_good_to_two_units_in_the_last_place() -> None:
+    """Sine of turns from -1 to 1, against long double, and exactly at quarters."""
+    turns = np.random.default_rng(1).uniform(-1.0, 1.0, 20_000)
+    quarters = np.round(4.0 * turns)
+    rest = 2.0 * np.pi * np.longdouble(1.0) * (turns - quarters / 4.0) + np.longdouble(2.4492935982947064e-16) * (
+        turns - quarters / 4.0
+    )
+    exact = np.where(quarters % 2 == 0, np.sin(rest), np.cos(rest)) * np.where(quarters % 4 >= 2, -1.0, 1.0)
+    assert in_last_places(portable.sine_of_turns(turns), exact) < 2.0
+    assert portable.sine_of_turns([0.0, 0.25, 0.5, 0.75, 1.0, -0.25]).tolist() == [0.0, 1.0, 0.0, -1.0, 0.0, -1.0]
+
+
+def test_arcsines_lengths_and_powers_are_good_to_the_last_places() -> None:
+    """Against long double, as the docstrings say."""
+    x, y = np.random.default_rng(2).uniform(1e-6, 1.0, (2, 20_000))
+    long_x, long_y = x.astype(np.longdouble), y.astype(np.longdouble)
+    assert in_last_places(portable.arc_sine(x), np.arcsin(long_x)) < 3.0
+    assert portable.arc_sine([0.0, 1.0]).tolist() == [0.0, math.pi / 2.0]
+    assert in_last_places(portable.length(x, y), np.hypot(long_x, long_y)) < 1.5
+    assert in_last_places(portable.three_halves(x), long_x * np.sqrt(long_x)) < 1.5
+    degrees = np.linspace(0.0, 89.0, 90)
+    tangents = [portable.tangent_of_degrees(float(value)) for value in degrees]
+    np.testing.assert_allclose(tangents, np.tan(np.radians(degrees)), rtol=1e-13, atol=0.0)
+
+
+@pytest.mark.parametrize("reach", [2, 5, 12])
+def test_smoothing_leaves_cubics_as_they_are(reach: int) -> None:
+    """A cubic is its own smooth form up to both ends, and of noise the least squares are left."""
+    time = np.linspace(-1.0, 1.0, 60)
+    cubic = 1.0 + time - 3.0 * time * time + 0.5 * time * time * time
+    np.testing.assert_allclose(portable.smooth_cubically(cubic, reach), cubic, rtol=0.0, atol=1e-13)
+    noise = np.random.default_rng(3).normal(size=60)
+    places = np.arange(-reach, reach + 1)
+    fit = np.polynomial.Polynomial.fit(places, noise[30 - reach : 31 + reach], 3)
+    assert portable.smooth_cubically(noise, reach)[30] == pytest.approx(fit(0.0), abs=1e-13)
+
+
+def test_largest_eigenvalues_are_bounds_good_to_a_trillionth() -> None:
+    """Never below LAPACK's and above by 1e-12 at most, with stiffnesses that differ by 1e11, and for zero matrices."""
+    generator = np.random.default_rng(4)
+    for springs in (1, 2, 5):
+        directions = generator.normal(size=(5_000, springs, 3))
+        stiffness = 10.0 ** generator.uniform(0.0, 11.0, (5_000, springs))
+        matrices = np.einsum("nk,nki,nkj->nij", stiffness, directions, directions)
+        ratio = largest_eigenvalue(matrices) / np.linalg.eigvalsh(matrices)[:, -1]
+        assert ratio.min() > 1.0
+        assert ratio.max() < 1.0 + 2e-12
+    assert largest_eigenvalue(np.zeros((2, 3, 3))).tolist() == [0.0, 0.0]
+
+
+def pairwise(values: list[float]) -> float:
+    """NumPy's sum of a contiguous array, written out."""
+    if len(values) < 8:
+        total = 0.0
+        for value in values:
+            total += value
+        return total
+    if len(values) <= 128:
+        parts = values[:8]
+        whole = len(values) - len(values) % 8
+        for begin in range(8, whole, 8):
+            parts = [part + value for part, value in zip(parts, values[begin : begin + 8], strict=True)]
+        total = ((parts[0] + parts[1]) + (parts[2] + parts[3])) + ((parts[4] + parts[5]) + (parts[6] + parts[7]))
+        for value in values[whole:]:
+            total += value
+        return total
+    half = len(values) // 2
+    half -= half % 8
+    return pairwise(values[:half]) + pairwise(values[half:])
+
+
+def test_the_sum_of_an_array_has_a_fixed_order() -> None:
+    """`np.sum` of a contiguous array is the pairwise sum, to the last bit, whatever vectors the processor has."""
+    generator = np.random.default_rng(5)
+    for size in (3, 8, 100, 129, 4663):
+        values = generator.normal(size=size) * 10.0 ** generator.uniform(-8.0, 8.0, size)
+        assert float(np.sum(values)) == pairwise(values.tolist())
