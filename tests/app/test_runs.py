@@ -224,7 +224,7 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
     workshop.configure(contents=(0.66, 5.0))
     program = (
         "from calcidem.app.campaign import launch; from calcidem.app.cli.main import main;"
-        " launch.HEARTBEAT_TIMEOUT = 1.0; main()"
+        " launch._HEARTBEAT_TIMEOUT = 1.0; main()"
     )
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)
     workshop.wait_for_cells(1)
