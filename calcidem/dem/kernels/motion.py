@@ -2,7 +2,7 @@
 
 from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.lanes import Vector, load, row, scalar, store, zero_like
+from calcidem.dem.kernels.lanes import Vector, load, row, scalar, store, without_dust, zero_like
 from calcidem.dem.kernels.laws import damp_force
 from calcidem.dem.kernels.layout import DAMPING_LOSS, LOAD_WORK, ROTATION, WALL_WORK, Front, System, Watch, X, Y
 
@@ -39,9 +39,9 @@ def _kick(
     driving = force
     if features.damping:
         driving = damp_force(force, velocity, scalar(grains.damping, (grain,)))
-    faster = velocity + (dt * inverse) * driving
+    faster = without_dust(velocity + (dt * inverse) * driving)
     store(motion.velocity, (row(grain, component),), faster)
-    moved = load(motion.displacement, (row(grain, component),), lanes) + dt * faster
+    moved = without_dust(load(motion.displacement, (row(grain, component),), lanes) + dt * faster)
     store(motion.displacement, (row(grain, component),), moved)
     if features.account:
         path = 0.5 * dt * (velocity + faster)
