@@ -19,4 +19,4 @@ ruff format --check .
 ruff check .
 mypy
 lint-imports
-exec python -m pytest -n "${JOBS:-2}" --dist loadgroup ${chosen[@]+"${chosen[@]}"} "$@"
+exec python -m pytest -n "${JOBS:-2}" --dist loadfile ${chosen[@]+"${chosen[@]}"} "$@"

@@ -30,14 +30,6 @@ SMALL_PACKING = Path(__file__).with_name("assets") / "small_packing.npz"
 It is a file because packing is chaotic: no test may hang on what one draw gives on one processor."""
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a file in one process, and all tests that start MPI: its ranks fill the cores by themselves."""
-    for item in items:
-        group = "mpi" if item.get_closest_marker("mpi") else item.path.stem
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
 @pytest.fixture(scope="session")
 def small_packing() -> Packing:
     """Give a packing of 280 disks, the same bits on every machine."""

@@ -87,7 +87,7 @@ def _slice_by_counts(counts: NDArray[np.integer[Any]]) -> list[slice]:
 
     Examples
     --------
-    >>> slice_by_counts(np.array([2, 0, 3]))
+    >>> _slice_by_counts(np.array([2, 0, 3]))
     [slice(0, 2, None), slice(2, 2, None), slice(2, 5, None)]
     """
     ends = np.cumsum(counts).tolist()
