@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Installs calcidem for development if needed, then runs linters, type checks and tests.
 # Usage: ./run-tests.sh [--fast | --full] [pytest arguments]
-#   --fast  what one waits for while writing: no MPI, nothing that takes seconds; about a minute and a half once kernels are compiled
+#   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs
-#   --full  everything: hundreds of faults and scenes, other programs, fresh installations; close to an hour
+#   --full  everything: hundreds of faults and scenes, other programs, fresh installations
 # JOBS says how many tests run side by side; 2 by default, since the tests of MPI start several ranks each.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"

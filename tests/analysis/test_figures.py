@@ -19,6 +19,8 @@ from calcidem.analysis.figures.signals import received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_range
 from calcidem.storage.campaign import open_stored_campaign
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:

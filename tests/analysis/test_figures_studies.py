@@ -15,6 +15,8 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.storage.campaign import open_stored_campaign
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2, 3, 4, 5)
 """More than four, so that the lanes are those of the campaign and no other kernel has to be compiled."""
 

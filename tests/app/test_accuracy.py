@@ -21,6 +21,8 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.rule import WaveRule
 
+pytestmark = pytest.mark.slow
+
 CONTENTS = (0.34, 0.45, 0.55, 0.66)
 SEEDS = tuple(range(1, 9))
 

@@ -17,6 +17,8 @@ from calcidem.app.studies.calibrate import (
 )
 from calcidem.dem.sample.packing import Packing
 
+pytestmark = pytest.mark.slow
+
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
 CONTENTS = (0.2, 5.0)
 SEEDS = tuple(range(1, 9))

@@ -17,6 +17,8 @@ from calcidem.app.cli.main import COMMANDS, build_application, command_descripti
 if TYPE_CHECKING:
     from conftest import Workshop
 
+pytestmark = pytest.mark.slow
+
 CHECKOUT = Path(__file__).parents[2]
 
 

@@ -20,6 +20,8 @@ from calcidem.storage.errors import CampaignMismatchError
 if TYPE_CHECKING:
     from conftest import Workshop
 
+pytestmark = pytest.mark.slow
+
 OWN = """
 [campaign]
 name = "small"

@@ -8,6 +8,8 @@ from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
 from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
 
+pytestmark = pytest.mark.slow
+
 BASE = """
 [packing]
 width = 0.03

@@ -20,6 +20,8 @@ from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.scene import wave_scene
 
+pytestmark = pytest.mark.slow
+
 SCENES = 512
 
 

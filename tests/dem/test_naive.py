@@ -11,6 +11,8 @@ from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.scene import Installation, Preload, Regime, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 
+pytestmark = pytest.mark.slow
+
 # The kernel takes the change of a distance to second order in a step, the twin exactly: steps of 1e-4 of a disk leave
 # 1e-8 of the largest value, and branches (contact, slip) taken a rounding apart far less.
 TOLERANCE = 1e-7

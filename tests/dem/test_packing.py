@@ -23,6 +23,8 @@ from calcidem.dem.sample.packing import (
     place_apart,
 )
 
+pytestmark = pytest.mark.slow
+
 SMALL = PackingRule(width=0.02, height=0.03, stress=5.0e3)
 SAND = Sand()
 

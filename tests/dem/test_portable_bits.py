@@ -12,6 +12,8 @@ import pytest
 from calcidem.dem.engine import portable
 from calcidem.dem.engine.stability import largest_eigenvalue
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).parent / "bits"
 sys.path.insert(0, str(FOLDER))
 from processors import environment, playable  # noqa: E402 - a helper beside the tests

@@ -11,6 +11,8 @@ from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, 
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 
+pytestmark = pytest.mark.slow
+
 EIGHT = replace(LINEAR, lanes=8)
 REGIMES = {"linear": LINEAR, "small": replace(GROUPED, finite=False, search=False), "finite": GROUPED}
 

@@ -18,7 +18,10 @@ HOST = binding.get_host_cpu_features()
 REGISTER = "zmm" if HOST.get("avx512f") else "ymm" if HOST.get("avx2") else None
 SCALAR_DIVIDER = ("divsd", "vdivsd", "sqrtsd", "vsqrtsd", "divss", "vdivss", "sqrtss", "vsqrtss")
 
-pytestmark = pytest.mark.skipif(REGISTER is None, reason="this processor has neither AVX-512 nor AVX2")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(REGISTER is None, reason="this processor has neither AVX-512 nor AVX2"),
+]
 
 
 def assembly_reader() -> ModuleType:

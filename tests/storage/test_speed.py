@@ -21,6 +21,8 @@ from calcidem.storage.store import Selection
 if TYPE_CHECKING:
     from conftest import Records
 
+pytestmark = pytest.mark.slow
+
 CONTENTS = tuple(0.5 * i for i in range(17))
 SEEDS = range(100_000 // len(CONTENTS))
 

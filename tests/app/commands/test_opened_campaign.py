@@ -15,6 +15,8 @@ from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seed", [1, 5])
 def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: OpenedCampaign, seed: int) -> None:

@@ -7,6 +7,8 @@ import pytest
 
 from calcidem.storage.sql.store import open_store
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 
 

@@ -23,6 +23,8 @@ from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult
 
+pytestmark = pytest.mark.slow
+
 Invoke = Callable[..., str]
 Change = Callable[..., Path]
 SMALL_PACKING = Path(__file__).parents[2] / "assets" / "small_packing.npz"
