@@ -62,6 +62,26 @@ IDENTITIES = {
         "ba6c0df8753d7002f0749f2a5c86755f7289c75161b368bd77f394927cb8768d",
         "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
     ),
+    (3, "examples/quick.toml"): (
+        "220cf7d96f71a4d5878e35173a5fe03f324ef809bb5eb6afb6ae285c38510119",
+        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+    ),
+    (3, "examples/paper.toml"): (
+        "220cf7d96f71a4d5878e35173a5fe03f324ef809bb5eb6afb6ae285c38510119",
+        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+    ),
+    (3, "examples/paper-literal.toml"): (
+        "e1740d6929c35881578636379a527017076bb8414536ff5688807716a823e4ff",
+        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+    ),
+    (3, "examples/paper-locked.toml"): (
+        "3f7c614bd2ad23705d0a0c403d0c908fe36c3b2288b6951514191b91a6b87008",
+        "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
+    ),
+    (3, "docs/tutorial/quick.toml"): (
+        "976d78305eddb6b92836f34f860ffbcfea292b3bf4d0e2e7cb25d1a73ac4f8e5",
+        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+    ),
 }
 
 # (text of the file, what the message must name: field and value, problem or cure)

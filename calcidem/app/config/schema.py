@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Section = TypeVar("Section", bound="DataclassInstance")
 
-PHYSICS_VERSION = 2
+PHYSICS_VERSION = 3
 """To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
 
 
