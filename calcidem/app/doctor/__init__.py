@@ -5,13 +5,14 @@ from enum import StrEnum
 
 
 class FindingLevel(StrEnum):
-    """How good a finding is."""
+    """How good a finding is: with a warning a campaign runs slower or less safely, with a problem not as it should."""
 
     OK = "ok"
     WARNING = "warning"
-    """A campaign runs, but slower or less safely than it could."""
     PROBLEM = "problem"
-    """A campaign will not run as it should."""
+
+
+OK, WARNING, PROBLEM = FindingLevel
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +21,8 @@ class Finding:
 
     Attributes
     ----------
-    level
-        How good it is.
-    subject
-        What was looked at.
-    fact
-        What was found.
+    level, subject, fact
+        How good it is, what was looked at, and what was found.
     cure
         What to do about it; empty if all is well.
     """

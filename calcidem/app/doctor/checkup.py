@@ -12,7 +12,7 @@ from pathlib import Path
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker, worker_text
-from calcidem.app.doctor import Finding, FindingLevel
+from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.app.doctor.mpi import mpi_findings
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import measure_commits
@@ -36,13 +36,12 @@ _CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 def findings(folder: Path) -> Iterator[Finding]:
     """Check everything, quick things first; the database is to be in this folder."""
-    yield Finding(
-        FindingLevel.OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}"
-    )
+    yield Finding(OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}")
     yield _processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
-        yield cores_finding(available_cores(), _read_or_empty(_CPU_QUOTA))
-    yield from thread_findings(os.environ)
+        quota = _CPU_QUOTA.read_text(encoding="ascii") if _CPU_QUOTA.exists() else ""
+        yield cores_finding(available_cores(), quota)
+    yield thread_finding(os.environ)
     yield from slurm_findings(os.environ)
     yield from folder_findings(folder)
     yield _packing_cache_finding()
@@ -50,94 +49,60 @@ def findings(folder: Path) -> Iterator[Finding]:
     yield from mpi_findings()
 
 
-def _read_or_empty(path: Path) -> str:
-    """Text of a file, empty if it can't be read."""
-    try:
-        return path.read_text(encoding="ascii")
-    except OSError:
-        return ""
-
-
 def _processor_finding() -> Finding:
     """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
-        return Finding(FindingLevel.OK, "processor", f"{worker_text(worker)}; no bit of a result depends on it")
-    return Finding(
-        FindingLevel.WARNING,
-        "processor",
-        f"{worker_text(worker)}; nobody has compared the bits of such processors",
-        "compute a campaign on machines of one kind",
-    )
+        return Finding(OK, "processor", f"{worker_text(worker)}; no bit of a result depends on it")
+    fact = f"{worker_text(worker)}; nobody has compared the bits of such processors"
+    return Finding(WARNING, "processor", fact, "compute a campaign on machines of one kind")
 
 
 def cores_finding(cores: int, quota: str) -> Finding:
     """Compare the cores that can be seen with the CPU time that the container is given."""
-    fact = (
-        f"{cores} of {os.cpu_count()} can be used, so './mpirun.sh' starts {cores + 1} ranks (rank 0 only coordinates)"
-    )
     words = quota.split()
     allowed = int(words[0]) / int(words[1]) if words and words[0] != "max" else math.inf
     if allowed < cores:
-        return Finding(
-            FindingLevel.WARNING,
-            "cores",
-            f"{cores} are visible, but this container gets the CPU time of {allowed:g}",
-            f"start with --ranks {max(1, math.floor(allowed)) + 1}",
-        )
-    return Finding(FindingLevel.OK, "cores", fact)
+        fact = f"{cores} are visible, but this container gets the CPU time of {allowed:g}"
+        return Finding(WARNING, "cores", fact, f"start with --ranks {max(1, math.floor(allowed)) + 1}")
+    ranks = f"'./mpirun.sh' starts {cores + 1} ranks (rank 0 only coordinates)"
+    return Finding(OK, "cores", f"{cores} of {os.cpu_count()} can be used, so {ranks}")
 
 
-def thread_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
+def thread_finding(variables: Mapping[str, str]) -> Finding:
     """Look for thread counts other than 1; calcidem sets those that are not set."""
     wrong = {name: variables[name] for name in THREAD_VARIABLES if variables.get(name, "1") != "1"}
-    if wrong:
-        yield Finding(
-            FindingLevel.WARNING,
-            "threads",
-            ", ".join(f"{name}={value}" for name, value in wrong.items())
-            + ": the threads of the ranks compete for the cores",
-            f"unset {' '.join(wrong)}",
-        )
-    else:
-        yield Finding(FindingLevel.OK, "threads", "one per rank")
+    if not wrong:
+        return Finding(OK, "threads", "one per rank")
+    found = ", ".join(f"{name}={value}" for name, value in wrong.items())
+    return Finding(WARNING, "threads", f"{found}: the threads of the ranks compete", f"unset {' '.join(wrong)}")
 
 
 def slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Look at the Slurm job this runs in, or say how to start one."""
     if "SLURM_JOB_ID" not in variables:
-        present = shutil.which("sbatch") is not None
         template = "installed, but this is not a Slurm job; examples/slurm.sbatch is a template for one"
-        yield Finding(FindingLevel.OK, "Slurm", template if present else "not installed here, and not needed")
+        yield Finding(OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
         return
     tasks, job = variables.get("SLURM_NTASKS", "1"), variables["SLURM_JOB_ID"]
     if variables.get("SLURM_STEP_ID", "batch").isdigit() and tasks != "1" and launcher(variables) is None:
-        yield Finding(
-            FindingLevel.PROBLEM,
-            "Slurm",
-            f"job {job}: 'srun' started {tasks} programs that don't know about each other",
-            "start calcidem once, with ./mpirun.sh or 'calcidem run --ranks 0' in the batch script, without srun",
-        )
+        fact = f"job {job}: 'srun' started {tasks} programs that don't know about each other"
+        cure = "start calcidem once, with ./mpirun.sh or 'calcidem run --ranks 0' in the batch script, without srun"
+        yield Finding(PROBLEM, "Slurm", fact, cure)
         return
     restarts = variables.get("SLURM_RESTART_COUNT", "0")
-    yield Finding(FindingLevel.OK, "Slurm", f"job {job} with {tasks} tasks, restarted {restarts} times")
+    yield Finding(OK, "Slurm", f"job {job} with {tasks} tasks, restarted {restarts} times")
     if variables.get("SLURM_JOB_NUM_NODES", "1") != "1" and shutil.which("srun") is None:
-        yield Finding(
-            FindingLevel.PROBLEM,
-            "Slurm",
-            f"job {job} spans several nodes, but mpirun can't reach them without srun",
-            "add Slurm's programs to PATH",
-        )
+        fact = f"job {job} spans several nodes, but mpirun can't reach them without srun"
+        yield Finding(PROBLEM, "Slurm", fact, "add Slurm's programs to PATH")
 
 
 def folder_findings(folder: Path) -> Iterator[Finding]:
     """Try a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
     where = folder.absolute()
     if not where.is_dir():
-        yield Finding(FindingLevel.PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
+        yield Finding(PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
         return
-    network = is_network_filesystem(where)
-    kind = filesystem_type(where) or "an unknown file system"
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
             journal, rate = measure_commits(Path(trial) / "trial.db", _COMMITS)
@@ -146,54 +111,42 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
             lock.release()
     except (OSError, StoreError) as error:
         cure = "free some space, change the permissions, or choose another folder"
-        yield Finding(FindingLevel.PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
+        yield Finding(PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
-    yield network_finding(where, kind, network=network, locks=locks)
-    yield _database_finding(journal, rate)
-    free = shutil.disk_usage(where).free
-    level, cure = (
-        (FindingLevel.OK, "")
-        if free > _LITTLE_SPACE
-        else (FindingLevel.WARNING, "free some space, or choose another folder")
+    kind = filesystem_type(where) or "an unknown file system"
+    yield network_finding(where, kind, network=is_network_filesystem(where), locks=locks)
+    speed = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
+    yield (
+        Finding(OK, "SQLite", speed)
+        if rate >= _SLOW_COMMITS
+        else Finding(WARNING, "SQLite", speed, "use a faster disk, or --db with the URL of a server")
     )
-    yield Finding(level, "space", f"{free / 1e9:.1f} GB free in {where}", cure)
+    free = shutil.disk_usage(where).free
+    space = f"{free / 1e9:.1f} GB free in {where}"
+    yield (
+        Finding(OK, "space", space)
+        if free > _LITTLE_SPACE
+        else Finding(WARNING, "space", space, "free some space, or choose another folder")
+    )
 
 
 def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
     """What the file system of the database means for it."""
     if not network:
-        return Finding(FindingLevel.OK, "file system", f"{where} is on {kind}, which counts as local")
+        return Finding(OK, "file system", f"{where} is on {kind}, which counts as local")
     locked = "locks work" if locks else "locks don't work, so only its heartbeat reveals a second master"
-    return Finding(
-        FindingLevel.WARNING,
-        "file system",
-        f"{where} is on {kind}, shared between machines; {locked}",
-        "works, but commits are slower; a folder on a local disk is faster, if results can be copied back afterwards",
-    )
-
-
-def _database_finding(journal: str, rate: float) -> Finding:
-    """What the trial of a database showed."""
-    fact = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
-    if rate < _SLOW_COMMITS:
-        return Finding(FindingLevel.WARNING, "SQLite", fact, "use a faster disk, or --db with the URL of a server")
-    return Finding(FindingLevel.OK, "SQLite", fact)
+    cure = "works, but commits are slower; a folder on a local disk is faster, if results can be copied back afterwards"
+    return Finding(WARNING, "file system", f"{where} is on {kind}, shared between machines; {locked}", cure)
 
 
 def _packing_cache_finding() -> Finding:
     """Whether packings can be kept between campaigns."""
     folder = cache_folder()
-    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    if not os.access(existing, os.W_OK):
-        cure = f"set {CACHE_VARIABLE} to a writable folder"
-        return Finding(
-            FindingLevel.WARNING,
-            "packing cache",
-            f"{folder} is not writable: each campaign makes its packing again",
-            cure,
-        )
+    if not _can_write(folder):
+        fact = f"{folder} is not writable: each campaign makes its packing again"
+        return Finding(WARNING, "packing cache", fact, f"set {CACHE_VARIABLE} to a writable folder")
     number = len(list(folder.glob("packing-*.npz")))
-    return Finding(FindingLevel.OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
+    return Finding(OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
 
 
 def _compile_cache_finding() -> Finding:
@@ -202,21 +155,21 @@ def _compile_cache_finding() -> Finding:
 
     stats = getattr(advance_steps, "stats", None)
     if stats is None or stats.cache_path is None:
-        return Finding(
-            FindingLevel.WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT"
-        )
+        return Finding(WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
     folder, module = Path(stats.cache_path), advance_steps.__module__.rpartition(".")[2]
+    cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node"
+    if not _can_write(folder):
+        return Finding(WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure)
     compiled = len(list(folder.glob(f"{module}.{advance_steps.__name__}*.nbc")))
-    fact = f"{folder} holds {pluralize(compiled, 'kernel')}" + (
-        "" if compiled else " (the first run compiles for 5 to 25 s)"
-    )
-    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    if not os.access(existing, os.W_OK):
-        cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node"
-        return Finding(
-            FindingLevel.WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure
-        )
+    first = "" if compiled else " (the first run compiles for 5 to 25 s)"
+    fact = f"{folder} holds {pluralize(compiled, 'kernel')}{first}"
     if is_network_filesystem(folder):
-        cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node, as examples/slurm.sbatch does"
-        return Finding(FindingLevel.WARNING, "compile cache", f"{fact}; on a network file system", cure)
-    return Finding(FindingLevel.OK, "compile cache", fact)
+        return Finding(
+            WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, as examples/slurm.sbatch does"
+        )
+    return Finding(OK, "compile cache", fact)
+
+
+def _can_write(folder: Path) -> bool:
+    """Whether a folder can be written, or made."""
+    return os.access(next(parent for parent in (folder, *folder.absolute().parents) if parent.exists()), os.W_OK)

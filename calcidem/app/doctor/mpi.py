@@ -5,11 +5,11 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
-from calcidem.app.doctor import Finding, FindingLevel
+from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.sweep import LaunchError
 from calcidem.sweep.environment import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 
@@ -35,10 +35,8 @@ class Rank:
 
     Attributes
     ----------
-    world_size
-        Number of ranks that it knows of.
-    cores
-        Number of cores that it may use.
+    world_size, cores
+        Number of ranks that it knows of, and of cores that it may use.
     fault_tolerant
         Whether a lost rank leaves it running.
     """
@@ -54,17 +52,17 @@ def mpi_findings() -> Iterator[Finding]:
         refuse_ranks_off_linux()
     except LaunchError as error:
         fact, _, cure = str(error).partition(": ")
-        yield Finding(FindingLevel.WARNING, "MPI ranks", fact, cure)
+        yield Finding(WARNING, "MPI ranks", fact, cure)
         return
     library = mpi_library_version()
     if library is None:
-        yield Finding(FindingLevel.WARNING, "MPI library", "none can be loaded, so only one core can be used", _INSTALL)
+        yield Finding(WARNING, "MPI library", "none can be loaded, so only one core can be used", _INSTALL)
         return
-    yield Finding(FindingLevel.OK, "MPI library", library)
+    yield Finding(OK, "MPI library", library)
     try:
         mpirun = find_mpirun()
     except LaunchError as error:
-        yield Finding(FindingLevel.PROBLEM, "MPI launcher", str(error), _INSTALL)
+        yield Finding(PROBLEM, "MPI launcher", str(error), _INSTALL)
         return
     yield launcher_finding(mpirun, library)
     yield from rank_findings(mpirun)
@@ -76,15 +74,11 @@ def launcher_finding(mpirun: str, library: str) -> Finding:
     said = (done.stdout or done.stderr).strip().partition("\n")[0]
     versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
     own, of_library = (None if found is None else found.group() for found in versions)
-    fact = f"{mpirun}: {said}"
-    if "Open MPI" in library and own != of_library:
-        return Finding(
-            FindingLevel.WARNING,
-            "MPI launcher",
-            f"{fact}, but the library is version {of_library}",
-            "set MPIRUN to the launcher of the same installation; mixed versions work only by luck",
-        )
-    return Finding(FindingLevel.OK, "MPI launcher", fact)
+    if "Open MPI" not in library or own == of_library:
+        return Finding(OK, "MPI launcher", f"{mpirun}: {said}")
+    fact = f"{mpirun}: {said}, but the library is version {of_library}"
+    cure = "set MPIRUN to the launcher of the same installation; mixed versions work only by luck"
+    return Finding(WARNING, "MPI launcher", fact, cure)
 
 
 def rank_findings(mpirun: str) -> Iterator[Finding]:
@@ -92,54 +86,34 @@ def rank_findings(mpirun: str) -> Iterator[Finding]:
     try:
         ranks = _start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
-        yield Finding(
-            FindingLevel.PROBLEM,
-            "two ranks",
-            f"did not start: {_failure_text(error)}",
-            "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=^ofi may help",
-        )
+        cure = "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=^ofi may help"
+        yield Finding(PROBLEM, "two ranks", f"did not start: {_failure_text(error)}", cure)
         return
-    if [rank.world_size for rank in ranks] != [2, 2]:
-        sizes = ", ".join(str(rank.world_size) for rank in ranks)
-        yield Finding(
-            FindingLevel.PROBLEM,
-            "two ranks",
-            f"don't know about each other (world sizes: {sizes}): each would compute the whole campaign",
-            "use the launcher of the MPI library that mpi4py loads (MPIRUN)",
-        )
+    sizes = [rank.world_size for rank in ranks]
+    if sizes != [2, 2]:
+        fact = f"don't know about each other (world sizes: {', '.join(map(str, sizes))})"
+        cure = "use the launcher of the MPI library that mpi4py loads (MPIRUN)"
+        yield Finding(PROBLEM, "two ranks", f"{fact}: each would compute the whole campaign", cure)
         return
-    yield Finding(FindingLevel.OK, "two ranks", "start and know about each other")
+    yield Finding(OK, "two ranks", "start and know about each other")
     yield _fault_tolerance_finding(ranks)
     yield binding_finding(ranks, available_cores())
 
 
 def _start_ranks(mpirun: str) -> list[Rank]:
-    """Start two ranks and return what they say.
-
-    Raises
-    ------
-    subprocess.SubprocessError
-        If they fail or take too long.
-    ValueError
-        If they say something else.
-    """
-    command = [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM]
+    """Start two ranks and return what they say; raises `SubprocessError` or `ValueError` if they can't or won't."""
     done = subprocess.run(  # noqa: S603 - our own program
-        command,
+        [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM],
         check=True,
         capture_output=True,
         text=True,
         timeout=_RANKS_TIMEOUT,
-        env=_clean_environment(os.environ) | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        # Without what a launcher sets, so that a rank could start ranks of its own.
+        env={name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES}
+        | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
-    lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
-    return [Rank(*json.loads(line)) for line in lines]
-
-
-def _clean_environment(variables: Mapping[str, str]) -> dict[str, str]:
-    """Environment without what a launcher sets, so that a rank could start ranks of its own."""
-    return {name: value for name, value in variables.items() if name not in LAUNCHER_VARIABLES}
+    return [Rank(*json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
 
 
 def _failure_text(error: Exception) -> str:
@@ -152,23 +126,16 @@ def _failure_text(error: Exception) -> str:
 def _fault_tolerance_finding(ranks: list[Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
-        return Finding(FindingLevel.OK, "lost ranks", "cost only what they were computing (ULFM)")
-    return Finding(
-        FindingLevel.WARNING,
-        "lost ranks",
-        "end the run: only Open MPI 5 and later can go on without them (ULFM)",
-        f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues",
-    )
+        return Finding(OK, "lost ranks", "cost only what they were computing (ULFM)")
+    fact = "end the run: only Open MPI 5 and later can go on without them (ULFM)"
+    cure = f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues"
+    return Finding(WARNING, "lost ranks", fact, cure)
 
 
 def binding_finding(ranks: list[Rank], cores: int) -> Finding:
     """Whether the ranks may use all cores."""
     fewest = min(rank.cores for rank in ranks)
     if fewest == cores:
-        return Finding(FindingLevel.OK, "binding", f"ranks may use all {cores} cores of this process")
-    return Finding(
-        FindingLevel.WARNING,
-        "binding",
-        f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker",
-        "start with --ranks or ./mpirun.sh, or give your launcher --bind-to none",
-    )
+        return Finding(OK, "binding", f"ranks may use all {cores} cores of this process")
+    fact = f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker"
+    return Finding(WARNING, "binding", fact, "start with --ranks or ./mpirun.sh, or give your launcher --bind-to none")

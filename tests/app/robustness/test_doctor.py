@@ -69,10 +69,10 @@ def test_pinned_ranks_are_a_warning() -> None:
 
 def test_threads_other_than_one_are_a_warning() -> None:
     """Eight threads a rank are told; unset variables are fine, since calcidem sets them."""
-    (finding,) = checkup.thread_findings({"OMP_NUM_THREADS": "8"})
+    finding = checkup.thread_finding({"OMP_NUM_THREADS": "8"})
     assert finding.level is FindingLevel.WARNING
     assert finding.cure == "unset OMP_NUM_THREADS"
-    (finding,) = checkup.thread_findings({})
+    finding = checkup.thread_finding({})
     assert finding.level is FindingLevel.OK
 
 
