@@ -65,7 +65,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 time_step=8e-8,
                 stability_limit=1e-7,
                 steps=12_000,
-                error_estimate=6e-4,
+                error_bound=6e-4,
                 content_reached=content,
                 p_contacts=400,
                 c_contacts=900,

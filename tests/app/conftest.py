@@ -120,7 +120,7 @@ class Workshop:
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.reason, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.steps),
                     *(cell.vs_cross_correlation, cell.quality_peak, cell.time_step, cell.stability_limit),
-                    *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.error_estimate),
+                    *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.error_bound),
                     *(cell.signal, cell.cement),
                 )
                 for cell in campaign.select(with_arrays=True)

@@ -35,6 +35,15 @@ from calcidem.storage.sql.store import SqlStore, open_store
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
 SEEDS = range(4)
 CONTENTS = (0.0, 0.3, 5.0)
+SINCE_0006 = {
+    "distance": 0.094,
+    "wavelengths_on_path": 1.25,
+    "wavelength_over_d50": 28.5,
+    "expected_error": 1e-3,
+    "static_speed": 1400.5,
+    "content_of_contacts": 3.5,
+}
+"""Of a done cell; former schemas have none of it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,8 +100,9 @@ class Records:
             "stability_limit": 1.1e-7,
             "steps": 12_000,
             "energy_error": -1.5e-12,
-            "error_estimate": 2e-3,
+            "error_bound": 2e-3,
             "content_reached": content,
+            **SINCE_0006,
             "p_contacts": 400,
             "c_contacts": 900,
             "clusters": 250,

@@ -33,7 +33,7 @@ from calcidem.storage.sql.store import SqlStore, open_store
 if TYPE_CHECKING:
     from conftest import Records
 
-# Also one file that calcidem exported of schema_0003.db when layout 1 was the current one.
+# Also files that calcidem exported of schema_0003.db and schema_0005.db when the layouts 1 and 2 were the current ones.
 ASSETS = Path(__file__).parent / "assets"
 
 Filled = tuple[SqlStore, CampaignRecord]
@@ -75,14 +75,16 @@ def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
 
 
-def test_a_file_of_the_first_layout_is_imported(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("layout", "schema"), [("1", "0003"), ("2", "0005")])
+def test_a_file_of_a_former_layout_is_imported(tmp_path: Path, layout: str, schema: str) -> None:
     """What an earlier calcidem exported of a database is what that database holds once it is upgraded."""
-    shutil.copy(ASSETS / "schema_0003.db", tmp_path / "upgraded.db")
+    shutil.copy(ASSETS / f"schema_{schema}.db", tmp_path / "upgraded.db")
     with open_store(tmp_path / "upgraded.db") as upgraded, open_store(tmp_path / "imported.db") as imported:
-        assert import_netcdf(ASSETS / "layout_1.nc", imported) == upgraded.use_campaign()
+        assert import_netcdf(ASSETS / f"layout_{layout}.nc", imported) == upgraded.use_campaign()
         found = list(imported.results(with_arrays=True))
         assert found == list(upgraded.results(with_arrays=True))
         assert any(result.signal is not None for result in found)
+        assert {result.error_bound for result in found} == {None, 2e-3}
         assert imported.load_packing() == upgraded.load_packing()
         assert imported.statuses() == upgraded.statuses()
 

@@ -18,6 +18,7 @@ from calcidem.storage.errors import ReadOnlyStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
 from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.schema import VERSION_TABLE, head_revision
 from calcidem.storage.sql.store import SqlStore, open_store
@@ -62,11 +63,12 @@ def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
         assert compare_metadata(context, Base.metadata) == []
         found = inspect(connection)
         for name, table in Base.metadata.tables.items():  # what alembic does not compare
-            checks = {str(check.name) for check in table.constraints if isinstance(check, CheckConstraint)}
+            constraints = table.constraints.union(*(column.constraints for column in table.columns))
+            checks = {str(check.name) for check in constraints if isinstance(check, CheckConstraint)}
             assert {check["name"] for check in found.get_check_constraints(name)} == checks
 
 
-@pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004"])
+@pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004", "0005"])
 def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Records", schema: str) -> None:
     """The kept databases of all schemas are upgraded, have the values they were made with, and take new ones."""
     path = tmp_path / "old.db"
@@ -78,9 +80,9 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
         assert campaign.record == records.campaign()
         assert campaign.cell(seed=3, content=5.0) == records.with_arrays(3, 5.0)
         stored = records.with_arrays(1, 5.0)
-        # The first schema had no graph summaries, the second none of the retry; everything else is as it was.
-        unknown = {"0001": {"graph": None, "retry": None}, "0002": {"retry": None}}
-        expected = dataclasses.replace(stored, **unknown.get(schema, {}))  # type: ignore[arg-type]  # both may be None
+        # The first schema had no graph summaries, the second no retry, all no meaning of vs; the rest is as it was.
+        unknown = {"0001": ("graph", "retry"), "0002": ("retry",)}.get(schema, ())
+        expected = dataclasses.replace(stored, **dict.fromkeys((*unknown, *NEW_COLUMNS)))  # type: ignore[arg-type]  # all may be None
         assert campaign.cell(seed=1, content=5.0) == expected
         assert campaign.packing() == records.packing()
         assert [run for _, run in campaign.runs()] == [records.run()]
@@ -91,7 +93,7 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
     connection.close()
 
 
-@pytest.mark.parametrize("schema", ["0003", "0004"])
+@pytest.mark.parametrize("schema", ["0003", "0004", "0005"])
 def test_former_database_is_read_as_it_is(tmp_path: Path, schema: str) -> None:
     """A reader finds in a database of a former schema what it finds once that is upgraded, and leaves it as it is."""
     former, upgraded = tmp_path / "former.db", tmp_path / "upgraded.db"

@@ -95,7 +95,7 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         time_step=record.time_step,
         stability_limit=record.stability_limit,
         steps=record.steps,
-        error_estimate=measurement.error_estimate,
+        error_bound=measurement.error_estimate,
         content_reached=cement.content_reached,
         p_contacts=cement.p_contacts,
         c_contacts=cement.c_contacts,

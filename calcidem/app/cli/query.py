@@ -23,7 +23,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
 
-_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_estimate", "seconds")
+_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_bound", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""

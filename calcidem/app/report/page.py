@@ -160,7 +160,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
     means = [row.vs.mean for row in analysis.distributions if row.vs.n]
-    errors = cells["error_estimate"].to_numpy()
+    errors = cells["error_bound"].to_numpy()
     seconds = float(np.nansum(cells["seconds"].to_numpy()))
     error = f"{significant(100 * float(np.nanmax(errors)), 2)} %" if np.isfinite(errors).any() else "unknown"
     span = f"{decimal(min(means))} to {decimal(max(means))} m/s" if means else "none"

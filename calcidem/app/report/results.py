@@ -196,7 +196,7 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
                 significant(1e9 * _median_known(column["time_step"])),
                 decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
                 decimal(_median_known(column["steps"])),
-                significant(100 * _largest_known(column["error_estimate"]), 2),
+                significant(100 * _largest_known(column["error_bound"]), 2),
                 decimal(relative, 2),
                 time_span(_median_known(column["seconds"])),
             )

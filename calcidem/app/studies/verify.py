@@ -38,7 +38,7 @@ _VERIFIED_NUMBERS = (
     *("vs", *(f"vs_{name}" for name in _READINGS)),
     *("frequency", "time_step", "stability_limit", "content_reached"),
 )
-_VERIFIED_SHARES = (*(f"quality_{name}" for name in _READINGS), "error_estimate")
+_VERIFIED_SHARES = (*(f"quality_{name}" for name in _READINGS), "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
 _VERIFIED_COUNTS = ("steps", "p_contacts", "c_contacts", "clusters", "bonded_contacts")

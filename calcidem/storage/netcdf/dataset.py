@@ -16,7 +16,7 @@ from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, 
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Version of the layout of exported files."""
 
 _INDEX_NAMES = ("seed", "content")
@@ -103,7 +103,7 @@ def _attributes(quantity: Quantity) -> dict[str, Any]:
     if quantity.kind != "text":
         attributes["units"] = quantity.unit
     if quantity.name == "vs":
-        attributes["ancillary_variables"] = "status error_estimate"
+        attributes["ancillary_variables"] = "status error_bound"
     if quantity.name == "status":
         attributes["standard_name"] = "status_flag"
         attributes["flag_values"] = np.array(list(STATUS_CODES.values()), dtype=np.int8)

@@ -34,8 +34,11 @@ from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
 
-_LAYOUTS = (1, FORMAT_VERSION)
-"""That can be read: the first has other names (`calcidem.storage.netcdf.groups`)."""
+_LAYOUTS = (1, 2, FORMAT_VERSION)
+"""That can be read; earlier ones have other names, here and in `calcidem.storage.netcdf.groups`."""
+
+_FORMER_NAMES = {"error_bound": "error_estimate"}
+"""Of quantities, in files of the layouts 1 and 2."""
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
@@ -188,7 +191,10 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
-        columns = {name: _python_values(name, file[name][rows]) for name in _VALUE_NAMES if name in file.variables}
+        present = {name: file.variables.get(name, file.variables.get(_FORMER_NAMES.get(name))) for name in _VALUE_NAMES}
+        columns = {
+            name: _python_values(name, variable[rows]) for name, variable in present.items() if variable is not None
+        }
         for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
             values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)

@@ -98,6 +98,11 @@ class CellResult:
         Quality figure of each pick.
     frequency : float or None
         Frequency of the pulse [Hz].
+    distance : float or None
+        From the transmitter to what is listened to [m]: the way of the travel times.
+    wavelengths_on_path, wavelength_over_d50 : float or None
+        That distance over the wavelength vs / frequency, and the wavelength over the median diameter by mass: with
+        fewer than two wavelengths on the path, near field and shear wave arrive together (section 3.1.3).
     time_step, stability_limit : float or None
         Step and the limit it was taken from [s].
     steps : int or None
@@ -105,10 +110,14 @@ class CellResult:
     energy_error : float or None
         Largest error of the energy balance relative to the energy put in; None for waves, which keep no account of
         energies.
-    error_estimate : float or None
-        Estimated numerical error of `vs`, relative.
+    expected_error, error_bound : float or None
+        Numerical error that `vs` is expected to have, and one that it hardly exceeds, both relative.
+    static_speed : float or None
+        Velocity of long shear waves [m/s] from the static stiffness of the sample, where it was asked for.
     content_reached : float or None
-        Content the whole contacts and clusters add up to [%].
+        Content the whole contacts and clusters add up to [%]; where clusters overlap each counts in full.
+    content_of_contacts : float or None
+        Content by Eq. 2 over the cemented contacts, each counted once [%].
     p_contacts, c_contacts, clusters, bonded_contacts : int or None
         P contacts, contacts in C clusters, C clusters, and all bonded contacts.
     retry : str or None
@@ -142,12 +151,18 @@ class CellResult:
     quality_first_arrival: float | None = None
     quality_cross_correlation: float | None = None
     frequency: float | None = None
+    distance: float | None = None
+    wavelengths_on_path: float | None = None
+    wavelength_over_d50: float | None = None
     time_step: float | None = None
     stability_limit: float | None = None
     steps: int | None = None
     energy_error: float | None = None
-    error_estimate: float | None = None
+    expected_error: float | None = None
+    error_bound: float | None = None
+    static_speed: float | None = None
     content_reached: float | None = None
+    content_of_contacts: float | None = None
     p_contacts: int | None = None
     c_contacts: int | None = None
     clusters: int | None = None
@@ -205,6 +220,10 @@ POSITIVE_COLUMNS = (
     "vs_first_arrival",
     "vs_cross_correlation",
     "frequency",
+    "distance",
+    "wavelengths_on_path",
+    "wavelength_over_d50",
+    "static_speed",
     "time_step",
     "stability_limit",
 )
@@ -218,7 +237,9 @@ COUNT_COLUMNS = (
     "bonded_contacts",
     "seconds",
     "rank",
+    "expected_error",
     "content_reached",
+    "content_of_contacts",
 )
 """Fields of `CellResult` that are 0 or more, or None."""
 

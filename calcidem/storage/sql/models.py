@@ -27,6 +27,7 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
+from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
@@ -74,9 +75,10 @@ class Base(DeclarativeBase):
     }
 
 
-def _check_finite(column: str) -> CheckConstraint:
-    """Constraint that a column is a finite number or NULL."""
-    return CheckConstraint(f"{column} > -{_LARGEST} AND {column} < {_LARGEST}", name=f"{column}_finite")
+def _check_finite(column: str, former_name: str | None = None) -> CheckConstraint:
+    """Constraint that a column is a finite number or NULL; it keeps the name that the column had when it was made."""
+    name = f"{former_name or column}_finite"
+    return CheckConstraint(f"{column} > -{_LARGEST} AND {column} < {_LARGEST}", name=name)
 
 
 def _check_positive(column: str) -> CheckConstraint:
@@ -228,10 +230,11 @@ class ResultRow(Base):
             "status <> 'done' OR (" + " AND ".join(f"{c} IS NOT NULL" for c in NUMERICS_OF_DONE) + ")",
             name="done_has_numerics",
         ),
-        *(_check_positive(column) for column in POSITIVE_COLUMNS),
-        *(_check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
+        *(_check_positive(column) for column in POSITIVE_COLUMNS if column not in NEW_COLUMNS),
+        *(_check_not_negative(c) for c in COUNT_COLUMNS if c not in {"seconds", "rank", *NEW_COLUMNS}),
         *(_check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
-        *(_check_finite(c) for c in ("energy_error", "error_estimate")),
+        _check_finite("energy_error"),
+        _check_finite("error_bound", "error_estimate"),
         Index(None, "status", "vs"),
     )
 
@@ -247,12 +250,18 @@ class ResultRow(Base):
     quality_first_arrival: Mapped[float | None]
     quality_cross_correlation: Mapped[float | None]
     frequency: Mapped[float | None]
+    distance: Mapped[float | None] = mapped_column(_check_positive("distance"))
+    wavelengths_on_path: Mapped[float | None] = mapped_column(_check_positive("wavelengths_on_path"))
+    wavelength_over_d50: Mapped[float | None] = mapped_column(_check_positive("wavelength_over_d50"))
     time_step: Mapped[float | None]
     stability_limit: Mapped[float | None]
     steps: Mapped[int | None] = mapped_column(BigInteger)
     energy_error: Mapped[float | None]
-    error_estimate: Mapped[float | None]
+    expected_error: Mapped[float | None] = mapped_column(_check_not_negative("expected_error"))
+    error_bound: Mapped[float | None]
+    static_speed: Mapped[float | None] = mapped_column(_check_positive("static_speed"))
     content_reached: Mapped[float | None]
+    content_of_contacts: Mapped[float | None] = mapped_column(_check_not_negative("content_of_contacts"))
     p_contacts: Mapped[int | None]
     c_contacts: Mapped[int | None]
     clusters: Mapped[int | None]

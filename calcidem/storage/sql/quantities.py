@@ -72,12 +72,26 @@ QUANTITIES = (
         ResultRow.quality_cross_correlation,
     ),
     Quantity("frequency", "real", "Hz", "frequency of the sent pulse", ResultRow.frequency),
+    Quantity("distance", "real", "m", "distance that the shear wave travelled", ResultRow.distance),
+    Quantity("wavelengths_on_path", "real", "1", "wavelengths on that distance", ResultRow.wavelengths_on_path),
+    Quantity(
+        "wavelength_over_d50", "real", "1", "wavelength over median diameter by mass", ResultRow.wavelength_over_d50
+    ),
     Quantity("time_step", "real", "s", "time step", ResultRow.time_step),
     Quantity("stability_limit", "real", "s", "largest stable time step", ResultRow.stability_limit),
     Quantity("steps", "whole", "1", "number of time steps", ResultRow.steps),
     Quantity("energy_error", "real", "1", "largest relative error of the energy balance", ResultRow.energy_error),
-    Quantity("error_estimate", "real", "1", "estimated relative numerical error of vs", ResultRow.error_estimate),
-    Quantity("content_reached", "real", "percent", "calcite content of the cement placed", ResultRow.content_reached),
+    Quantity("expected_error", "real", "1", "expected relative numerical error of vs", ResultRow.expected_error),
+    Quantity("error_bound", "real", "1", "bound of the relative numerical error of vs", ResultRow.error_bound),
+    Quantity("static_speed", "real", "m s-1", "velocity of long shear waves by statics", ResultRow.static_speed),
+    Quantity(
+        *("content_reached", "real", "percent", "calcite content of the cement placed, overlaps counted in full"),
+        ResultRow.content_reached,
+    ),
+    Quantity(
+        *("content_of_contacts", "real", "percent", "calcite content of the cemented contacts by Eq. 2"),
+        ResultRow.content_of_contacts,
+    ),
     Quantity("p_contacts", "whole", "1", "number of P contacts", ResultRow.p_contacts),
     Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", ResultRow.c_contacts),
     Quantity("clusters", "whole", "1", "number of C clusters", ResultRow.clusters),

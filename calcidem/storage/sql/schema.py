@@ -11,6 +11,7 @@ from sqlalchemy import Connection, func, inspect, select
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TIME
+from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
@@ -20,6 +21,10 @@ CREATE TEMP VIEW signal AS
 SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
 """  # noqa: S608 - constants
 
+_RESULTS_OF_0005 = f"""
+CREATE TEMP VIEW result AS
+SELECT *, error_estimate AS error_bound, {", ".join(f"NULL AS {name}" for name in NEW_COLUMNS)} FROM main.result
+"""  # noqa: S608 - constants
 _RUNS_OF_0004 = "CREATE TEMP VIEW run AS SELECT *, NULL AS workers FROM main.run"
 _PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
 _PACKINGS_OF_0003 = """
@@ -29,8 +34,9 @@ FROM main.packing
 """
 
 _READ_AS_CURRENT = {
-    "0003": (_SIGNALS_OF_0003, _PACKINGS_OF_0003, _RUNS_OF_0004),
-    "0004": (_PACKINGS_OF_0004, _RUNS_OF_0004),
+    "0003": (_SIGNALS_OF_0003, _PACKINGS_OF_0003, _RUNS_OF_0004, _RESULTS_OF_0005),
+    "0004": (_PACKINGS_OF_0004, _RUNS_OF_0004, _RESULTS_OF_0005),
+    "0005": (_RESULTS_OF_0005,),
 }
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 
