@@ -140,7 +140,7 @@ def main() -> None:
         scene = wave_scene(stiffened, sand, wave, bonds)
         state = start(scene, features=choose_features(scene, "linear"), preload=stiffened.preload)
         pulse = Pulse(wave.amplitude, exact.frequency)
-        duration = record_duration(stiffened.width, wave.slowest, pulse.frequency)
+        duration = record_duration(experiment.distance, wave.slowest, pulse.frequency)
         for steps in (50, 100, 200):
             step = 1.0 / (pulse.frequency * steps)
             signal, setup, run = newmark(state, pulse, listening_disks(stiffened, wave), duration, step)

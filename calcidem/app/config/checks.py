@@ -10,7 +10,7 @@ import numpy as np
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import listening_disks
+from calcidem.dem.wave.domain import DEEPEST_LISTENING, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.scene import wave_scene
@@ -61,10 +61,11 @@ def _check_bands(configuration: Configuration) -> Iterator[Problem]:
             )
     depth, width = configuration.wave.listening_depth, configuration.packing.width
     largest = configuration.packing.diameter[1]
-    if not largest < depth < width / 2.0:
+    deepest = DEEPEST_LISTENING * width
+    if not largest < depth <= deepest:
         yield Problem(
             f"wave.listening_depth = {depth}: has to hold disks that do not touch the receiver; give more than the "
-            f"largest diameter, {largest} m, and less than half of packing.width, {width / 2.0} m",
+            f"largest diameter, {largest} m, and at most {DEEPEST_LISTENING:g} of packing.width, {deepest:.4g} m",
             ("wave.listening_depth", "packing.width", "packing.diameter"),
         )
 
@@ -184,11 +185,9 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     experiment, plan = configuration.experiment(packing), configuration.campaign
     try:
         wave_scene(packing, configuration.sand, configuration.wave, None)
+        listening_disks(packing, configuration.wave)
     except ValueError as error:
         problems.append(Problem(f"wave.{error}"))
-    if not len(listening_disks(packing, configuration.wave)):
-        problem = f"wave.listening_depth = {configuration.wave.listening_depth}: holds no disk at the receiver"
-        problems.append(Problem(f"{problem}; make it or wave.receiver_half_width larger"))
     seed, room = _tightest_seed(experiment, plan.seed_numbers, max(plan.contents))
     if max(plan.contents) > room:
         limit = f"the packing holds at most {room:.4g} % of calcite (seed {seed})"

@@ -69,7 +69,7 @@ def frequency_study(
     study = xr.Dataset(
         {name: (dimensions, numbers) for name, numbers in values.items()},
         coords={"content": list(contents), "frequency": list(frequencies), "seed": list(seeds)},
-        attrs={"distance": experiment.packing.width},
+        attrs={"distance": experiment.distance},
     )
     study["campaign_frequency"] = "content", [experiment.frequency(content) for content in contents]
     _set_units(study)
@@ -191,7 +191,7 @@ def _long_record(
     experiment: Experiment, content: float, seed: int, duration: float, check: Callable[[], None]
 ) -> WaveRecord:
     """Record one sample for a given time in s, whatever arrives when."""
-    patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.packing.width / duration))
+    patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.distance / duration))
     bonded = [experiment.ordering(seed).at(content).bonded]
     frequency = experiment.frequency(content)
     return send_waves(

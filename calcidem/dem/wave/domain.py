@@ -9,10 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Installation, Preload
 from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+
+DEEPEST_LISTENING = 0.3
+"""Listening depth over the width of the box; beyond, a lattice is read more than 10 % too fast (docs/reading.md)."""
 
 _DEPTH = 6.0  # mean diameters of a damping layer that are kept
 
@@ -70,10 +74,27 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
 
 
 def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
-    """Disks in the receiver's band, near the wall but not touching it."""
+    """Disks in the receiver's band, near the wall but not touching it.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or if those that are far from the wall would blur the arrival.
+    """
+    depth, deepest = rule.listening_depth, DEEPEST_LISTENING * packing.width
+    require(
+        depth <= deepest,
+        "listening_depth",
+        depth,
+        f"disks so far apart hear the wave at times of their own; give at most {DEEPEST_LISTENING:g} of the box's "
+        f"width, {deepest:.4g} m",
+    )
     gap = packing.width - packing.x - packing.radius
     in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
-    return np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < rule.listening_depth))
+    found = np.flatnonzero(in_band & (gap > 0.0) & (packing.width - packing.x < depth))
+    cure = "holds no disk at the receiver: make it or receiver_half_width larger"
+    require(len(found) > 0, "listening_depth", depth, cure)
+    return found
 
 
 def _within_reach(packing: Packing, rule: WaveRule) -> Flags:

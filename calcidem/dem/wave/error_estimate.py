@@ -137,7 +137,7 @@ def slip_ratio(experiment: Experiment, frequency: float, travel_time: float) -> 
     radius, overlap = np.mean(packing.radius, keepdims=True), packing.report.mean_overlap
     hertz = experiment.stiffness_factor * float(sand.hertz_coefficient(radius)[0])
     shear = sand.shear_ratio * 1.5 * hertz * np.sqrt(overlap)
-    impedance = sand.density * packing.width / travel_time * 2.0 * float(radius[0])
+    impedance = sand.density * experiment.distance / travel_time * 2.0 * float(radius[0])
     x = 2.0 * np.pi * frequency * impedance / shear
     friction = min(sand.friction, wave.band_friction)
     taken = wave.amplitude / frequency * x / np.sqrt(1.0 + x * x)

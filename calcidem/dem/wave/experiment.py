@@ -3,11 +3,14 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import excitation_frequency
 from calcidem.dem.wave.rule import WaveRule
@@ -73,6 +76,16 @@ class Experiment:
         if self.frequencies is None:
             return excitation_frequency(content)
         return interpolate(content, *self.frequencies)
+
+    @property
+    def distance(self) -> float:
+        """Way of the wave, m: from the transmitter to the mean place of the disks that are listened to, or to the wall.
+
+        The received velocity is the plain mean of those disks, so a wave passes its middle at their mean x.
+        """
+        if self.signal == "force":
+            return self.packing.width
+        return float(np.mean(self.packing.x[listening_disks(self.packing, self.wave)]))
 
     def ordering(self, seed: int) -> CementOrdering:
         """Order in which the contacts and clusters of a seed are cemented."""

@@ -47,6 +47,8 @@ class Measurement:
         Relative error of ``vs``, see `error_estimate.numerical_error`; None without ``vs``.
     frequency
         Excitation, Hz.
+    distance
+        Way of the wave that ``vs`` is over its travel time, m; see `Experiment.distance`.
     cement
         Where the cement is.
     record
@@ -63,6 +65,7 @@ class Measurement:
     picks: Picks | None
     error_estimate: float | None
     frequency: float
+    distance: float
     cement: PlacedCement
     record: WaveRecord
     seconds: float
@@ -110,10 +113,9 @@ def measure(
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     seconds = (perf_counter() - began) / len(seeds)
+    given = frequency, experiment.distance
     return tuple(
-        Measurement(
-            seed, content, *_interpret_record(experiment, frequency, record), frequency, cement, record, seconds
-        )
+        Measurement(seed, content, *_interpret_record(experiment, frequency, record), *given, cement, record, seconds)
         for seed, cement, record in zip(seeds, placed, records, strict=True)
     )
 
@@ -142,9 +144,9 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     wave = experiment.wave
     floor = (_MUTED if wave.damping > _MUTING else _SILENT) * wave.amplitude
     if experiment.signal == "velocity":
-        return Signals(record.sampling_interval, record.sent, record.velocity, experiment.packing.width, floor)
+        return Signals(record.sampling_interval, record.sent, record.velocity, experiment.distance, floor)
     floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
-    return Signals(record.sampling_interval, record.sent, record.force, experiment.packing.width, floor)
+    return Signals(record.sampling_interval, record.sent, record.force, experiment.distance, floor)
 
 
 def _interpret_record(

@@ -115,7 +115,7 @@ def prepare_recorder(
         stride=_samples_stride(packing, sand, rule, bonds, frequency),
         listeners=np.sort(rank[listening_disks(packing, rule)]),
         samples=len(bonded),
-        longest=record_duration(packing.width, rule.slowest, frequency),
+        longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
         closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(whole, pulse.stroke),
     )

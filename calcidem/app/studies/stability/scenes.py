@@ -182,7 +182,7 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
         transmitter_half_width=4.0 * _RADIUS,
         receiver_half_width=6.0 * _RADIUS,
         boundary_thickness=2.0 * _RADIUS,
-        listening_depth=4.0 * _RADIUS,
+        listening_depth=3.5 * _RADIUS,
         slowest=2.0 * _RADIUS * cut_off,
     )
     return Experiment(
