@@ -12,7 +12,7 @@ from calcidem.sweep.context import Sink
 from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
-from calcidem.sweep.progress import BarProgress, LineProgress, Progress, SilentProgress, progress_for
+from calcidem.sweep.progress import BarProgress, LineProgress, Progress, progress_for
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Tally
 from calcidem.sweep.session import Session
@@ -45,7 +45,6 @@ __all__ = [
     "Place",
     "Progress",
     "Session",
-    "SilentProgress",
     "Sink",
     "StopLevel",
     "StopRequest",

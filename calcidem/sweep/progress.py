@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import rich.progress
 from rich.console import Console
@@ -13,8 +13,8 @@ from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.sweep_end import SweepEnd
 
 
-class Progress(Protocol):
-    """What a sweep tells about itself, on rank 0 only."""
+class Progress:
+    """What a sweep tells about itself, on rank 0 only; this one takes it and shows nothing."""
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Take note of the batches that are about to be handed out to so many workers."""
@@ -32,31 +32,43 @@ class Progress(Protocol):
         """Take note that the sweep has ended."""
 
 
-class SilentProgress:
-    """Tells nothing."""
+class _ConsoleProgress(Progress):
+    """Counts, and tells failures, lost workers and the end at once."""
 
-    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Tell nothing."""
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._forecast = Forecast([])
+
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:  # noqa: ARG002 - for those derived from it
+        """Begin to count."""
+        self._forecast = Forecast(batches)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Tell nothing."""
+        """Count, and tell of a failure."""
+        self._forecast.record(outcome)
+        if outcome.failure is not None:
+            cells, place = ", ".join(str(cell) for cell in outcome.batch.cells), outcome.place
+            self._tell(
+                f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
+            )
 
     def on_loss(self, place: Place, reason: str) -> None:
-        """Tell nothing."""
-
-    def on_heartbeat(self, workers: int, running: int) -> None:
-        """Tell nothing."""
+        """Tell which worker is lost."""
+        self._tell(f"lost rank {place.rank} ({place.host}): {reason}")
 
     def on_end(self, end: SweepEnd) -> None:
-        """Tell nothing."""
+        """Tell how it ended."""
+        self._tell(_end_line(end))
+
+    def _tell(self, line: str) -> None:
+        self._console.print(line, markup=False, highlight=False)
 
 
-class LineProgress:
+class LineProgress(_ConsoleProgress):
     """Writes a line now and then, for logs of batch systems.
 
     The pause between two lines starts at `shortest` seconds and grows by half each time up to `longest`, so
-    that a short run shows something and a run of days doesn't fill its log. Failures and lost workers are
-    told at once.
+    that a short run shows something and a run of days doesn't fill its log.
 
     Parameters
     ----------
@@ -67,26 +79,15 @@ class LineProgress:
     """
 
     def __init__(self, console: Console, shortest: float = 5.0, longest: float = 600.0) -> None:
-        self._console = console
+        super().__init__(console)
         self._pause = shortest
         self._longest = longest
         self._next = time.monotonic() + shortest
-        self._forecast = Forecast([])
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Write how much there is to do."""
-        self._forecast = Forecast(batches)
-        self._write(f"{self._forecast.total} cells in {len(batches)} batches on {pluralize(workers, 'worker')}")
-
-    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count, and write if the batch failed."""
-        self._forecast.record(outcome)
-        if outcome.failure is not None:
-            self._write(_failure_line(outcome))
-
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Write which worker is lost."""
-        self._write(_loss_line(place, reason))
+        super().on_start(batches, workers)
+        self._tell(f"{self._forecast.total} cells in {len(batches)} batches on {pluralize(workers, 'worker')}")
 
     def on_heartbeat(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
         """Write how far the sweep is, if it is time to."""
@@ -96,32 +97,20 @@ class LineProgress:
         self._next = time.monotonic() + self._pause
         done, total = self._forecast.settled, self._forecast.total
         left = duration(self._forecast.seconds_left(workers))
-        self._write(
-            f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {pluralize(workers, 'worker')}"
-        )
+        self._tell(f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {pluralize(workers, 'worker')}")
 
-    def on_end(self, end: SweepEnd) -> None:
-        """Write how it ended."""
-        self._write(_end_line(end))
-
-    def _write(self, line: str) -> None:
+    def _tell(self, line: str) -> None:
         self._console.print(f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-class BarProgress:
-    """Draws a bar with the time left on a terminal.
+class BarProgress(_ConsoleProgress):
+    """Draws a bar with the time left on a terminal, and writes above it.
 
     The bar is drawn at the sweep's own heartbeats and not by a thread, which would cost as much as the master.
-
-    Parameters
-    ----------
-    console
-        The terminal.
     """
 
     def __init__(self, console: Console) -> None:
-        self._console = console
-        self._forecast = Forecast([])
+        super().__init__(console)
         self._bar = rich.progress.Progress(
             rich.progress.TextColumn("{task.description}"),
             rich.progress.BarColumn(),
@@ -137,19 +126,9 @@ class BarProgress:
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Draw the empty bar."""
-        self._forecast = Forecast(batches)
+        super().on_start(batches, workers)
         self._bar.update(self._task, total=self._forecast.total, workers=pluralize(workers, "worker"))
         self._bar.start()
-
-    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count, and write a line above the bar if the batch failed."""
-        self._forecast.record(outcome)
-        if outcome.failure is not None:
-            self._console.print(_failure_line(outcome), markup=False, highlight=False)
-
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Write a line above the bar."""
-        self._console.print(_loss_line(place, reason), markup=False, highlight=False)
 
     def on_heartbeat(self, workers: int, running: int) -> None:
         """Draw the bar again."""
@@ -165,7 +144,7 @@ class BarProgress:
         """Draw the bar for the last time and write how it ended."""
         self._bar.update(self._task, completed=self._forecast.settled, left="0 s", workers="")
         self._bar.stop()
-        self._console.print(_end_line(end), markup=False, highlight=False)
+        super().on_end(end)
 
 
 def progress_for(console: Console) -> Progress:
@@ -187,20 +166,6 @@ def duration(seconds: float | None) -> str:
         return f"{hours} h {minutes:02d} min"
     days, hours = divmod(hours, 24)
     return f"{days} d {hours} h"
-
-
-def _failure_line(outcome: BatchOutcome[Any, Any]) -> str:
-    """Return one line about a batch that failed."""
-    if outcome.failure is None:
-        raise ValueError(f"batch {outcome.batch.identifier} has not failed")
-    cells = ", ".join(str(cell) for cell in outcome.batch.cells)
-    place = outcome.place
-    return f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
-
-
-def _loss_line(place: Place, reason: str) -> str:
-    """Return one line about a lost worker."""
-    return f"lost rank {place.rank} ({place.host}): {reason}"
 
 
 def _end_line(end: SweepEnd) -> str:

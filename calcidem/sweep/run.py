@@ -11,7 +11,7 @@ from calcidem.sweep.context import Sink, SweepContext
 from calcidem.sweep.environment import fault_tolerance_enabled
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import Place, ResultT
-from calcidem.sweep.progress import Progress, SilentProgress
+from calcidem.sweep.progress import Progress
 from calcidem.sweep.schedule import Schedule
 from calcidem.sweep.signals import StopLevel, StopRequest
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
@@ -78,7 +78,7 @@ def run_sweep(
     if sink is None:
         raise ValueError("sink is None on rank 0: give the object that stores the outcomes")
     schedule = Schedule(tuple(batches))
-    progress = progress or SilentProgress()
+    progress = progress or Progress()
     with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:
         context = SweepContext(schedule, sink, progress, stop, options)
         if parallel and comm is not None:

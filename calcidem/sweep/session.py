@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher, refuse_ranks_off_linux
@@ -91,15 +90,10 @@ class Session:
                 end_after(master, _MASTER_GONE_GRACE, EXIT_RESUMABLE)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """End all ranks if an exception leaves the block on one of many; a program alone just goes on."""
         if self.rank == 0:
-            self.stop_request.__exit__(kind, error, trace)
+            self.stop_request.__exit__()
         # An exit that `end` did not ask for would leave the other ranks waiting, as any exception would.
         if self.comm is None or self.size == 1 or (self._ending and isinstance(error, SystemExit)):
             return

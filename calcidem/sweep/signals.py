@@ -3,9 +3,9 @@
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import IntEnum
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
@@ -37,8 +37,27 @@ class StopLevel(IntEnum):
     HURRY = 2
 
 
-class StopRequest:
-    """Context manager that turns signals into a level to be polled; must be entered on the main thread.
+class SignalHandlers:
+    """Context manager that handles signals and puts the former handlers back; for the main thread only."""
+
+    def __init__(self, handlers: Mapping[signal.Signals, Callable[[int, FrameType | None], None]]) -> None:
+        self._handlers: Mapping[signal.Signals, Any] = handlers
+
+    def __enter__(self) -> Self:
+        """Put the handlers in the place of the former ones."""
+        self._swap()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Put the former handlers back."""
+        self._swap()
+
+    def _swap(self) -> None:
+        self._handlers = {number: signal.signal(number, handler) for number, handler in self._handlers.items()}
+
+
+class StopRequest(SignalHandlers):
+    """Context manager that turns signals into a level to be polled.
 
     A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once.
 
@@ -56,29 +75,11 @@ class StopRequest:
     """
 
     def __init__(self, end_at_once: Callable[[], object] | None = None) -> None:
+        super().__init__(dict.fromkeys(_DRAIN_SIGNALS, self._drain) | dict.fromkeys(_HURRY_SIGNALS, self._hurry))
         self._end_at_once = end_at_once
         self._hurry_since: float | None = None
-        self._previous: dict[signal.Signals, Any] = {}
         self.level = StopLevel.NONE
         self.reason = ""
-
-    def __enter__(self) -> Self:
-        """Install the handlers."""
-        for number in _DRAIN_SIGNALS:
-            self._previous[number] = signal.signal(number, self._drain)
-        for number in _HURRY_SIGNALS:
-            self._previous[number] = signal.signal(number, self._hurry)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Put the former handlers back."""
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
 
     @property
     def explanation(self) -> str:

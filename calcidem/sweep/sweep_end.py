@@ -40,14 +40,6 @@ class SweepState(StrEnum):
     """The master met an error, most likely while storing."""
 
 
-_EXIT_CODES = {
-    SweepState.COMPLETE: EXIT_COMPLETE,
-    SweepState.STOPPED: EXIT_RESUMABLE,
-    SweepState.OUT_OF_WORKERS: EXIT_RESUMABLE,
-    SweepState.ERROR: EXIT_ERROR,
-}
-
-
 @dataclass(frozen=True, slots=True)
 class SweepEnd:
     """How a sweep ended, the same on all ranks.
@@ -75,4 +67,4 @@ class SweepEnd:
     @property
     def exit_code(self) -> int:
         """The exit code that says so: 0 complete, 75 stopped but resumable, 1 error."""
-        return _EXIT_CODES[self.state]
+        return {SweepState.COMPLETE: EXIT_COMPLETE, SweepState.ERROR: EXIT_ERROR}.get(self.state, EXIT_RESUMABLE)

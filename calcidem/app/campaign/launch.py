@@ -9,17 +9,15 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Self
+from types import FrameType
 
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
 from calcidem.sweep.heartbeat import HeartbeatMonitor
 from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
-from calcidem.sweep.signals import find_signals
+from calcidem.sweep.signals import SignalHandlers, find_signals
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""
@@ -61,22 +59,6 @@ def default_ranks() -> int:
     return int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1
 
 
-@dataclass(frozen=True, slots=True)
-class _LaunchEnd:
-    """How a start of the launcher ended.
-
-    Attributes
-    ----------
-    code
-        Its exit code.
-    asked
-        Whether somebody's signal to rank 0 was the cause.
-    """
-
-    code: int
-    asked: bool = False
-
-
 def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     """Run calcidem under an MPI launcher and return its exit code.
 
@@ -101,25 +83,27 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
     mpirun = find_mpirun()
     command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem", *arguments]
     with _Relay() as relay:
-        ended = _launch_once(command, relay)
+        code, asked = _launch_once(command, relay)
         for restart in range(1, restarts + 1):
-            if ended.code != EXIT_RESUMABLE or ended.asked or relay.wait_for_signal(_RESTART_PAUSE):
+            if code != EXIT_RESUMABLE or asked or relay.wait_for_signal(_RESTART_PAUSE):
                 break
             sys.stderr.write(f"Restart {restart} of {restarts}: continuing with the cells that are left.\n")
             sys.stderr.flush()
-            ended = _launch_once(command, relay)
-    return ended.code
+            code, asked = _launch_once(command, relay)
+    return code
 
 
-def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True) -> _LaunchEnd:
-    """Start the launcher with this command line and wait for its end; ``again`` if it fails by itself."""
+def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True) -> tuple[int, bool]:
+    """Start the launcher, ``again`` if it fails by itself; return its exit code and whether a signal was sent to end it."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}
+        if sys.stdout.isatty():
+            environment[TERMINAL_VARIABLE] = str(shutil.get_terminal_size().columns)
         # In a group of its own: Ctrl-C reaches this process alone, which passes it on in the form that works.
         process = subprocess.Popen(  # noqa: S603 - our own program
             command,
-            env=environment | _terminal_variables(),
+            env=environment,
             stdin=subprocess.DEVNULL,
             process_group=0,
             preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
@@ -128,7 +112,7 @@ def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True)
             code = _wait_for_end(process, HeartbeatMonitor(note))
         if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
             # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-            return _LaunchEnd(int(noted[0]), asked=not {signal.SIGTERM.name}.issuperset(noted[1:]))
+            return int(noted[0]), not {signal.SIGTERM.name}.issuperset(noted[1:])
         began = Path(f"{note}{STARTED_SUFFIX}").exists()
     if code == NO_LISTENER and again and not began:
         sys.stderr.write(f"{Path(command[0]).name} failed before any rank began; it is being started once more.\n")
@@ -136,7 +120,7 @@ def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True)
     cut_off = began or code == 0 or code < 0 or code > _FIRST_SIGNAL_CODE
     advice = "everything stored is safe, and the same command continues" if cut_off else "see the messages above"
     sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
-    return _LaunchEnd(EXIT_RESUMABLE if cut_off else EXIT_ERROR)
+    return EXIT_RESUMABLE if cut_off else EXIT_ERROR, False
 
 
 def _wait_for_end(process: "subprocess.Popen[bytes]", monitor: HeartbeatMonitor) -> int:
@@ -190,30 +174,13 @@ def launcher_options(mpirun: str, ranks: int) -> list[str]:
     return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none"]
 
 
-def _terminal_variables() -> dict[str, str]:
-    """Tell rank 0, whose output goes through the launcher, that a terminal reads it."""
-    return {TERMINAL_VARIABLE: str(shutil.get_terminal_size().columns)} if sys.stdout.isatty() else {}
-
-
-class _Relay:
+class _Relay(SignalHandlers):
     """Passes signals on to the launcher while it runs, and remembers that one came."""
 
     def __init__(self) -> None:
+        super().__init__(dict.fromkeys(find_signals(*_FORWARDED), self._note))
         self._number: signal.Signals | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._former: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        """Install the handlers."""
-        self._former = {number: signal.signal(number, self._note) for number in find_signals(*_FORWARDED)}
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Put the former handlers back."""
-        for number, handler in self._former.items():
-            signal.signal(number, handler)
 
     @contextmanager
     def forward_to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:

@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from types import TracebackType
 from typing import Self
 
 from calcidem.app.campaign.identity import refuse_other_physics
@@ -196,9 +195,7 @@ class CampaignRun:
         """Use it in a `with` statement."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Note how it ended and close the database."""
         try:
             if self.end is not None:

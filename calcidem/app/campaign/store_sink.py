@@ -86,7 +86,7 @@ class LeaseKeeper:
 
 
 @dataclass(frozen=True, slots=True)
-class HeartbeatProgress:
+class HeartbeatProgress(Progress):
     """Progress display that keeps heartbeat and lease alive, and otherwise is the one it wraps.
 
     The heartbeat is for the command that started the ranks, the lease for other machines.
