@@ -94,7 +94,7 @@ def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
 
 
 def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True) -> tuple[int, bool]:
-    """Start the launcher, ``again`` if it fails by itself; return its exit code and whether a signal was sent to end it."""
+    """Start the launcher, ``again`` if it fails by itself; return its exit code, and whether a signal asked for it."""
     with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
         note = Path(folder) / "exit-code"
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from calcidem.app.campaign.identity import physics_version
+from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, physics_version
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
@@ -20,19 +20,14 @@ from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
 
-_COMPARED = (
-    *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
-    *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
-    *("frequency", "time_step", "stability_limit", "steps"),
-    *("content_reached", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
-)
-"""Quantities that the physics of a done cell decides: equal to the last bit on the same kind of CPU."""
-
 _OUTCOMES_AT_ONCE = 200
 """Outcomes written in one transaction; with signals they take a few megabytes of memory."""
 
 _MOST_CONFLICTS = 10
 """Conflicts that are named one by one; more are only counted."""
+
+_Values: TypeAlias = tuple[float | None, ...] | None
+"""`DECIDED_BY_PHYSICS` of a done cell, None for one that is not done."""
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and the number that it had there."""
@@ -87,22 +82,6 @@ class Merged:
     conflicts: tuple[Conflict, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _StoredOutcome:
-    """Outcome of a cell in one source, as far as the choice between sources needs it.
-
-    Attributes
-    ----------
-    status
-        What became of the cell.
-    values
-        Its `_COMPARED` quantities, NaN where there is none.
-    """
-
-    status: CellStatus
-    values: tuple[float, ...]
-
-
 def merge_databases(
     sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
 ) -> Merged:
@@ -136,64 +115,60 @@ def merge_databases(
         with open_store(temporary) as store:
             merged = _merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
         if merged.conflicts and prefer is None:
-            raise _conflict_error(merged.conflicts, sources)
+            raise MergeConflictError(
+                "\n".join(
+                    [f"{len(merged.conflicts)} done cells have different values:", *conflict_lines(merged, sources)]
+                )
+                + "\n",
+                "Nothing was written. Such values come from another kind of CPU or another version of calcidem; "
+                "give --prefer with the database to take.",
+            )
     return merged
 
 
-def _conflict_error(conflicts: tuple[Conflict, ...], sources: list[str]) -> MergeConflictError:
-    """Error that lists the conflicts."""
-    return MergeConflictError(
-        f"{len(conflicts)} done cells have different values:\n" + "\n".join(conflict_lines(conflicts, sources)) + "\n",
-        "Nothing was written. Such values come from another kind of CPU or another version of calcidem; "
-        "give --prefer with the database to take.",
-    )
-
-
-def conflict_lines(conflicts: tuple[Conflict, ...], sources: list[str]) -> list[str]:
+def conflict_lines(merged: Merged, sources: list[str]) -> list[str]:
     """One line for each conflict, up to a number."""
     lines = [
         f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
         + ", ".join(f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items())
         + f" (different: {', '.join(conflict.quantities)})"
-        for conflict in conflicts[:_MOST_CONFLICTS]
+        for conflict in merged.conflicts[:_MOST_CONFLICTS]
     ]
-    return lines if len(conflicts) <= _MOST_CONFLICTS else [*lines, f"  and {len(conflicts) - _MOST_CONFLICTS} more"]
+    more = len(merged.conflicts) - _MOST_CONFLICTS
+    return [*lines, f"  and {more} more"] if more > 0 else lines
 
 
-def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None = None) -> Merged:
-    """Write the union of some campaigns of one configuration into a store.
+def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None) -> Merged:
+    """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
     A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
     the source that comes first. Attempts of a cell are put in the order of time and counted anew; runs and attempts
     that several sources have because one is a copy of the other occur once.
-
-    Parameters
-    ----------
-    sources
-        At least one; only read.
-    target
-        Empty, or without a campaign of that name.
-    prefer
-        Position of the source to follow where sources disagree on a done cell.
-
-    Raises
-    ------
-    CampaignMismatchError
-        If configurations or packings differ.
     """
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
-    outcomes = [_outcomes_of(source) for source in sources]
-    cells = sorted(set().union(*(source.store.statuses() for source in sources)))
-    choice = {key: best for key in cells if (best := _choose_source(key, outcomes, prefer)) is not None}
-    conflicts = tuple(conflict for key in choice if (conflict := _conflict_about(key, outcomes)) is not None)
+    choice: dict[CellKey, int] = {}
+    conflicts: list[Conflict] = []
+    shared = overruled = 0
+    for key, found in sorted(_settled_cells(sources).items()):
+        done = {source: values for source, values in found.items() if values is not None}
+        candidates = done or found
+        choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
+        overruled += 0 < len(done) < len(found)
+        quantities = zip(DECIDED_BY_PHYSICS, zip(*done.values(), strict=True), strict=False)
+        if different := tuple(name for name, values in quantities if len(set(values)) > 1):
+            conflicts.append(
+                Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
+            )
+        else:
+            shared += len(done) > 1
     merged = Merged(
-        planned=len(cells),
+        planned=len(set().union(*(source.store.statuses() for source in sources))),
         settled=len(choice),
-        taken=tuple(sum(source == chosen for chosen in choice.values()) for source in range(len(sources))),
-        shared=sum(_count_done(key, outcomes) > 1 for key in choice) - len(conflicts),
-        overruled=sum(0 < _count_done(key, outcomes) < _count_settled(key, outcomes) for key in choice),
-        conflicts=conflicts,
+        taken=tuple(list(choice.values()).count(source) for source in range(len(sources))),
+        shared=shared,
+        overruled=overruled,
+        conflicts=tuple(conflicts),
     )
     if conflicts and prefer is None:
         return merged
@@ -230,13 +205,7 @@ def _refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
 
 
 def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
-    """All packings of the sources.
-
-    Raises
-    ------
-    CampaignMismatchError
-        If two sources have different ones under the same number, or one lacks a packing of its cells.
-    """
+    """All packings of the sources; `CampaignMismatchError` if two differ under one number, or cells have none."""
     first: dict[int, tuple[PackingRecord, str]] = {}
     for position, source in enumerate(sources, 1):
         place = f"database {position}"
@@ -255,53 +224,16 @@ def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
     return [packing for packing, _ in first.values()]
 
 
-def _outcomes_of(source: StoredCampaign) -> dict[CellKey, _StoredOutcome]:
-    """Outcomes of all settled cells."""
-    columns = source.store.table(("seed", "content", "status", *_COMPARED))
-    keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
-    values = zip(*(columns[name].astype(float).tolist() for name in _COMPARED), strict=True)
-    found = zip(keys, map(CellStatus, columns["status"]), values, strict=True)
-    return {key: _StoredOutcome(status, of_cell) for key, status, of_cell in found if status is not CellStatus.PENDING}
-
-
-def _choose_source(
-    key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]], prefer: int | None
-) -> int | None:
-    """Position of the source whose outcome of a cell is taken, None if no source has one."""
-    settled = [position for position, found in enumerate(outcomes) if key in found]
-    done = [position for position in settled if outcomes[position][key].status is CellStatus.DONE]
-    candidates = done or settled
-    return prefer if prefer in candidates else next(iter(candidates), None)
-
-
-def _count_done(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> int:
-    """Number of sources in which a cell is done."""
-    return sum(key in found and found[key].status is CellStatus.DONE for found in outcomes)
-
-
-def _count_settled(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> int:
-    """Number of sources in which a cell has an outcome."""
-    return sum(key in found for found in outcomes)
-
-
-def _conflict_about(key: CellKey, outcomes: Sequence[Mapping[CellKey, _StoredOutcome]]) -> Conflict | None:
-    """How the sources disagree on a done cell, None if they don't."""
-    done = {
-        position: found[key].values
-        for position, found in enumerate(outcomes)
-        if key in found and found[key].status is CellStatus.DONE
-    }
-    by_quantity = zip(_COMPARED, zip(*done.values(), strict=True), strict=False)
-    different = tuple(name for name, values in by_quantity if not _all_same(values))
-    if not different:
-        return None
-    return Conflict(key, {position: values[0] for position, values in done.items()}, different)
-
-
-def _all_same(values: Sequence[float]) -> bool:
-    """Whether numbers are equal; missing ones (NaN) are equal to one another."""
-    first = values[0]
-    return all(value == first or (math.isnan(value) and math.isnan(first)) for value in values[1:])
+def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int, _Values]]:
+    """Outcomes of all settled cells, by the position of the source."""
+    settled: defaultdict[CellKey, dict[int, _Values]] = defaultdict(dict)
+    for position, source in enumerate(sources):
+        columns = source.store.table(("seed", "content", "status", *DECIDED_BY_PHYSICS))
+        for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
+            if status != CellStatus.PENDING:
+                known = tuple(None if math.isnan(value) else value for value in values)
+                settled[CellKey(int(seed), content)][position] = known if status == CellStatus.DONE else None
+    return settled
 
 
 def _copy_plan(source: Store, target: Store) -> None:

@@ -7,7 +7,7 @@ from calcidem.storage.errors import StoreUnavailableError, UnknownCellError
 from calcidem.storage.records import STORED_STATUSES, CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection, Store
+from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection
 
 RETRIABLE = tuple(status for status in STORED_STATUSES if status is not CellStatus.DONE)
 """Outcomes that can be given up for another attempt."""
@@ -50,24 +50,12 @@ def retry_cells(
         raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     with open_store(database) as store:
         store.use_campaign(campaign_name)
-        found = _selected_statuses(store, selection or Selection())
+        found = store.statuses(selection or Selection())
+        if not found:
+            raise UnknownCellError(
+                "No planned cell has such a seed and content.", "'calcidem status DB' shows which there are."
+            )
         store.acquire_lease()
         pending = store.retry(statuses, list(found))
     others = Counter(status for key, status in found.items() if key not in set(pending))
     return pending, others
-
-
-def _selected_statuses(store: Store, selection: Selection) -> dict[CellKey, CellStatus]:
-    """Status of each planned cell that is selected.
-
-    Raises
-    ------
-    UnknownCellError
-        If there is none.
-    """
-    found = store.statuses(selection)
-    if not found:
-        raise UnknownCellError(
-            "No planned cell has such a seed and content.", "'calcidem status DB' shows which there are."
-        )
-    return found

@@ -40,7 +40,7 @@ def _merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:
         lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
-        lines += ["  " + line for line in conflict_lines(merged.conflicts, sources)]
+        lines += ["  " + line for line in conflict_lines(merged, sources)]
     if merged.settled < merged.planned:
         lines.append(f"The other cells are pending; 'calcidem run CONFIG --db {out}' computes them.")
     return lines

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.identity import refuse_other_physics
+from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, refuse_other_physics
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
@@ -32,16 +32,8 @@ The same cell on the same packing differed between processors by up to 1e-10 whi
 chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
 """
 
-_READINGS = ("peak", "first_arrival", "cross_correlation")
-
-_VERIFIED_NUMBERS = (
-    *("vs", *(f"vs_{name}" for name in _READINGS)),
-    *("frequency", "time_step", "stability_limit", "content_reached"),
-)
-_VERIFIED_SHARES = (*(f"quality_{name}" for name in _READINGS), "error_bound")
+_SHARES = ("quality_peak", "quality_first_arrival", "quality_cross_correlation", "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
-
-_VERIFIED_COUNTS = ("steps", "p_contacts", "c_contacts", "clusters", "bonded_contacts")
 
 
 class Agreement(StrEnum):
@@ -173,14 +165,13 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*_VERIFIED_NUMBERS, *_VERIFIED_SHARES, *_VERIFIED_COUNTS):
+    for name in (*DECIDED_BY_PHYSICS, "error_bound"):
         one, other = getattr(stored, name), getattr(computed, name)
-        if one == other:
-            continue
         if one is None or other is None:
-            yield name, math.inf
-        else:
-            yield name, abs(other - one) / (1.0 if name in _VERIFIED_SHARES else max(abs(one), abs(other)))
+            if one is not other:
+                yield name, math.inf
+        elif one != other:
+            yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
 
 
 def _different_arrays(
