@@ -36,6 +36,7 @@ unbalanced_force_ratio = 1e-5
 wave_stiffness_factor = 4.7
 [wave]
 receiver_half_width = 0.01
+listening_depth = 0.006
 boundary_thickness = 0.01
 step_fraction = 0.05
 {wave}

@@ -35,6 +35,7 @@ unbalanced_force_ratio = 1e-3
 [wave]
 transmitter_half_width = 0.004
 receiver_half_width = 0.005
+listening_depth = 0.006
 boundary_thickness = 0.004
 [run]
 lanes = 2

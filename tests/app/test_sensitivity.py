@@ -21,6 +21,7 @@ wave_stiffness_factor = 13.0
 cluster_area = 3.6e-6
 [wave]
 receiver_half_width = 0.01
+listening_depth = 0.006
 boundary_thickness = 0.01
 """
 

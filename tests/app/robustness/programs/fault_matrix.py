@@ -33,6 +33,7 @@ unbalanced_force_ratio = 1e-5
 wave_stiffness_factor = 13.0
 [wave]
 receiver_half_width = 0.01
+listening_depth = 0.006
 boundary_thickness = 0.01
 step_fraction = 0.02
 amplitude = 4e-4
