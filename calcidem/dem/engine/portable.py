@@ -9,7 +9,6 @@ contiguous array has a fixed order (pairwise), which a test checks.
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -31,6 +30,23 @@ def length(x: Floats, y: Floats) -> Floats:
 def three_halves(value: Floats) -> Floats:
     """Power 1.5 of values that are not negative, to 1.5 units in the last place."""
     return np.asarray(value * np.sqrt(value))
+
+
+def root(value: Floats, degree: int) -> Floats:
+    """Root of a small degree of values that are not negative, to 2 units in the last place.
+
+    Newton's iteration from a start on a straight line over one power of two, where 6 steps are enough up to degree 5.
+    """
+    part, exponent = np.frexp(np.asarray(value, dtype=float))
+    whole = -(-exponent // degree)
+    rest = np.ldexp(part, exponent - degree * whole)  # between 2^-degree and 1; the other factor is exact
+    estimate = 0.5 + 0.5 * rest
+    for _ in range(6):
+        power = estimate
+        for _ in range(degree - 2):
+            power = power * estimate
+        estimate = ((degree - 1) * estimate + rest / power) / degree
+    return np.asarray(np.where(part > 0.0, np.ldexp(estimate, whole), 0.0))
 
 
 def _horner(coefficients: Sequence[float], x: Floats) -> Floats:
@@ -95,46 +111,36 @@ def sliding_products(signal: Floats, weights: Floats) -> Floats:
     return total
 
 
-def _sums_of_products(weights: Floats, values: Floats) -> Floats:
-    """Sums (K,) of products of the rows of ``weights`` (K, S) and the values (S,)."""
-    total: Floats = np.zeros(len(weights))
-    for column, value in zip(weights.T, values.tolist(), strict=True):
-        total = total + column * value
-    return total
-
-
 def smooth_cubically(signal: Floats, reach: int) -> Floats:
     """Values of cubics fitted to each sample and its ``reach`` neighbours on either side (Savitzky-Golay, no delay).
 
     The first and the last samples take theirs from the outermost of these cubics.
     """
-    weights = _cubic_weights(reach)
+    basis = _cubic_basis(reach)
     size = 2 * reach + 1
-    first = _sums_of_products(weights[:reach], signal[:size])
-    last = _sums_of_products(weights[reach + 1 :], signal[-size:])
-    return np.concatenate([first, sliding_products(signal, weights[reach]), last])
+    first = _combine((basis * signal[:size]).sum(axis=1), basis[:, :reach])
+    last = _combine((basis * signal[-size:]).sum(axis=1), basis[:, reach + 1 :])
+    return np.concatenate([first, sliding_products(signal, _combine(basis[:, reach], basis)), last])
+
+
+def _combine(shares: Floats, polynomials: Floats) -> Floats:
+    """Sum of the rows of ``polynomials`` (4, S), each times its share (4,)."""
+    total: Floats = np.zeros(polynomials.shape[1])
+    for share, polynomial in zip(shares.tolist(), polynomials, strict=True):
+        total = total + share * polynomial
+    return total
 
 
 @cache
-def _cubic_weights(reach: int) -> Floats:
-    """Weights (S, S) of S = 2 reach + 1 samples in the value at each of their places of the cubic through them.
-
-    Sum over the orthogonal polynomials p of degree 0 to 3 (Gram's) of ``p(i) p(j) / sum(p^2)``, exact until the end.
-    """
-    places = range(-reach, reach + 1)
+def _cubic_basis(reach: int) -> Floats:
+    """Orthonormal polynomials of degree 0 to 3 (Gram's) at S = 2 reach + 1 samples, (4, S); integers until the end."""
+    j = np.arange(-reach, reach + 1)
     second, third = reach * (reach + 1), 3 * reach * (reach + 1) - 1
-    polynomials = (
-        [1 for _ in places],
-        list(places),
-        [3 * j * j - second for j in places],
-        [5 * j * j * j - third * j for j in places],
-    )
-    sums = [sum(value * value for value in p) for p in polynomials]
-    weights = np.empty((len(places), len(places)))
-    for i, j in np.ndindex(*weights.shape):
-        weights[i, j] = float(sum(Fraction(p[i] * p[j], total) for p, total in zip(polynomials, sums, strict=True)))
-    weights.setflags(write=False)
-    return weights
+    gram = np.array([np.ones_like(j), j, 3 * j * j - second, 5 * j * j * j - third * j])
+    sums = [sum(value * value for value in row) for row in gram.tolist()]
+    basis = gram / np.sqrt(np.array(sums, dtype=float))[:, np.newaxis]
+    basis.setflags(write=False)
+    return basis
 
 
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, _TERMS))
