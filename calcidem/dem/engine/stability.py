@@ -41,10 +41,11 @@ def critical_time_step(
     Central differences are stable iff ``dt < 2 / omega_max``, and ``omega_max^2`` is the largest ``u K u / u M u``.
     With the scaled rotation ``R theta / sqrt 2`` the three inertias of a disk are all ``m_i``, and a contact adds
     ``k_n (n (u_i - u_j))^2 + k_s (s_i u_i + s_j u_j)^2 + k_theta (theta_i - theta_j)^2`` to ``u K u``, with
-    ``s = (t, sqrt 2)`` up to signs. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would
-    add if each moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
-    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``.
-    A wall does not move, so its contacts count half. Local damping multiplies a force by up to ``1 + alpha``, as a mass
+    ``s = (t, sqrt 2 a / R)`` up to signs. The arm a from the centre to the contact is R, and longer by half of the gap
+    where cement spans one. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would add if each
+    moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
+    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``. A bond that may break gives way to
+    the sand's contact; whichever of the two is stiffer counts. A wall does not move, so its contacts count half. Local damping multiplies a force by up to ``1 + alpha``, as a mass
     smaller by that factor would: it lowers the limit to ``2 / (omega sqrt(1 + alpha))``.
 
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
@@ -104,8 +105,11 @@ def _add_pairs(matrices: Floats, scene: Scene, assembly: Assembly, features: Fea
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
+    depth = pairs.geometry[:, OVERLAP, None].astype(float) if overlap is None else overlap
     for disk, side in ((pairs.first, -1.0), (pairs.second, 1.0)):
-        _add_contacts(matrices, disk, side * n, normal, shear, 2.0 * twist / radius[disk, None] ** 2)
+        own = radius[disk, None]
+        arm = np.broadcast_to(1.0 + np.maximum(-0.5 * depth, 0.0) / own, normal.shape)
+        _add_contacts(matrices, disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
 
 
 def _add_wall_pairs(
@@ -118,7 +122,7 @@ def _add_wall_pairs(
     tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
     shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
     normal = walls.normal[wall_pairs.wall].astype(float)
-    _add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, np.zeros(shape))
+    _add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
 
 
 def _no_contact_step(scene: Scene) -> float:
@@ -146,19 +150,32 @@ def pair_stiffness(
     shear = shear_ratio * normal
     twist = np.zeros(shape)
     if features.bonds:
-        cemented = lanes_of_bits(pairs.cemented, features.lanes)
+        intact = lanes_of_bits(pairs.intact, features.lanes)
         bond, linear = pairs.bond.astype(float), pairs.linear.astype(float)
-        normal = np.where(cemented, (bond[:, NORMAL] + linear[:, NORMAL])[:, None], normal)
-        shear = np.where(cemented, (bond[:, SHEAR] + linear[:, SHEAR])[:, None], shear)
-        twist = np.where(cemented, bond[:, MOMENT, None], twist)
+        if features.linear_group:
+            cemented = lanes_of_bits(pairs.cemented, features.lanes)
+            normal, shear = (np.where(cemented, linear[:, k, None], sand) for k, sand in ((NORMAL, normal), (SHEAR, shear)))
+            normal, shear = normal + intact * bond[:, NORMAL, None], shear + intact * bond[:, SHEAR, None]
+        else:
+            least = (normal, shear) if features.breakage else (0.0, 0.0)
+            normal = np.where(intact, np.maximum(bond[:, NORMAL, None], least[0]), normal)
+            shear = np.where(intact, np.maximum(bond[:, SHEAR, None], least[1]), shear)
+        twist = np.where(intact, bond[:, MOMENT, None], twist)
     return normal, shear, twist
 
 
-def _add_contacts(matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, twist: Floats) -> None:
-    """Add the contacts' matrices to those of their disks, in place; ``n`` (M, 2) points to the disk."""
-    s = np.column_stack([-n[:, Y], n[:, X], np.full(len(n), -np.sqrt(2.0))])
+def _add_contacts(
+    matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]
+) -> None:
+    """Add the contacts' matrices to those of their disks, in place.
+
+    ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the stiffness against rotation, each (M, L).
+    """
+    arm, twist = turning
+    s = np.empty((*arm.shape, 3))
+    s[..., X], s[..., Y], s[..., ROTATION] = -n[:, None, Y], n[:, None, X], -np.sqrt(2.0) * arm
     flat = np.column_stack([n, np.zeros(len(n))])
     blocks = normal[:, :, None, None] * (flat[:, None, :, None] * flat[:, None, None, :])
-    blocks = blocks + shear[:, :, None, None] * (s[:, None, :, None] * s[:, None, None, :])
+    blocks = blocks + shear[:, :, None, None] * (s[..., :, None] * s[..., None, :])
     blocks[..., ROTATION, ROTATION] += twist
     np.add.at(matrices, disk, blocks)

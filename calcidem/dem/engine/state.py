@@ -115,7 +115,7 @@ def choose_features(
     """Features a scene needs in a regime: ``finite``, ``small`` (fixed geometry) or ``linear`` (fixed stiffness)."""
     linear = regime == "linear"
     bonds = scene.bonds is not None and len(scene.bonds.pairs) > 0
-    group = bonds and scene.bonds is not None and scene.bonds.cement.linear_modulus > 0.0
+    group = bonds and scene.bonds is not None and bool(scene.bonds.cement.linear_modulus > 0.0)
     return Features(
         lanes=lanes,
         finite=regime == "finite",
