@@ -135,32 +135,36 @@ def _cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
 def _check_files(configuration: Configuration) -> Iterator[Problem]:
     """Results can be written where they are wanted."""
     output = configuration.output
+    wrong = ""
     if output.exists() and not output.is_dir():
-        yield Problem(f"run.output = {quote(str(output))}: is a file; give the name of a folder", ("run.output",))
-    elif not _can_make_files(output):
-        cure = "give a folder in which you may write"
-        yield Problem(f"run.output = {quote(str(output))}: nothing can be written there; {cure}", ("run.output",))
+        wrong = "is a file; give the name of a folder"
+    elif not can_make_files(output):
+        wrong = "nothing can be written there; give a folder in which you may write"
+    if wrong:
+        yield Problem(f"run.output = {quote(str(output))}: {wrong}", ("run.output",))
     database = configuration.run.database
-    if database is None:
-        return
+    if database is not None and (wrong := _what_is_wrong_with(database)):
+        yield Problem(f"run.database = {quote(database)}: {wrong}", ("run.database",))
+
+
+def _what_is_wrong_with(database: str) -> str:
+    """Why results cannot be stored in a database, and what to do; empty if they can."""
     try:
         path = parse_address(database).path
     except StoreError as error:
-        yield Problem(f"run.database = {quote(database)}: {error}", ("run.database",))
-        return
+        return str(error)
     if path is None:
-        return
+        return ""
     if path.is_dir():
-        yield Problem(f"run.database = {quote(database)}: is a folder; give a file name", ("run.database",))
-    elif path.exists() and not os.access(path, os.R_OK | os.W_OK):
-        cure = "give one that you may write, or change its permissions"
-        yield Problem(f"run.database = {quote(database)}: the file cannot be written; {cure}", ("run.database",))
-    elif not _can_make_files(path.parent):
-        cure = "give a file in a folder in which you may write"
-        yield Problem(f"run.database = {quote(database)}: its folder cannot be written; {cure}", ("run.database",))
+        return "is a folder; give a file name"
+    if path.exists() and not os.access(path, os.R_OK | os.W_OK):
+        return "the file cannot be written; give one that you may write, or change its permissions"
+    if not can_make_files(path.parent):
+        return "its folder cannot be written; give a file in a folder in which you may write"
+    return ""
 
 
-def _can_make_files(folder: Path) -> bool:
+def can_make_files(folder: Path) -> bool:
     """Whether files can be made in a folder, or folders above it where it is yet to be made.
 
     It is tried with a file without name, since permissions do not tell of read-only file systems.

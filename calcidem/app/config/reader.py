@@ -69,21 +69,15 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
     ConfigurationError
         With everything that is wrong.
     """
-    document = _parse_file(Path(path))
+    document = parse_file(Path(path))
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     if given and isinstance(document.setdefault("run", {}), dict):
         document["run"] |= given
     return read_configuration(document, os.fspath(path), Path(path).parent)
 
 
-def _parse_file(path: Path) -> dict[str, Any]:
-    """Sections of a TOML file.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are none, and why.
-    """
+def parse_file(path: Path) -> dict[str, Any]:
+    """Sections of a TOML file, or a `ConfigurationError` that says why there are none."""
     try:
         if document := tomllib.loads(path.read_text(encoding="utf-8")):
             return document

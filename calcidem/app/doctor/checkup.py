@@ -12,6 +12,7 @@ from pathlib import Path
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker, worker_text
+from calcidem.app.config.checks import can_make_files
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.app.doctor.mpi import mpi_findings
 from calcidem.storage.errors import StoreError
@@ -142,7 +143,7 @@ def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Fi
 def _packing_cache_finding() -> Finding:
     """Whether packings can be kept between campaigns."""
     folder = cache_folder()
-    if not _can_write(folder):
+    if not can_make_files(folder):
         fact = f"{folder} is not writable: each campaign makes its packing again"
         return Finding(WARNING, "packing cache", fact, f"set {CACHE_VARIABLE} to a writable folder")
     number = len(list(folder.glob("packing-*.npz")))
@@ -158,7 +159,7 @@ def _compile_cache_finding() -> Finding:
         return Finding(WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
     folder, module = Path(stats.cache_path), advance_steps.__module__.rpartition(".")[2]
     cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node"
-    if not _can_write(folder):
+    if not can_make_files(folder):
         return Finding(WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure)
     compiled = len(list(folder.glob(f"{module}.{advance_steps.__name__}*.nbc")))
     first = "" if compiled else " (the first run compiles for 5 to 25 s)"
@@ -168,8 +169,3 @@ def _compile_cache_finding() -> Finding:
             WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, as examples/slurm.sbatch does"
         )
     return Finding(OK, "compile cache", fact)
-
-
-def _can_write(folder: Path) -> bool:
-    """Whether a folder can be written, or made."""
-    return os.access(next(parent for parent in (folder, *folder.absolute().parents) if parent.exists()), os.W_OK)

@@ -1,7 +1,6 @@
 """The file that lists variants of a configuration, and the configurations that come of it."""
 
 import os
-import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase
-from calcidem.app.config.reader import read_configuration
+from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 
 REFERENCE = "reference"
@@ -19,52 +18,29 @@ REFERENCE = "reference"
 
 
 class _ListedVariant(BaseModel):
-    """One ``[[variant]]`` of the file.
-
-    Attributes
-    ----------
-    choice, value
-        What is chosen, and how, in words.
-    change
-        New values by ``section.key``.
-    without
-        Keys to leave out, so that they have their defaults.
-    against
-        Name of another variant to compare with, for one that is an alternative only together with that.
-    contents, seeds
-        Instead of those of the file, for variants that cost much.
-    """
+    """One ``[[variant]]`` of the file: what is chosen, and how, in words and in values."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
     choice: str
     value: str
     change: dict[str, Any] = Field(default_factory=dict, alias="set")
+    """New values by ``section.key``."""
     without: list[str] = Field(default_factory=list)
+    """Keys to leave out, so that they have their defaults."""
     against: str = REFERENCE
+    """Name of another variant to compare with, for one that is an alternative only together with that."""
     contents: list[float] | None = None
     seeds: int | None = Field(default=None, ge=2)
 
     @property
     def name(self) -> str:
         """Name of the variant, and of its campaign in the database."""
-        return f"{self.choice}: {self.value}"
+        return f"{self.choice}: {self.value}" if self.choice != REFERENCE else REFERENCE
 
 
 class _ListedPlan(BaseModel):
-    """The whole file.
-
-    Attributes
-    ----------
-    configuration
-        TOML file that is varied; a relative name counts from the folder of this file.
-    contents
-        Percent.
-    seeds
-        Number of seeds of each content, the same in every variant.
-    variant
-        The variants.
-    """
+    """The whole file: a TOML file, relative to this one, that is varied; percents and number of seeds; the variants."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -82,8 +58,10 @@ class Variant:
     ----------
     name
         Of the variant, and of its campaign in the database.
-    choice, value, against
-        See `_ListedVariant`.
+    choice, value
+        What is chosen, and how, in words.
+    against
+        Name of the variant to compare with.
     configuration
         What is computed.
     """
@@ -111,8 +89,12 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
         With everything that is wrong with the file or with a configuration that comes of it.
     """
     source = os.fspath(path)
-    listed = _read(_ListedPlan, path)
-    base = _document(Path(path).parent / listed.configuration)
+    try:
+        listed = _ListedPlan.model_validate(parse_file(Path(path)))
+    except ValidationError as error:
+        found = ((".".join(map(str, detail["loc"])), phrase(detail)) for detail in error.errors())
+        raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
+    base = parse_file(Path(path).parent / listed.configuration)
     base["run"] = {**base.get("run", {}), "database": database, "store_signals": False}
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
@@ -129,7 +111,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
 
 
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
-    name = REFERENCE if entry.choice == REFERENCE else entry.name
+    """Variant of the configuration ``base``."""
     document = deepcopy(dict(base))
     for place, value in entry.change.items():
         section, _, key = place.partition(".")
@@ -137,26 +119,7 @@ def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, 
     for place in entry.without:
         section, _, key = place.partition(".")
         document.get(section, {}).pop(key, None)
-    own = {"name": name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
+    own = {"name": entry.name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
     document["campaign"] = {**document.get("campaign", {}), **own}
-    configuration = read_configuration(document, f"{source}, {name}")
-    return Variant(name, entry.choice, entry.value, entry.against, configuration)
-
-
-def _read(model: type[_ListedPlan], path: str | os.PathLike[str]) -> _ListedPlan:
-    try:
-        return model.model_validate(_document(Path(path)))
-    except ValidationError as error:
-        problems = [
-            Problem(f"{'.'.join(str(part) for part in detail['loc'])}: {phrase(detail)}") for detail in error.errors()
-        ]
-        raise ConfigurationError(os.fspath(path), problems) from None
-
-
-def _document(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigurationError(str(path), [Problem("the file does not exist; check the name")]) from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(str(path), [Problem(f"not TOML: {error}")]) from None
+    configuration = read_configuration(document, f"{source}, {entry.name}")
+    return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)

@@ -16,13 +16,6 @@ from calcidem.storage.errors import UnknownCampaignError
 def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
     """Compute all cells that the database lacks, variant by variant; the same call goes on after a stop.
 
-    Parameters
-    ----------
-    variants
-        Of one plan.
-    say
-        Told of every variant.
-
     Raises
     ------
     CampaignMismatchError
