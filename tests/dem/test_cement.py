@@ -14,6 +14,7 @@ from calcidem.dem.sample.cement import (
     CementOrdering,
     CementRule,
     contact_points,
+    content_of_contacts,
     draw_cement,
 )
 from calcidem.dem.sample.toroid import toroid_area
@@ -101,6 +102,22 @@ def test_contacts_in_circles_are_c_and_calcite_adds_up(seed: int, content: float
     p_area = p_cemented * toroid_area(diameters[:, 0], diameters[:, 1], 1.06e-3)
     percent = 100.0 * (c_area.sum() + p_area.sum()) * 2600.0 / (SMALL.sand_area * 2650.0)
     assert cement.content_reached == pytest.approx(percent, rel=1e-10, abs=0.0)  # order of summation
+
+
+@given(SEEDS, CONTENTS)
+def test_contacts_in_several_clusters_count_once(seed: int, content: float) -> None:
+    """By contacts the content is that of clusters less what they share; without shared contacts both are the same."""
+    rule = CementRule(keep_p=False)
+    placed = SMALL.draw(rule, seed=seed).at(content)
+    packing = bare_packing(SMALL.x, SMALL.y, SMALL.radius, SMALL.pairs, SMALL.box)
+    found = content_of_contacts(packing, rule, placed.kind)
+    first, second = 2.0 * SMALL.radius[SMALL.pairs].T
+    shared = np.zeros(len(first))
+    if placed.clusters:
+        to_centres = np.linalg.norm(SMALL.points[:, None] - placed.centres, axis=2)
+        shared = np.maximum(np.count_nonzero(to_centres <= rule.cluster_diameter / 2.0, axis=1) - 1, 0)
+    area = float(np.sum(shared * toroid_area(first, second, rule.c_diameter)))
+    assert found == pytest.approx(placed.content_reached - rule.content(area, SMALL.sand_area), abs=1e-9)
 
 
 def test_counts_are_those_of_the_kinds() -> None:

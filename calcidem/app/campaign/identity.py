@@ -10,8 +10,8 @@ from calcidem.storage.records.canonical import canonical_json, config_difference
 DECIDED_BY_PHYSICS = (
     *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
     *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
-    *("frequency", "time_step", "stability_limit", "steps"),
-    *("content_reached", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
+    *("frequency", "distance", "wavelengths_on_path", "wavelength_over_d50", "time_step", "stability_limit", "steps"),
+    *("content_reached", "content_of_contacts", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
 )
 """Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
 

@@ -97,8 +97,8 @@ def _end_in_haste(stop_request: StopRequest) -> None:
 
 
 def _compile_on_nodes(session: Session, orders: _Orders) -> None:
-    """Have the kernels compiled once on each node; alone, the first cells do it."""
-    if orders.anything_to_do and session.size > 1:
+    """Have the kernels compiled once on each node, so that no cell's cost or time limit has it."""
+    if orders.anything_to_do:
         session.once_per_node(lambda: compile_kernels(orders.configuration, orders.packing))
 
 

@@ -11,7 +11,7 @@ from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
-from calcidem.app.campaign.task import cell_computation, expected_effort
+from calcidem.app.campaign.task import cell_computation, compile_kernels, expected_effort
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import load_configuration
@@ -74,6 +74,8 @@ def run(
     else:
         configuration = load_configuration(configuration, {"database": database, "output": folder})
     with CampaignRun(configuration, [describe_worker(rank=0)], tell=lambda _: None) as work:
+        if work.batches:
+            compile_kernels(configuration, work.packing)
         compute = cell_computation(configuration, work.packing, work.lease_keeper)
         # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
         work.end = run_sweep(

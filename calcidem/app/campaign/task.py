@@ -13,15 +13,17 @@ from scipy.sparse.csgraph import connected_components
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph, preferential_path
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
+from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.kernels.layout import Integers
+from calcidem.dem.sample.cement import content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.pick import Reading
 from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, GraphSummary, Signal
 from calcidem.sweep import Batch, Cell, Compute
 
@@ -66,18 +68,24 @@ def cell_computation(
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
         measurements = measure(experiment, content, seeds, lanes=lanes, check=check, ordering=ordering)
-        results = (cell_result(measurement, packing.pairs, store_signals) for measurement in measurements)
+        results = [cell_result(measurement, experiment, store_signals) for measurement in measurements]
+        if configuration.run.static_speed:
+            results = [
+                replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
+                for result, measurement in zip(results, measurements, strict=True)
+            ]
         return tuple(with_graph(result, graph) for result in results)
 
     return compute
 
 
-def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) -> CellResult:
-    """Measurement as the store keeps it; attempt, rank and host are added by whoever stores it.
-
-    ``pairs`` (M, 2) are the contacts of the packing.
-    """
+def cell_result(measurement: Measurement, experiment: Experiment, store_signals: bool) -> CellResult:
+    """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it."""
     cement, record, picks = measurement.cement, measurement.record, measurement.picks
+    packing = experiment.packing
+    on_path, over_d50 = wavelengths(
+        measurement.vs, measurement.frequency, measurement.distance, median_diameter_by_mass(packing.radius)
+    )
     readings = (Reading(),) * 3 if picks is None else (picks.peak, picks.first_arrival, picks.cross_correlation)
     peak, first_arrival, cross_correlation = readings
     return CellResult(
@@ -92,11 +100,15 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         quality_first_arrival=first_arrival.quality if picks else None,
         quality_cross_correlation=cross_correlation.quality if picks else None,
         frequency=measurement.frequency,
+        distance=measurement.distance,
+        wavelengths_on_path=on_path,
+        wavelength_over_d50=over_d50,
         time_step=record.time_step,
         stability_limit=record.stability_limit,
         steps=record.steps,
         error_bound=measurement.error_estimate,
         content_reached=cement.content_reached,
+        content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,
         c_contacts=cement.c_contacts,
         clusters=cement.clusters,
@@ -105,7 +117,7 @@ def cell_result(measurement: Measurement, pairs: Integers, store_signals: bool) 
         seconds=measurement.seconds,
         signal=_signal_of(record) if store_signals else None,
         cement=CementPattern(
-            pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
+            packing.pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
         ),
     )
 

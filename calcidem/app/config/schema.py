@@ -248,6 +248,8 @@ class RunOptions:
         Cells computed side by side, 1 to 32; a power of two.
     store_signals
         Whether the signals of every cell are kept.
+    static_speed
+        Whether the velocity of long shear waves is computed from the static stiffness of every cell, too.
     time_limit
         Seconds that a batch of cells may take; without it there is no limit.
     output
@@ -258,6 +260,7 @@ class RunOptions:
 
     lanes: int = 8
     store_signals: bool = True
+    static_speed: bool = False
     time_limit: float | None = None
     output: str = "results"
     database: str | None = None

@@ -147,7 +147,7 @@ def _verify_batch(
     """Compute cells of one content and one packing."""
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
-        computed = cell_result(measurement, experiment.packing.pairs, store_signals=stored.signal is not None)
+        computed = cell_result(measurement, experiment, store_signals=stored.signal is not None)
         yield compare_outcomes(stored, computed)
 
 

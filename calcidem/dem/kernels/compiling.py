@@ -5,9 +5,18 @@ from typing import Any, TypeVar
 
 from llvmlite import binding
 from numba import njit
-from numba.core import codegen, config
+from numba.core import codegen, config, event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+_COMPILING = event.TimingListener()  # type: ignore[no-untyped-call]  # numba describes only a part of itself
+event.register("numba:compiler_lock", _COMPILING)  # type: ignore[no-untyped-call]  # held while loading from the cache, too
+
+
+def seconds_compiling() -> float:
+    """Seconds that this process has spent on compiling functions, or on loading them from the cache on disk."""
+    return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
 def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
 
+from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
 from calcidem.dem.wave.error_estimate import numerical_error
@@ -54,7 +55,7 @@ class Measurement:
     record
         Signals and time step.
     seconds
-        Wall time of this sample's share of its batch.
+        Wall time of this sample's share of its batch, without that of compiling kernels.
     """
 
     seed: int
@@ -102,7 +103,7 @@ def measure(
     CementCapacityError
         If the content is more than the sample can hold.
     """
-    began = perf_counter()
+    began = perf_counter() - seconds_compiling()
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
     frequency = experiment.frequency(content)
 
@@ -112,7 +113,7 @@ def measure(
 
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
-    seconds = (perf_counter() - began) / len(seeds)
+    seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     given = frequency, experiment.distance
     return tuple(
         Measurement(seed, content, *_interpret_record(experiment, frequency, record), *given, cement, record, seconds)

@@ -17,8 +17,10 @@ from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.studies.accuracy.command import plan_task
+from calcidem.app.studies.explain import Explanation, precision
 from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult
@@ -47,8 +49,6 @@ transmitter_half_width = 0.01
 receiver_half_width = 0.012
 boundary_thickness = 0.012
 listening_depth = 0.006
-[run]
-lanes = 2
 """
 
 OF_ONE_CELL = "WHERE cell_id IN (SELECT id FROM cell WHERE seed = 1 AND content = 0.66)"
@@ -186,9 +186,8 @@ def test_why_a_sample_was_sent_again_is_kept(small: Path) -> None:
         experiment = campaign.experiment(0)
     (measured,) = measure(experiment, 0.66, [1])
     again = dataclasses.replace(measured, record=dataclasses.replace(measured.record, retry="the energy grew"))
-    pairs = experiment.packing.pairs
-    assert cell_result(measured, pairs, store_signals=False).retry is None
-    assert cell_result(again, pairs, store_signals=False).retry == "the energy grew"
+    assert cell_result(measured, experiment, store_signals=False).retry is None
+    assert cell_result(again, experiment, store_signals=False).retry == "the energy grew"
 
 
 def test_choice_of_cells(small: Path) -> None:
@@ -199,9 +198,7 @@ def test_choice_of_cells(small: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_packing_is_made")
-def test_accuracy_judges_the_packing_of_the_database(
-    small: Path, toml: Path, small_packing: Packing, invoke: Invoke
-) -> None:
+def test_accuracy_judges_the_packing_of_the_database(small: Path, toml: Path, small_packing: Packing) -> None:
     """With --db the cells are those of the stored packing, at its own unbalanced-force ratio too; none is made."""
     configuration = load_configuration(toml)
     task = plan_task(configuration, (), 1, small, lambda _: None)
@@ -209,14 +206,31 @@ def test_accuracy_judges_the_packing_of_the_database(
     assert task.packing_of(configuration.packing.unbalanced_force_ratio) is task.experiment.packing
     assert task.stored is not None
     assert set(task.stored) == {0.0, 0.66}
+
+
+@pytest.mark.full
+@pytest.mark.usefixtures("no_packing_is_made")
+def test_accuracy_and_explain_measure_on_the_packing_of_the_database(small: Path, toml: Path, invoke: Invoke) -> None:
+    """With --db both commands measure cells of the stored packing; none is made."""
     limits = ("--content", 0.66, "--seeds", 1, "--only", "precision float32")
     assert "precision float32" in invoke("accuracy", toml, "--db", small, *limits)
+    assert "disks out of reach" in invoke("explain", toml, "--db", small, "--content", 0.66)
 
 
 @pytest.mark.usefixtures("no_packing_is_made")
-def test_explain_judges_the_packing_of_the_database(small: Path, toml: Path, invoke: Invoke) -> None:
-    """With --db the cells are those of the stored packing; none is made."""
-    assert "disks out of reach" in invoke("explain", toml, "--db", small, "--content", 0.66)
+def test_explain_judges_the_packing_of_the_database(
+    small: Path, toml: Path, small_packing: Packing, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With --db the cells to measure are those of the stored packing; none is made."""
+    judged: list[Experiment] = []
+
+    def note(experiment: Experiment, contents: list[float], *_: object, **_named: object) -> list[Explanation]:
+        judged.append(experiment)
+        return [Explanation(content, precision(experiment), None, None) for content in contents]
+
+    monkeypatch.setattr("calcidem.app.cli.explain.explain", note)
+    assert "double precision" in invoke("explain", toml, "--db", small, "--content", 0.66)
+    assert [experiment.packing.content_hash for experiment in judged] == [small_packing.content_hash]
 
 
 @pytest.mark.parametrize("command", ["accuracy", "explain"])
