@@ -46,7 +46,14 @@ def small_state(regime: Regime, *, bonded: bool) -> State:
     return start(scene, features=choose_features(scene, regime, LANES, breakage=False))
 
 
-@pytest.mark.parametrize(("regime", "bonded"), [("finite", False), ("finite", True), ("linear", False)])
+@pytest.mark.parametrize(
+    ("regime", "bonded"),
+    [
+        pytest.param("finite", False, marks=pytest.mark.full),
+        ("finite", True),
+        pytest.param("linear", False, marks=pytest.mark.full),
+    ],
+)
 def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: bool) -> None:
     """The pair loop computes on registers of full width, and no division or root in it is done lane by lane."""
     reader = assembly_reader()
