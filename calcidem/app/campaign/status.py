@@ -15,13 +15,13 @@ from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
 
 _TROUBLES = (
-    CellStatus.QUARANTINED,
-    CellStatus.FAILED,
-    CellStatus.TIMED_OUT,
-    CellStatus.UNSTABLE,
-    CellStatus.NO_ARRIVAL,
+    *(CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
+    *(CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
 )
 """Outcomes other than done, the most alarming first."""
+
+_URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
+"""Place of each status, the most alarming first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,37 +218,23 @@ def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float6
 
 def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
+
+    def texts(quantity: str, selection: Selection) -> dict[CellKey, str]:
+        columns = campaign.store.table(("seed", "content", quantity), selection)
+        keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
+        return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, columns[quantity], strict=True)}
+
     attempts = campaign.store.attempt_counts()
-    wrong = campaign.store.table(("seed", "content", "reason"), Selection(statuses=_TROUBLES))
-    reasons = {
-        CellKey(int(seed), float(content)): str(reason or "").partition("\n")[0]
-        for seed, content, reason in zip(wrong["seed"], wrong["content"], wrong["reason"], strict=True)
-    }
+    reasons = texts("reason", Selection(statuses=_TROUBLES))
+    retries = texts("retry", Selection(where="retry is not None"))
     repeated = {key for key, count in attempts.items() if count.attempts > 1 or count.losses}
-    again = campaign.store.table(("seed", "content", "retry"), Selection(where="retry is not None"))
-    retries = {
-        CellKey(int(seed), float(content)): str(why)
-        for seed, content, why in zip(again["seed"], again["content"], again["retry"], strict=True)
-    }
     keys = repeated | reasons.keys() | retries.keys()
     statuses = campaign.store.statuses() if keys else {}
-    found = [
-        Trouble(
-            key,
-            statuses[key],
-            attempts[key].attempts,
-            attempts[key].losses,
-            reasons.get(key, ""),
-            retries.get(key, ""),
-        )
-        for key in keys
-    ]
-    return tuple(sorted(found, key=lambda trouble: (_urgency(trouble.status), trouble.key)))
-
-
-def _urgency(status: CellStatus) -> int:
-    """Place of a status among `_TROUBLES`; the others come last."""
-    return _TROUBLES.index(status) if status in _TROUBLES else len(_TROUBLES)
+    found = []
+    for key in sorted(keys, key=lambda key: (_URGENCY[statuses[key]], key)):
+        count, reason, retry = attempts[key], reasons.get(key, ""), retries.get(key, "")
+        found.append(Trouble(key, statuses[key], count.attempts, count.losses, reason, retry))
+    return tuple(found)
 
 
 def is_being_written(campaign: StoredCampaign) -> bool:
@@ -262,7 +248,4 @@ def is_being_written(campaign: StoredCampaign) -> bool:
 
 def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:
     """The most alarming of some statuses; pending if there is nothing worse and not all are done."""
-    alarming = [status for status in statuses if status in _TROUBLES]
-    if alarming:
-        return min(alarming, key=_urgency)
-    return CellStatus.DONE if set(statuses) == {CellStatus.DONE} else CellStatus.PENDING
+    return min(statuses, key=_URGENCY.__getitem__)
