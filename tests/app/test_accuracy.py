@@ -45,15 +45,15 @@ def study(experiment: Experiment) -> Study:
     return run_study(gentle, CONTENTS, SEEDS, compared=compared, coarsest=0.1, rounds=1)
 
 
-def test_the_error_is_below_the_cells_own_estimate(study: Study) -> None:
-    """In at least 95 % of the cells the true error is below the estimate, which is not absurdly large."""
-    cells = [cell for cell in study.cells if cell.vs_error is not None and cell.estimate is not None]
+def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
+    """In at least 95 % of the cells the true error is below the bound, which is not absurdly large."""
+    cells = [cell for cell in study.cells if cell.vs_error is not None and cell.bound is not None]
     errors = np.array([abs(cell.vs_error or 0.0) for cell in cells])
-    estimates = np.array([cell.estimate for cell in cells])
+    bounds = np.array([cell.bound for cell in cells])
     assert len(cells) >= 50
-    assert np.mean(errors <= estimates) >= 0.95
+    assert np.mean(errors <= bounds) >= 0.95
     # The real box has 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
-    assert np.median(estimates) < 0.03
+    assert np.median(bounds) < 0.03
 
 
 def test_the_default_is_as_exact_as_promised(study: Study) -> None:
@@ -150,7 +150,7 @@ def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Exp
     assert rows[2].worst == 0.0
 
 
-def test_an_estimate_above_five_percent_is_no_velocity(experiment: Experiment) -> None:
+def test_a_bound_above_five_percent_is_no_velocity(experiment: Experiment) -> None:
     """In the linear regime a pulse that would make contacts slip gives a reason and no number."""
     strong = with_wave(experiment, amplitude=1.5e-2)
     found = measure(strong, 9.0, SEEDS)

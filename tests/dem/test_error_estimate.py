@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scenes import bare_packing
 
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.wave.error_estimate import ErrorParts, error_parts, numerical_error, slip_ratio
+from calcidem.dem.wave.error_estimate import ErrorParts, error_bound, error_parts, slip_ratio
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WaveRule
@@ -57,7 +57,7 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
     assert found.sampling == pytest.approx(0.2 * 1e-6 / 2e-4)
     assert found[2:] == (0.0, 0.0, 0.0, 0.0, 0.0)
     both = float(np.hypot(found.step, found.sampling))
-    assert numerical_error(EXACT, RECORD, FREQUENCY, TRAVEL_TIME) == pytest.approx(both)
+    assert error_bound(EXACT, RECORD, FREQUENCY, TRAVEL_TIME) == pytest.approx(both)
 
 
 @pytest.mark.parametrize(
@@ -85,8 +85,8 @@ def test_each_cause_raises_its_own_part_alone(
     for other in set(ErrorParts._fields) - {part}:
         assert getattr(after, other) == pytest.approx(getattr(before, other), rel=1e-12)
     errors = [
-        numerical_error(EXPERIMENT, RECORD, FREQUENCY, TRAVEL_TIME),
-        numerical_error(experiment, record, FREQUENCY, TRAVEL_TIME, noisy=noisy),
+        error_bound(EXPERIMENT, RECORD, FREQUENCY, TRAVEL_TIME),
+        error_bound(experiment, record, FREQUENCY, TRAVEL_TIME, noisy=noisy),
     ]
     assert errors[1] > errors[0]
 
@@ -101,7 +101,7 @@ def test_the_error_is_at_least_that_of_each_part(
     found = parts(experiment, record, frequency, travel_time, noisy=True)
     assert min(found) >= 0.0
     assert found.precision >= 1e-3
-    whole = numerical_error(experiment, record, frequency, travel_time, noisy=True)
+    whole = error_bound(experiment, record, frequency, travel_time, noisy=True)
     assert max(found) <= whole * (1.0 + 1e-12)
     assert whole <= sum(found) * (1.0 + 1e-12)
 
@@ -163,5 +163,5 @@ def test_a_soft_contact_takes_the_whole_stroke_and_slips_at_its_friction() -> No
 def test_grains_without_friction_have_no_velocity_in_the_linear_regime() -> None:
     """They slip at once, which the linear regime cannot do: the error has no bound."""
     smooth = replace(EXPERIMENT, sand=Sand(friction=0.0))
-    assert numerical_error(smooth, RECORD, FREQUENCY, TRAVEL_TIME) == np.inf
-    assert numerical_error(waves(smooth, regime="small"), RECORD, FREQUENCY, TRAVEL_TIME) < 0.05
+    assert error_bound(smooth, RECORD, FREQUENCY, TRAVEL_TIME) == np.inf
+    assert error_bound(waves(smooth, regime="small"), RECORD, FREQUENCY, TRAVEL_TIME) < 0.05

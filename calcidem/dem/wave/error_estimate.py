@@ -59,10 +59,10 @@ class ErrorParts(NamedTuple):
     unbalanced: float
 
 
-def numerical_error(
+def error_bound(
     experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool = False
 ) -> float:
-    """Estimated relative error of a velocity: root of the sum of squares of its parts, see `ErrorParts`."""
+    """Bound of the relative error of a velocity: root of the sum of squares of its parts, see `ErrorParts`."""
     parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
     return float(np.sqrt(sum(part * part for part in parts)))
 

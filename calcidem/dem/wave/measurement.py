@@ -8,15 +8,15 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import numerical_error
+from calcidem.dem.wave.error_estimate import error_bound
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 
-_LARGEST_ERROR = 0.05  # estimate above which a velocity is not trusted
-_INEXACT = "the estimated numerical error is above 5 %: lower amplitude, or choose regime = 'finite'"
-_NOISY = "the estimated numerical error is above 5 %: noise moves the peak; lower amplitude or the frequency"
+_LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
+_INEXACT = "the numerical error may be above 5 %: lower amplitude, or choose regime = 'finite'"
+_NOISY = "the numerical error may be above 5 %: noise moves the peak; lower amplitude or the frequency"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 _MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
 _MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
@@ -44,8 +44,8 @@ class Measurement:
         Shear-wave velocity by the experiment's method, m/s; None without a trusted pick.
     picks
         All readings, of the experiment's signal; None if the run was unstable.
-    error_estimate
-        Relative error of ``vs``, see `error_estimate.numerical_error`; None without ``vs``.
+    error_bound
+        Of the relative error of ``vs``, see `error_estimate.error_bound`; None without ``vs``.
     frequency
         Excitation, Hz.
     distance
@@ -64,7 +64,7 @@ class Measurement:
     reason: str
     vs: float | None
     picks: Picks | None
-    error_estimate: float | None
+    error_bound: float | None
     frequency: float
     distance: float
     cement: PlacedCement
@@ -164,7 +164,7 @@ def _interpret_record(
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         return Outcome.NO_ARRIVAL, reason, None, picks, None
     noisy = picks.first_arrival.failure == PickFailure.NOISE
-    error = numerical_error(experiment, record, frequency, reading.travel_time, noisy=noisy)
-    if error > _LARGEST_ERROR:
+    bound = error_bound(experiment, record, frequency, reading.travel_time, noisy=noisy)
+    if bound > _LARGEST_BOUND:
         return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, None, picks, None
-    return Outcome.DONE, "", reading.velocity, picks, error
+    return Outcome.DONE, "", reading.velocity, picks, bound

@@ -83,7 +83,7 @@ def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]
     picks = [cell.picks for cell in cells if cell.picks is not None]
     readings = [reading for p in picks for reading in (p.peak, p.first_arrival, p.cross_correlation)]
     numbers = [number for r in readings for number in (r.travel_time, r.quality)]
-    yield "Vs", digest(*numbers, *(cell.vs for cell in cells), *(cell.error_estimate for cell in cells))
+    yield "Vs", digest(*numbers, *(cell.vs for cell in cells), *(cell.error_bound for cell in cells))
 
 
 def tell(value: str, name: str) -> None:

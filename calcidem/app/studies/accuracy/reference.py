@@ -78,8 +78,8 @@ class CellError:
         Relative, of the travel time of the first arrival, signed; None unless both have one.
     signal_error
         See `signal_distance`.
-    estimate
-        The relative error the cell itself states.
+    bound
+        Of the relative error, as the cell itself states it.
     """
 
     setting: str
@@ -90,7 +90,7 @@ class CellError:
     vs_error: float | None
     arrival_error: float | None
     signal_error: float
-    estimate: float | None
+    bound: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def cell_error(
         vs_error=relative_deviation(found.vs, exact.vs),
         arrival_error=relative_deviation(_first_arrival(found), _first_arrival(exact)),
         signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
-        estimate=found.error_estimate,
+        bound=found.error_bound,
     )
 
 

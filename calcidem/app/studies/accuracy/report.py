@@ -47,7 +47,7 @@ def _opening(study: Study) -> str:
         f"{study.reference_seconds / row.seconds:.0f} times faster ({row.seconds:.2f} s against "
         f"{study.reference_seconds:.1f} s of processor time a cell). The last halving of the reference's step "
         f"changed Vs by {study.halving:.1e} at most; {_converged_share(study)}. "
-        f"The error is at most the cell's own estimate in {100 * row.covered:.1f} % of the cells."
+        f"The error is at most the cell's own bound in {100 * row.covered:.1f} % of the cells."
     )
 
 
@@ -60,7 +60,7 @@ def _converged_share(study: Study) -> str:
 def _settings_table(summaries: Sequence[Summary]) -> list[str]:
     """Give one line for each setting; those that ask another question are marked."""
     lines = [
-        "| setting | Vs median | Vs worst | first arrival | signal (L2) | within estimate | s a cell | cells lost |",
+        "| setting | Vs median | Vs worst | first arrival | signal (L2) | within bound | s a cell | cells lost |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in summaries:
@@ -76,7 +76,7 @@ def _content_table(study: Study) -> list[str]:
     lines = [
         (
             "| content % | cells | reference's step / limit, smallest | Vs by its last halving, largest "
-            "| default: median | worst | within estimate | estimate, median |"
+            "| default: median | worst | within bound | bound, median |"
         ),
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -88,10 +88,10 @@ def _content_table(study: Study) -> list[str]:
             continue
         halving = max((abs(cell.halving) for cell in exact if cell.halving is not None), default=np.nan)
         finest = min(cell.step_fraction for cell in exact)
-        estimate = np.median([cell.estimate for cell in found if cell.estimate is not None])
+        bound = np.median([cell.bound for cell in found if cell.bound is not None])
         lines.append(
             f"| {content:g} | {len(errors)} | {finest:g} | {halving:.1e} | {np.median(errors):.1e} "
-            f"| {max(errors):.1e} | {100 * covered_share(found):.0f} % | {estimate:.1e} |"
+            f"| {max(errors):.1e} | {100 * covered_share(found):.0f} % | {bound:.1e} |"
         )
     return lines
 
@@ -104,13 +104,13 @@ def _cell_table(study: Study) -> list[str]:
     lines = [
         (
             "| content % | seed | reference Vs, m/s | its step / limit | Vs by its last halving | default Vs, m/s "
-            "| error | own estimate | first arrival | signal (L2) |"
+            "| error | own bound | first arrival | signal (L2) |"
         ),
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for exact in study.references:
         cell = found[exact.seed, exact.content]
-        numbers = (cell.vs_error, cell.estimate, cell.arrival_error, cell.signal_error)
+        numbers = (cell.vs_error, cell.bound, cell.arrival_error, cell.signal_error)
         errors = " | ".join(_or_dash(number) for number in numbers)
         lines.append(
             f"| {exact.content:g} | {exact.seed} | {_or_dash(exact.vs, '.2f')} | {exact.step_fraction:g} "

@@ -44,7 +44,7 @@ class Summary:
     arrival, signal
         Medians of the errors of the first arrival and of the whole signal.
     covered
-        Share of the cells whose error of Vs is at most the estimate they state.
+        Share of the cells whose error of Vs is at most the bound they state.
     seconds
         Processor time of a cell.
     """
@@ -220,9 +220,9 @@ def _summary_of(name: str, cells: Sequence[CellError], seconds: Sequence[float],
 
 
 def covered_share(cells: Iterable[CellError]) -> float:
-    """Share of the cells with a velocity whose error is at most their own estimate."""
+    """Share of the cells with a velocity whose error is at most their own bound."""
     honest = [
-        abs(cell.vs_error) <= cell.estimate for cell in cells if cell.vs_error is not None and cell.estimate is not None
+        abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
     ]
     return float(np.mean(honest)) if honest else np.nan
 

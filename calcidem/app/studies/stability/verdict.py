@@ -129,7 +129,7 @@ def _compare_with_finer(
         verdict = StabilityVerdict.STABLE if distance < _ALIKE else StabilityVerdict.WRONG
         return Judgement(scene, verdict, f"{exact.reason} with a smaller step, signals {distance:.2g} apart", found.vs)
     error = found.vs / exact.vs - 1.0
-    right = abs(error) <= max(_TOLERANCE, found.error_estimate or 0.0)
+    right = abs(error) <= max(_TOLERANCE, found.error_bound or 0.0)
     return Judgement(
         scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, found.record.retry, found.vs, error
     )
