@@ -61,7 +61,7 @@ class PathScale:
     distance
         Distance L between transmitter and receiver in m.
     median_diameter
-        Median grain diameter d50 in m, smaller than the distance.
+        Median grain diameter d50 by count in m, smaller than the distance.
 
     Raises
     ------

@@ -26,7 +26,7 @@ class PackingGraph:
     weights
         Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains.
     scale
-        Distance between transmitter and receiver, and median diameter.
+        Distance between transmitter and receiver, and median diameter by count.
     """
 
     packing: PackingRecord

@@ -132,7 +132,7 @@ class PublishedStudy:
     title: str
     seeds: int
     samples: int
-    parameters: Mapping[str, float | tuple[float, ...]]
+    parameters: Mapping[str, float]
     contents: tuple[PublishedContent, ...]
     stages: tuple[PublishedStage, ...]
     laws: tuple[PublishedLaw, ...]
@@ -149,9 +149,7 @@ def published_study() -> PublishedStudy:
     data = tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
     return PublishedStudy(
         **data["source"],
-        parameters=MappingProxyType(
-            {name: tuple(value) if isinstance(value, list) else value for name, value in data["parameters"].items()}
-        ),
+        parameters=MappingProxyType(data["parameters"]),
         contents=tuple(
             PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
             for row in data["contents"]

@@ -5,6 +5,7 @@ compared with what is printed beside them. Nothing is corrected: a disagreement 
 stay as they are.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.normality import NormalityTest, jarque_bera_from_moments
 from calcidem.analysis.published import PublishedLaw, PublishedStudy, published_study
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, LONGEST_WAVELENGTH, wavelengths
 from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
 
 _PAPER_SIGNIFICANCE = 0.05
@@ -110,6 +112,8 @@ def check_study(study: PublishedStudy | None = None) -> tuple[StatementCheck, ..
         *_compare_claims(study),
         *(finding for law in study.laws for finding in _compare_law(law, study)),
         _compare_coordination_number(study),
+        *_compare_wavelengths(study),
+        _compare_calcite(study),
     )
 
 
@@ -252,4 +256,61 @@ def _compare_coordination_number(study: PublishedStudy) -> StatementCheck:
         printed=f"weights {weights.hertz:g} and {weights.bond:g}",
         computed=f"a coordination number of 1 / {weights.bond:g} = {number:.2f} gives {hertz:.3f} and {weights.bond:g}",
         agrees=abs(hertz - weights.hertz) < _WEIGHT_ROUNDING,
+    )
+
+
+def _compare_wavelengths(study: PublishedStudy) -> list[StatementCheck]:
+    """Check both conditions of section 3.1.3 against Tables 2 and 3: wavelengths are mean Vs over frequency."""
+    distance, *diameters = _lengths(study)
+    median = (sum(diameter**3 for diameter in diameters) / 2) ** (1 / 3)  # by mass, of a uniform distribution
+    found = [
+        (row.content, *wavelengths(row.vs.mean, row.frequency, distance, median))
+        for row in study.contents
+        if row.vs is not None
+    ]
+    near = [f"{number:.2f} at {content:g} %" for content, number, _ in found if number < FEWEST_WAVELENGTHS]
+    long = [over for _, _, over in found if over >= LONGEST_WAVELENGTH]
+    return [
+        StatementCheck(
+            place="Section 3.1.3 and Tables 2, 3",
+            printed=f"L / lambda > {FEWEST_WAVELENGTHS:g}",
+            computed=f"{len(near)} of {len(found)} contents have less: {', '.join(near)}",
+            agrees=not near,
+        ),
+        StatementCheck(
+            place="Section 3.1.3 and Tables 2, 3",
+            printed=f"lambda / d50 < {LONGEST_WAVELENGTH:g}",
+            computed=f"{len(long)} of {len(found)} contents have more, {min(long):.1f} to {max(long):.1f} with d50 = "
+            f"{1e3 * median:.2f} mm by mass",
+            agrees=not long,
+        ),
+    ]
+
+
+def _lengths(study: PublishedStudy) -> tuple[float, float, float]:
+    """Distance of the wave, and smallest and largest diameter of the grains, m."""
+    printed = study.parameters
+    return printed["wave_distance"], printed["grain_diameter_smallest"], printed["grain_diameter_largest"]
+
+
+def _compare_calcite(study: PublishedStudy) -> StatementCheck:
+    """Check the largest content against Eq. 2 at every contact of the packing that the printed numbers describe."""
+    printed, (_, smallest, largest) = study.parameters, _lengths(study)
+    grain = math.pi / 4 * (smallest**2 + smallest * largest + largest**2) / 3
+    grains = printed["box_width"] * printed["box_height"] * (1 - printed["porosity"]) / grain
+    coordination_number = 1 / next(law.weights.bond for law in study.laws if law.name == "physical meaning")
+    diameter, width = (smallest + largest) / 2, printed["single_precipitate_larger"]
+    angle = math.asin(width / diameter)
+    height = diameter / 2 * (1 - math.cos(angle))
+    calcite = 2 * (width * height - (diameter**2 / 4 * angle - width / 2 * (diameter / 2 - height)))
+    densities = printed["calcite_density"] / printed["sand_density"]
+    capacity = 100 * coordination_number / 2 * calcite / grain * densities
+    most = max(row.content for row in study.contents)
+    return StatementCheck(
+        place="Table 2 and Eq. 2",
+        printed=f"contents up to {most:g} %",
+        computed=f"Eq. 2 with cement of {1e3 * width:g} mm at every contact of {grains:.0f} grains with a coordination "
+        f"number of {coordination_number:.2f} gives {capacity:.1f} %: more is there only if calcite of overlapping "
+        "clusters counts twice",
+        agrees=most <= capacity,
     )

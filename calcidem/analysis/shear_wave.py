@@ -4,7 +4,8 @@ import math
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.published import published_study
 
@@ -14,8 +15,7 @@ FEWEST_WAVELENGTHS = 2.0
 LONGEST_WAVELENGTH = 10.0
 """Median diameters below which a wavelength has to be, as section 3.1.3 prints it."""
 
-Values = TypeVar("Values")
-"""A number, or an array of numpy or xarray."""
+Values = TypeVar("Values", float, NDArray[np.float64], xr.DataArray)
 
 
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
@@ -33,9 +33,8 @@ def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
     >>> small_strain_modulus(200.0)
     66360000.0
     """
-    if density is None:
-        density = float(published_study().parameters["soil_density"])  # type: ignore[arg-type]  # one number
-    return density * vs * vs  # type: ignore[operator,no-any-return]  # a number or an array
+    soil_density = published_study().parameters["soil_density"]
+    return vs * vs * (soil_density if density is None else density)
 
 
 def damping_ratio(local_damping: float) -> float:

@@ -83,3 +83,19 @@ def test_the_weights_belong_to_one_coordination_number() -> None:
     found = finding("Table 4 and Eq. 8", "0.475")
     assert found.agrees
     assert "3.05" in found.computed
+
+
+def test_eleven_contents_have_too_few_wavelengths() -> None:
+    """L / lambda is below 2 at 0.11 % and from 1.24 % up, by mean Vs; lambda / d50 is nowhere below 10."""
+    near, long = finding("Section 3.1.3 and Tables 2, 3", "L /"), finding("Section 3.1.3 and Tables 2, 3", "d50")
+    assert not near.agrees
+    assert "11 of 16 contents have less: 1.90 at 0.11 %, 1.79 at 1.24 %" in near.computed  # 0.1 x 4000 / 210.4
+    assert not long.agrees
+    assert "16 of 16 contents have more, 13.4" in long.computed  # 282.13 / 8000 / 2.633e-3
+
+
+def test_the_contacts_cannot_hold_the_largest_content() -> None:
+    """Eq. 2 at every contact of the printed packing gives about half of 9 %, as it does in a packing of calcidem's."""
+    found = finding("Table 2 and Eq. 2", "9 %")
+    assert not found.agrees
+    assert "gives 4.6 %" in found.computed

@@ -11,7 +11,7 @@ def test_modulus_and_damping_ratio_are_those_of_the_paper() -> None:
     """Eq. 1 with the soil density of Table 1, for numbers and arrays, and D = 0.095 at alpha = 0.3 (section 3.1.2)."""
     assert small_strain_modulus(100.0) == 1659.0 * 1e4
     np.testing.assert_array_equal(small_strain_modulus(np.array([1.0, 2.0]), density=2000.0), [2000.0, 8000.0])
-    assert damping_ratio(float(published_study().parameters["local_damping"])) == pytest.approx(0.095, abs=1e-3)
+    assert damping_ratio(published_study().parameters["local_damping"]) == pytest.approx(0.095, abs=1e-3)
 
 
 def test_half_of_the_mass_is_below_the_median_diameter() -> None:

@@ -18,6 +18,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of, stored_packing
 from calcidem.app.config.schema import Configuration
@@ -28,6 +29,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -149,6 +151,47 @@ class OpenedCampaign(StoredCampaign):
         # Of a large campaign these are a small part of all that `to_xarray` would read.
         cells = self.to_xarray(("vs", "status"))
         return tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level))
+
+    def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
+        """Return the shear moduli G0 = rho Vs^2 (Eq. 1) along (seed, content) in Pa, NaN where a cell isn't done.
+
+        Parameters
+        ----------
+        density
+            Overall density of the sample, kg/m^3; by default the 1659 of the paper's soil.
+
+        Examples
+        --------
+        >>> moduli = open_campaign("quick.db").small_strain_modulus()
+        >>> 1e9 < float(moduli.sel(content=5.0).mean()) < 1e10, moduli.attrs["units"]
+        (True, 'Pa')
+        """
+        moduli = small_strain_modulus(self.vs(), density).rename("small_strain_modulus")
+        return moduli.assign_attrs(units="Pa", long_name="small-strain shear modulus")
+
+    @property
+    def damping_ratio(self) -> float:
+        """Damping ratio D = alpha / pi of the samples."""
+        return damping_ratio(self.config["wave"]["damping"])
+
+    def static_speed(self, *, seed: int, content: float) -> float:
+        """Compute the velocity of long shear waves of a sample, m/s, from its stiffness at rest.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome, or its cement was not kept.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> static = campaign.static_speed(seed=1, content=5.0)
+        >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static < 1.0  # local damping slows the wave
+        True
+        """
+        index, cement = self._cement(seed, content)
+        experiment = self.experiment(index)
+        return static_speed(experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample.
@@ -317,10 +360,10 @@ def load_paper_campaign() -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Along (seed, content): Vs by three readings (m/s), their quality, path features, error estimate, time step and
-        so on, each with unit and meaning. NaN stands for a sample without readable arrival, of which there are seven.
-        Signals and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions
-        and machine are in ``calcidem_runs``.
+        Along (seed, content): Vs by three readings (m/s), their quality, path features, error, time step and so on,
+        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are seven. Signals
+        and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and
+        machine are in ``calcidem_runs``.
 
     Examples
     --------

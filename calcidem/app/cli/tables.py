@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
@@ -68,23 +69,37 @@ def vs_table(store: Store, selection: Selection) -> Table:
     selection
         Cells to look at.
     """
-    columns = store.table(("content", "status", "vs", "seconds"), selection)
+    columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds"), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
-    for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "seconds"):
+    table.caption = f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"
+    table.caption_justify = "left"
+    for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
     table.add_column("other cells")
     for content in np.unique(columns["content"]):
         here = columns["content"] == content
         vs = columns["vs"][here].astype(float)
         seconds = np.nansum(columns["seconds"][here].astype(float))
+        moments = _moments(vs[np.isfinite(vs)])
         table.add_row(
             f"{content:g}",
             f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}",
-            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in _moments(vs[np.isfinite(vs)])),
+            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in moments),
+            f"{small_strain_modulus(moments[0]) / 1e6:.4g}" if np.isfinite(moments[0]) else "-",
+            _wavelengths_text(columns["wavelengths_on_path"][here]),
             f"{seconds:.1f}",
             _other_outcomes(columns["status"][here]),
         )
     return table
+
+
+def _wavelengths_text(on_path: NDArray[np.float64]) -> str:
+    """Median number of wavelengths on the path, with a mark where near field and shear wave are not apart."""
+    known = on_path[np.isfinite(on_path)]
+    if not known.size:
+        return "-"
+    number = float(np.median(known))
+    return f"{number:.2f}{'' if number >= FEWEST_WAVELENGTHS else ' *'}"
 
 
 def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:

@@ -15,6 +15,7 @@ from calcidem.app.report.results import (
     feature_table,
     growth_table,
     law_table,
+    meaning_table,
     outcome_table,
     velocity_table,
 )
@@ -23,6 +24,7 @@ from calcidem.storage.campaign import open_stored_campaign
 
 _TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "velocities": velocity_table,
+    "meaning": meaning_table,
     "outcomes": outcome_table,
     "growth": growth_table,
     "features": feature_table,

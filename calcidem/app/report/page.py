@@ -23,6 +23,8 @@ from calcidem.app.report.results import (
     feature_table,
     growth_table,
     law_table,
+    meaning_table,
+    near_field_rows,
     outcome_table,
     velocity_table,
 )
@@ -170,13 +172,13 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("not computed yet", str(missing)),
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
         ("mean Vs", span),
-        ("largest numerical error", error),
+        ("bound of numerical error", error),
         ("computing time", time_span(seconds)),
     )
 
 
 def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
-    tables = [velocity_table(analysis), outcome_table(analysis), growth_table(analysis)]
+    tables = [velocity_table(analysis), meaning_table(analysis), outcome_table(analysis), growth_table(analysis)]
     text = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
     if measured and min(measured) < _FEW_SAMPLES:
@@ -186,6 +188,11 @@ def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Pictur
         )
     if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
         text.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
+    if near := near_field_rows(analysis):
+        text.append(
+            f"At {len(near)} of {len(analysis.distributions)} contents fewer than two wavelengths lie between "
+            "transmitter and receiver: near field and shear wave arrive together there."
+        )
     return _Section(
         "velocities",
         "Shear-wave velocity",

@@ -6,6 +6,7 @@ from typing import Any
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import published_study
+from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
@@ -154,7 +155,12 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
                 "",
             ),
             ("width and height (mm)", _size, "the lid has moved"),
-            ("median diameter (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), ""),
+            (
+                "median diameter by mass (mm)",
+                lambda g: decimal(1e3 * median_diameter_by_mass(g.packing.radius), 3),
+                "d50",
+            ),
+            ("median diameter by count (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), "d50 of Eq. 9 here"),
             *_stresses(graphs[0]),
             ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import published_study
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (
     Table,
     bounds,
@@ -21,6 +22,7 @@ from calcidem.app.report.wording import (
 )
 
 _MOST_REASONS = 20
+_MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
 def velocity_table(analysis: CampaignAnalysis) -> Table:
@@ -60,6 +62,58 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
         tuple(rows),
         frozenset(i for i, row in enumerate(analysis.distributions) if row.missing or row.failed),
     )
+
+
+def meaning_table(analysis: CampaignAnalysis) -> Table:
+    """What the velocities stand for: modulus, wavelengths, calcite and, where it was asked for, static speed."""
+    cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
+    rows = []
+    for row in analysis.distributions:
+        column = cells.sel(content=row.content)
+        known = {name: _median_known(column[name]) for name in _MEANING}
+        rows.append(
+            (
+                f"{row.content:g}",
+                decimal(row.vs.mean),
+                significant(small_strain_modulus(row.vs.mean) / 1e6),
+                decimal(known["wavelengths_on_path"], 2),
+                decimal(known["wavelength_over_d50"], 1),
+                decimal(known["content_of_contacts"], 2),
+                *(
+                    (decimal(known["static_speed"]), decimal(_median_known(column["vs"] / column["static_speed"]), 2))
+                    if static
+                    else ()
+                ),
+            )
+        )
+    alpha = analysis.campaign.config.get("wave", {}).get("damping", math.nan)
+    header = (
+        "content (%)",
+        "mean Vs (m/s)",
+        "G0 (MPa)",
+        "wavelengths on the path",
+        "wavelength / d50",
+        "calcite by Eq. 2 (%)",
+    )
+    return Table(
+        "What Vs stands for (medians). G0 = rho Vs\N{SUPERSCRIPT TWO} with the published soil density, "
+        f"{published_study().parameters['soil_density']:g} kg/m\N{SUPERSCRIPT THREE}. Local damping of {alpha:g} is a "
+        f"damping ratio of {damping_ratio(alpha):.3f}, and slows fronts. Marked: fewer than "
+        f"{FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver. d50 is that by mass. Calcite by Eq. 2 "
+        "counts each cemented contact once; the content counts overlapping clusters in full."
+        + (" Static speed: of long waves, from the stiffness of the sample at rest." if static else ""),
+        (*header, *(("static speed (m/s)", "Vs / static speed") if static else ())),
+        tuple(rows),
+        frozenset(near_field_rows(analysis)),
+    )
+
+
+def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
+    """Contents, by their place, where half of the cells or more have too few wavelengths on the path."""
+    found = (
+        _median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
+    )
+    return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
 
 def outcome_table(analysis: CampaignAnalysis) -> Table | None:
@@ -196,22 +250,24 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
                 significant(1e9 * _median_known(column["time_step"])),
                 decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
                 decimal(_median_known(column["steps"])),
+                significant(100 * _median_known(column["expected_error"]), 2),
                 significant(100 * _largest_known(column["error_bound"]), 2),
                 decimal(relative, 2),
                 time_span(_median_known(column["seconds"])),
             )
         )
     return Table(
-        "Numerical error, statistical error and cost at each content (medians; largest errors). The estimate of "
-        "the numerical error covers time step, sampling, regime, precision and noise; the statistical error is the "
-        "standard error of the mean.",
+        "Numerical error, statistical error and cost at each content (medians; largest bounds). The numerical error "
+        "covers time step, sampling, regime, precision and noise; the statistical error is the standard error of the "
+        "mean.",
         (
             "content (%)",
             "frequency (kHz)",
             "time step (ns)",
             "step / limit",
             "steps",
-            "numerical error of Vs (%)",
+            "expected numerical error of Vs (%)",
+            "its bound (%)",
             "statistical error of the mean (%)",
             "time for a cell",
         ),
