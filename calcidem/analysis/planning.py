@@ -24,24 +24,27 @@ class SeedPlan:
     half_width
         Half-width asked for, in the unit of the values.
     present, present_half_width
-        Seeds there are, and the half-width they give.
+        Seeds with a velocity there are, and the half-width they give.
+    unreadable
+        Seeds that gave none.
     needed
-        Seeds needed in all, if the standard deviation is the one measured.
+        Seeds with a velocity needed in all, if the standard deviation is the one measured.
     needed_low, needed_high
-        Seeds needed at the two ends of the confidence interval of the standard deviation.
+        The same at the two ends of the confidence interval of the standard deviation.
     """
 
     half_width: float
     present: int
     present_half_width: float
+    unreadable: int
     needed: int
     needed_low: int
     needed_high: int
 
     @property
     def more(self) -> int:
-        """Seeds still to be computed."""
-        return max(0, self.needed - self.present)
+        """Seeds still to be computed, if as many of them as so far give no velocity."""
+        return math.ceil(max(0, self.needed - self.present) * (self.present + self.unreadable) / self.present)
 
 
 def seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
@@ -73,7 +76,7 @@ def seeds_needed(standard_deviation: float, half_width: float, level: float = 0.
     return n
 
 
-def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> SeedPlan:
+def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> SeedPlan:
     """Plan the seeds of one content from those it has.
 
     Parameters
@@ -84,6 +87,8 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> See
         Half-width asked for, in the same unit, positive.
     level
         Confidence level of the planned interval, and of the deviation's that gives the range of the plan.
+    unreadable
+        How many samples gave no velocity.
 
     Raises
     ------
@@ -97,6 +102,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95) -> See
         half_width=half_width,
         present=sample.size,
         present_half_width=mean_half_width(deviation, sample.size, level),
+        unreadable=unreadable,
         needed=seeds_needed(deviation, half_width, level),
         needed_low=seeds_needed(spread.low, half_width, level),
         needed_high=seeds_needed(spread.high, half_width, level),

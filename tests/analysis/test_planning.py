@@ -40,6 +40,14 @@ def test_a_campaign_that_is_narrow_enough_needs_no_more() -> None:
     assert plan_seeds(np.full(5, 169.73), 0.1).more == 0
 
 
+def test_seeds_that_cannot_be_read_are_planned_for() -> None:
+    """Where a third of the seeds gave no velocity, half as many again have to be computed for the same interval."""
+    values = np.random.default_rng(2).normal(1200, 260, 20)
+    readable, some = (plan_seeds(values, 40.0, unreadable=count) for count in (0, 10))
+    assert (some.needed, some.present) == (readable.needed, 20)
+    assert some.more == int(np.ceil(1.5 * readable.more))
+
+
 def test_the_range_of_the_plan_covers_the_true_need(
     within_binomial: Callable[[int, int, float], bool],
 ) -> None:

@@ -9,10 +9,14 @@ from calcidem.analysis.planning import plan_seeds
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
+from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 
 _FEWEST = 3
 """Cells below which a standard deviation says nothing."""
+
+_WITHOUT_VELOCITY = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+"""Outcomes that a seed has by itself; as many of the seeds to come will have them."""
 
 
 def plan_command(
@@ -25,21 +29,23 @@ def plan_command(
 ) -> None:
     """Estimate how many more seeds bring the mean of Vs at a content to a given interval, and how long they take."""
     with open_stored_campaign(database, campaign) as opened:
-        columns = opened.store.table(("vs", "seconds"), Selection(contents=(content,)))
+        columns = opened.store.table(("vs", "status", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]
     if len(vs) < _FEWEST:
         raise QueryError(
             f"{len(vs)} cells at {content:g} % have a velocity.", f"Compute at least {_FEWEST} seeds first."
         )
-    planned = plan_seeds(vs, half_width)
+    unreadable = sum(status in _WITHOUT_VELOCITY for status in columns["status"])
+    planned = plan_seeds(vs, half_width, unreadable=unreadable)
     seconds = planned.more * float(np.nanmean(columns["seconds"].astype(float)))
     typer.echo(
         f"{content:g} %: {planned.present} seeds give a mean of "
-        f"{vs.mean():.1f} m/s +- {planned.present_half_width:.1f} m/s."
+        f"{vs.mean():.1f} m/s +- {planned.present_half_width:.1f} m/s"
+        + (f"; {unreadable} more gave no velocity." if unreadable else ".")
     )
     typer.echo(
-        f"+- {half_width:g} m/s needs {planned.needed} seeds "
+        f"+- {half_width:g} m/s needs {planned.needed} seeds with a velocity "
         f"({planned.needed_low} to {planned.needed_high}, since the scatter itself is uncertain): "
         f"{planned.more} more, about {seconds:.0f} s on one core for this content."
     )
