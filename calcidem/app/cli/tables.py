@@ -71,8 +71,6 @@ def vs_table(store: Store, selection: Selection) -> Table:
     """
     columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds"), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
-    table.caption = f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"
-    table.caption_justify = "left"
     for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
     table.add_column("other cells")
@@ -90,6 +88,9 @@ def vs_table(store: Store, selection: Selection) -> Table:
             f"{seconds:.1f}",
             _other_outcomes(columns["status"][here]),
         )
+    if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
+        table.caption = f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"
+        table.caption_justify = "left"
     return table
 
 
