@@ -7,13 +7,15 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from calcidem.app.cli.main import build_application
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.campaign import open_stored_campaign
 
@@ -206,3 +208,18 @@ def workshop(tmp_path: Path, cache: Path) -> Iterator[Workshop]:
     yield place
     for process in place.processes():
         os.kill(process, signal.SIGKILL)
+
+
+@pytest.fixture
+def invoke() -> Callable[..., str]:
+    """Run a command line that ends with the exit code expected, and give what it prints."""
+
+    def run(*arguments: object, exit_code: int = 0) -> str:
+        words = [str(argument) for argument in arguments]
+        result = CliRunner().invoke(build_application(words), words)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        assert result.exit_code == exit_code, result.output
+        return result.output
+
+    return run

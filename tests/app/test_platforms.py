@@ -43,7 +43,7 @@ main()
 """Runs the command without what a platform, its first argument, lacks."""
 
 
-@pytest.fixture(params=["darwin", "win32"])
+@pytest.fixture(params=[pytest.param("darwin", marks=pytest.mark.full), "win32"])
 def platform(request: pytest.FixtureRequest) -> str:
     """Give a platform as `sys.platform` names it."""
     return str(request.param)

@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from calcidem.app.cli.main import build_application
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
 
@@ -66,18 +64,3 @@ def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return make
-
-
-@pytest.fixture
-def invoke() -> Callable[..., str]:
-    """Run a command line that ends with the exit code expected, and give what it prints."""
-
-    def run(*arguments: object, exit_code: int = 0) -> str:
-        words = [str(argument) for argument in arguments]
-        result = CliRunner().invoke(build_application(words), words)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        assert result.exit_code == exit_code, result.output
-        return result.output
-
-    return run

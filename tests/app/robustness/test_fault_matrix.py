@@ -27,15 +27,9 @@ SELECTION = (
 
 
 @pytest.fixture(scope="module")
-def fault_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder for the packing that all trials share."""
-    return tmp_path_factory.mktemp("fault-cache")
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory, fault_cache: Path) -> Cells:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Cells:
     """Give what a run without faults computes."""
-    return reference(tmp_path_factory.mktemp("undisturbed"), fault_cache)
+    return reference(tmp_path_factory.mktemp("undisturbed"), cache)
 
 
 @pytest.mark.parametrize(
@@ -43,9 +37,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, fault_cache: Path) -> 
     [case if case in SELECTION else pytest.param(case, marks=pytest.mark.full) for case in all_cases()],
     ids=str,
 )
-def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, fault_cache: Path, undisturbed: Cells) -> None:
+def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, cache: Path, undisturbed: Cells) -> None:
     """The exit code tells it, no process is left, nothing stored is lost, and continuing twice gives the same bits."""
-    trial = Trial(tmp_path, fault_cache)
+    trial = Trial(tmp_path, cache)
     try:
         verdict = judge(case, trial, undisturbed)
     finally:
@@ -53,9 +47,9 @@ def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, fault_cache:
     assert not verdict.complaints, "\n".join(verdict.complaints)
 
 
-def test_restarts_go_on_without_ulfm(tmp_path: Path, fault_cache: Path, undisturbed: Cells) -> None:
+def test_restarts_go_on_without_ulfm(tmp_path: Path, cache: Path, undisturbed: Cells) -> None:
     """With --restarts a worker killed under an MPI without ULFM costs a new start, which is said, and no cell."""
-    trial = Trial(tmp_path, fault_cache)
+    trial = Trial(tmp_path, cache)
     try:
         ended = trial.run("--restarts", "2", case=Case("SIGKILL", "worker", "after", ulfm=False), ranks=2)
         assert trial.leaves_no_process()
