@@ -10,7 +10,7 @@ from calcidem.app.studies.accuracy.command import parse_target
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json, measured_errors
 from calcidem.app.studies.accuracy.reference import FINEST, HALVING, measure_convergence
-from calcidem.app.studies.accuracy.report import accuracy_tables, draw_error_against_run_time
+from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
 from calcidem.app.studies.explain import Explanation, precision, with_errors
@@ -36,13 +36,17 @@ def experiment(small_packing: Packing) -> Experiment:
     return Experiment(small_packing, cement_rule=CementRule(p_share=0.77), wave=wave, stiffness_factor=13.0)
 
 
-@pytest.fixture(scope="module")
-def study(experiment: Experiment) -> Study:
+@pytest.fixture(
+    scope="module",
+    params=[(CONTENTS[-1:], SEEDS), pytest.param((CONTENTS, SEEDS), marks=pytest.mark.full)],
+    ids=["sentinel", "whole"],
+)
+def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     """Give a study of the default and of single precision, of a pulse that suits so short a way."""
     gentle = with_wave(experiment, amplitude=4e-4)
     single = Setting("precision", "float32", with_wave(gentle, precision="float32"))
     compared = [Setting(DEFAULT, "", gentle), single]
-    return run_study(gentle, CONTENTS, SEEDS, compared=compared, coarsest=0.1, rounds=1)
+    return run_study(gentle, *request.param, compared=compared, coarsest=0.1, rounds=1)
 
 
 def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
@@ -50,7 +54,7 @@ def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
     cells = [cell for cell in study.cells if cell.vs_error is not None and cell.bound is not None]
     errors = np.array([abs(cell.vs_error or 0.0) for cell in cells])
     bounds = np.array([cell.bound for cell in cells])
-    assert len(cells) >= 50
+    assert len(cells) >= 0.78 * len(study.cells)
     assert np.mean(errors <= bounds) >= 0.95
     # The real box has 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
     assert np.median(bounds) < 0.03
@@ -68,10 +72,11 @@ def test_the_default_is_as_exact_as_promised(study: Study) -> None:
 
 def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
     """The tables have a line for each setting and each content, and the figure has its axes."""
-    findings = Findings("0" * 64, study)
-    text = accuracy_tables(findings)
+    findings = Findings("0" * 64, "1" * 64, study)
+    text = accuracy_page(findings)
     assert "| precision float32 |" in text
-    assert all(f"| {content:g} |" in text for content in CONTENTS)
+    assert "<!-- settings -->\n| setting |" in text
+    assert all(f"| {content:g} |" in text for content in {cell.content for cell in study.cells})
     assert json.loads(findings_json(findings))["study"]["cells"][0]["setting"] == "default"
     assert len(draw_error_against_run_time(study).axes) == 1
 
@@ -79,30 +84,33 @@ def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
 def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> None:
     """The last halving moved every velocity by less than 1e-4, unless the finest step was reached."""
     cells = [cell for cell in study.references if cell.halving is not None]
-    assert len(cells) >= 30
+    assert len(cells) >= 0.93 * len(study.references)
     assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= FINEST for cell in cells)
-    assert np.median([abs(cell.halving or 0.0) for cell in cells]) < HALVING
+    if len(cells) >= 30:  # a median of four tells nothing
+        assert np.median([abs(cell.halving or 0.0) for cell in cells]) < HALVING
 
 
-def test_errors_are_read_back_for_the_same_campaign_only(study: Study, tmp_path: Path) -> None:
-    """What a study wrote says the largest error of a setting at a content, and refuses to speak for other physics."""
+def test_errors_are_read_back_for_the_same_campaign_and_packing_only(study: Study, tmp_path: Path) -> None:
+    """What a study wrote says the largest error of a setting at a content, and refuses to speak for anything else."""
     file = tmp_path / "accuracy.json"
-    file.write_text(findings_json(Findings("a" * 64, study)))
-    measured = measured_errors("a" * 64, file)
+    file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
+    measured = measured_errors("a" * 64, "c" * 64, file)
     assert measured is not None
     errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 0.66)]
     assert measured.of(DEFAULT, 0.66) == pytest.approx(max(errors), rel=1e-4)
     assert measured.of(DEFAULT, 4.0) is None
     with pytest.raises(ValueError, match="another campaign"):
-        measured_errors("b" * 64, file)
-    assert measured_errors("b" * 64) is None
+        measured_errors("b" * 64, "c" * 64, file)
+    with pytest.raises(ValueError, match="another packing, cccccccccccc and not bbbbbbbbbbbb"):
+        measured_errors("a" * 64, "b" * 64, file)
+    assert measured_errors("b" * 64, "c" * 64) is None
 
 
 def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, study: Study, tmp_path: Path) -> None:
     """A row has the error of the campaign's own way and of the other, and none where nothing was measured."""
     file = tmp_path / "accuracy.json"
-    file.write_text(findings_json(Findings("a" * 64, study)))
-    measured = measured_errors("a" * 64, file)
+    file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
+    measured = measured_errors("a" * 64, "c" * 64, file)
     row = with_errors(Explanation(0.66, precision(experiment), 1.0, 0.0), measured)
     assert row.error is not None
     assert row.other_error is not None
@@ -116,6 +124,7 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
     assert all(short.vs == long.vs for short, long in pairs)
 
 
+@pytest.mark.full
 def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
     """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
     undamped = measure_convergence(experiment, 5.0, SEEDS, 1300.0, damped=False)

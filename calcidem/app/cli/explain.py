@@ -36,15 +36,15 @@ def explain_command(
     are those that 'calcidem accuracy' measured against a converged reference.
     """
     loaded = load_configuration(configuration)
-    try:
-        measured = measured_errors(loaded.hash, accuracy)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
     if db is None:
         packing = provide_packing(loaded, None, typer.echo)
     else:
         with open_campaign_of(loaded, db) as opened:
             packing = opened.experiment().packing
+    try:
+        measured = measured_errors(loaded.hash, packing.content_hash, accuracy)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
     contents = sorted(loaded.campaign.contents)
     chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
     seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]

@@ -7,16 +7,16 @@ of both ways against a converged reference, where `calcidem accuracy` has measur
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from time import perf_counter
 
 import numpy as np
 
 from calcidem.app.studies.accuracy.findings import MeasuredErrors
-from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
+from calcidem.app.studies.accuracy.reference import measure_and_time
+from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.accuracy.study import ROUNDS
 from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 
@@ -56,7 +56,7 @@ class Explanation:
     alternative
         What is explained.
     time_ratio
-        Run time of the opposite over that of the campaign's own way, median of interleaved rounds.
+        Processor time of the opposite over that of the campaign's own way, median of interleaved rounds.
     difference
         Largest relative difference in Vs between the two; None if no cell has a velocity both ways.
     error, other_error
@@ -115,21 +115,9 @@ def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
     found = [*_displacement_alternatives(experiment), _whole_domain(experiment)]
     found += [_early_stop(experiment), precision(experiment)]
-    if content == 0.0:
-        found.append(
-            Alternative(
-                "bonds",
-                needed=False,
-                why="no contact is cemented, and without stiff bonds the step is about ten times longer",
-                opposite=with_wave(experiment, keep=("bonds",)),
-            )
-        )
-    else:
-        found.append(Alternative("bonds", needed=True, why="some contacts are cemented", opposite=None))
-    damping = experiment.wave.damping > 0.0 or experiment.wave.boundary_damping > 0.0
-    why = "alpha is above 0" if damping else "alpha is 0 everywhere"
-    found.append(Alternative("local damping", needed=damping, why=why, opposite=None))
-    return found
+    bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
+    why = "no contact is cemented" if bonds else "some contacts are cemented"
+    return [*found, Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds), _local_damping(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -182,6 +170,15 @@ def _whole_domain(experiment: Experiment) -> Alternative:
     )
 
 
+def _local_damping(experiment: Experiment) -> Alternative:
+    """Local damping of the sample, which slows the front of a wave (docs/accuracy.md)."""
+    alpha = experiment.wave.damping
+    if alpha == 0.0:
+        return Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
+    why = f"alpha of the sample is {alpha:g}: without it Vs is another one"
+    return Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
+
+
 def _early_stop(experiment: Experiment) -> Alternative:
     """The steps after the pick is settled."""
     why = "the reading looks no further than its horizon, so more steps change no bit of it"
@@ -198,7 +195,7 @@ def precision(experiment: Experiment) -> Alternative:
     """Single or double precision."""
     double = experiment.wave.precision == "float64"
     other = with_wave(experiment, precision="float32" if double else "float64")
-    why = "the default; single precision pays with 16 lanes" if double else "the configuration asks for float32"
+    why = f"the configuration asks for {experiment.wave.precision}"
     setting = f"precision {other.wave.precision}"
     return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
 
@@ -209,17 +206,14 @@ def _measure_alternative(
     """Measure one alternative on one content."""
     if alternative.opposite is None:
         return Explanation(content, alternative, None, None)
-    measure(alternative.opposite, content, seeds, lanes=lanes)  # compiles, if that is still to be done
     own_seconds, other_seconds = [], []
     own: tuple[Measurement, ...] = ()
     other: tuple[Measurement, ...] = ()
     for _ in range(ROUNDS):
-        began = perf_counter()
-        own = measure(experiment, content, seeds, lanes=lanes)
-        middle = perf_counter()
-        other = measure(alternative.opposite, content, seeds, lanes=lanes)
-        own_seconds.append(middle - began)
-        other_seconds.append(perf_counter() - middle)
+        own, seconds = measure_and_time(experiment, content, seeds, lanes)
+        own_seconds.append(seconds)
+        other, seconds = measure_and_time(alternative.opposite, content, seeds, lanes)
+        other_seconds.append(seconds)
     differences = [
         abs(b.vs / a.vs - 1.0) for a, b in zip(own, other, strict=True) if a.vs is not None and b.vs is not None
     ]

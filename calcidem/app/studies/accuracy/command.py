@@ -13,7 +13,7 @@ from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json
 from calcidem.app.studies.accuracy.reference import measure_convergence
-from calcidem.app.studies.accuracy.report import accuracy_tables, draw_error_against_run_time, name_of
+from calcidem.app.studies.accuracy.report import accuracy_page, accuracy_tables, draw_error_against_run_time, name_of
 from calcidem.app.studies.accuracy.scatter import SCATTER_SEEDS, quick_campaign, scatter_rows
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
@@ -151,9 +151,9 @@ def accuracy(
     findings = _compare_some(task, only, progress) if only else _measure_everything(task, progress)
     if out is not None:
         save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
-        (out / "accuracy.md").write_text(accuracy_tables(findings))
+        (out / "accuracy.md").write_text(accuracy_page(findings))
         (out / "accuracy.json").write_text(findings_json(findings))
-    say(findings_json(findings) if json else accuracy_tables(findings))
+    say(findings_json(findings) if json else "\n\n".join(accuracy_tables(findings).values()))
     if wanted is not None and not json:
         chosen = cheapest(findings.study, wanted)
         say(f"Cheapest setting with an error of at most {100 * wanted:g} %: {name_of(chosen)}")
@@ -170,7 +170,7 @@ def _compare_some(task: Task, only: Sequence[str], progress: Callable[[str], Non
         rounds=1,
         progress=progress,
     )
-    return Findings(task.campaign_hash, study)
+    return Findings(task.campaign_hash, task.experiment.packing.content_hash, study)
 
 
 def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
@@ -197,6 +197,7 @@ def _measure_everything(task: Task, progress: Callable[[str], None]) -> Findings
         velocities = quick_campaign(experiment, contents, task.campaign_seeds[:SCATTER_SEEDS], lanes)
     return Findings(
         task.campaign_hash,
+        experiment.packing.content_hash,
         study,
         tuple(orders),
         amplitude_rows(experiment, contents, seeds, lanes=lanes, progress=progress),

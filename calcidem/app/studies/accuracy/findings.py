@@ -15,7 +15,7 @@ from calcidem.app.studies.accuracy.study import Study
 _DIGITS = 5
 
 _PACKAGED = Path(__file__).with_name("measured.json")
-"""Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see docs/accuracy.md."""
+"""Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see benchmarks/accuracy/publish.py."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,8 @@ class Findings:
     ----------
     campaign_hash
         Identity of the campaign's physics.
+    packing_hash
+        `Packing.content_hash` of the packing.
     study
         Errors of the settings.
     convergence, amplitudes, equilibrium, scatter
@@ -33,6 +35,7 @@ class Findings:
     """
 
     campaign_hash: str
+    packing_hash: str
     study: Study
     convergence: tuple[Convergence, ...] = ()
     amplitudes: tuple[AmplitudeRow, ...] = ()
@@ -76,33 +79,34 @@ def _round_numbers(value: object) -> object:
     return value
 
 
-def measured_errors(campaign_hash: str, path: Path | None = None) -> MeasuredErrors | None:
-    """Errors measured for a campaign's physics.
+def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
+    """Errors measured for a campaign's physics and packing.
 
     Parameters
     ----------
     campaign_hash
         Identity of that physics.
+    packing_hash
+        `Packing.content_hash` of that packing.
     path
-        JSON of `calcidem accuracy`; by default the packaged one, if it is about the same physics.
+        JSON of `calcidem accuracy`; by default the packaged one, if it is about both.
 
     Raises
     ------
     ValueError
-        If the given file is none, or about another campaign.
+        If the given file is none, or about another campaign or packing.
     """
     source = path or _PACKAGED
     try:
         found = json.loads(source.read_text())
-        measured_hash, cells = found["campaign_hash"], found["study"]["cells"]
+        hashes, cells = (found["campaign_hash"], found["packing_hash"]), found["study"]["cells"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
-    if measured_hash != campaign_hash:
+    if hashes != (campaign_hash, packing_hash):
         if path is None:
             return None
-        raise ValueError(
-            f"accuracy = {source}: it is about another campaign; measure this one with 'calcidem accuracy'"
-        )
+        other = "campaign" if hashes[0] != campaign_hash else f"packing, {hashes[1][:12]} and not {packing_hash[:12]}"
+        raise ValueError(f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'")
     worst: dict[tuple[str, float], float] = {}
     for cell in cells:
         if cell["vs_error"] is not None:

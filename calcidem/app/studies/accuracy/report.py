@@ -12,7 +12,7 @@ from calcidem.app.studies.accuracy.equilibrium import EquilibriumRow
 from calcidem.app.studies.accuracy.findings import Findings
 from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, Convergence
 from calcidem.app.studies.accuracy.scatter import Scatter
-from calcidem.app.studies.accuracy.settings import DEFAULT
+from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered_share, default_of, pareto
 
 _TARGETS = (0.005, 0.002, 0.001)
@@ -21,22 +21,31 @@ _SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes not
 _STAIRS = 4  # names one below the other, before they begin again
 
 
-def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> str:
-    """Give all tables as Markdown; those that were not measured are left out."""
+def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
+    """Give all tables as Markdown, by name; those that were not measured are left out."""
     study = findings.study
-    parts = [
-        [_opening(study)],
-        _settings_table(study.summaries),
-        ["Cheapest setting whose worst error stays below a target:"],
-        [f"- {100 * target:g} %: {name_of(cheapest(study, target))}" for target in targets],
-        _content_table(study),
-        _cell_table(study),
-        _convergence_table(findings.convergence),
-        _amplitude_table(findings.amplitudes),
-        _equilibrium_table(findings.equilibrium),
-        _scatter_table(findings.scatter),
-    ]
-    return "\n\n".join("\n".join(lines) for lines in parts if lines) + "\n"
+    parts = {
+        "opening": [_opening(study)],
+        "settings": _settings_table(study.summaries),
+        "targets": [
+            "Cheapest setting whose worst error stays below a target:\n",
+            *(f"- {100 * target:g} %: {name_of(cheapest(study, target))}" for target in targets),
+        ],
+        "contents": _content_table(study),
+        "cells": _cell_table(study),
+        "damping": _damping_table(study),
+        "convergence": _convergence_table(findings.convergence),
+        "amplitudes": _amplitude_table(findings.amplitudes),
+        "equilibrium": _equilibrium_table(findings.equilibrium),
+        "scatter": _scatter_table(findings.scatter),
+    }
+    return {name: "\n".join(lines) for name, lines in parts.items() if lines}
+
+
+def accuracy_page(findings: Findings) -> str:
+    """Give all tables as a page of Markdown, each between comments that name it: a program may take them over."""
+    parts = accuracy_tables(findings).items()
+    return "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts) + "\n"
 
 
 def _opening(study: Study) -> str:
@@ -117,6 +126,25 @@ def _cell_table(study: Study) -> list[str]:
             f"| {_or_dash(exact.halving)} | {_or_dash(cell.vs, '.2f')} | {errors} |"
         )
     return lines
+
+
+def _damping_table(study: Study) -> list[str]:
+    """Give the velocity without local damping in the sample over that of the default, at each content."""
+    own = {(cell.seed, cell.content): cell.vs for cell in study.cells if cell.setting == DEFAULT}
+    ratios: dict[float, list[float]] = {}
+    for cell in study.cells:
+        before = own.get((cell.seed, cell.content))
+        if cell.setting == UNDAMPED and cell.vs is not None and before is not None:
+            ratios.setdefault(cell.content, []).append(before / cell.vs)
+    lines = [
+        "| content % | cells | Vs as configured over Vs without damping: median | smallest | largest |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {content:g} | {len(found)} | {np.median(found):.3f} | {min(found):.3f} | {max(found):.3f} |"
+        for content, found in sorted(ratios.items())
+    ]
+    return lines if ratios else []
 
 
 def _convergence_table(rows: Sequence[Convergence]) -> list[str]:

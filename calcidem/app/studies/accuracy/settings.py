@@ -12,6 +12,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 DEFAULT = "default"
+UNDAMPED = "damping 0"
 _STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
 _SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
 _BANDS = (0.8, 1.25)  # half-widths over the experiment's own
@@ -31,8 +32,8 @@ class Setting:
     experiment
         The whole of it.
     numerical
-        False if the exact answer changes too, as it does with the width of a band: what it is compared with is then
-        another question, not a better answer, and `cheapest` leaves it out.
+        False if the exact answer changes too, as with the width of a band or the damping: what it is compared with is
+        then another question, not a better answer, and `cheapest` leaves it out.
     """
 
     knob: str
@@ -83,6 +84,8 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     yield Setting("single precision, step", "0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
     finer = with_wave(experiment, regime="finite", step_fraction=0.4, samples_per_period=400)
     yield Setting("finite, 400 samples, step", "0.4", finer)
+    if wave.damping > 0.0:
+        yield Setting(UNDAMPED, "", with_wave(experiment, damping=0.0), numerical=False)
     for name in ("transmitter_half_width", "receiver_half_width"):
         for factor in _BANDS:
             width = factor * getattr(wave, name)

@@ -7,7 +7,6 @@ from statistics import median
 
 import numpy as np
 
-from calcidem.app.campaign.task import run_first_chunk
 from calcidem.app.studies.accuracy.reference import (
     COARSEST,
     CellError,
@@ -23,8 +22,6 @@ from calcidem.dem.wave.experiment import Experiment
 
 ROUNDS = 3
 _SLOW = 3.0  # settings that take this many times the default's time are timed only once
-
-_CompiledKernels = set[tuple[str, str, bool, int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +122,6 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
     """
     compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)
-    compiled: _CompiledKernels = set()
     exact: dict[float, Reference] = {}
     cells: list[CellError] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
@@ -133,7 +129,7 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
         progress(f"{content:g} %: reference")
         exact[content] = find_reference(experiment, content, seeds, width, coarsest)
         progress(f"{content:g} %: {len(compared)} settings")
-        found, times = _compare_settings(compared, content, exact[content], width, compiled, rounds, progress)
+        found, times = _compare_settings(compared, content, exact[content], width, rounds, progress)
         cells += found
         for name, value in times.items():
             seconds[name][content] = value
@@ -151,7 +147,6 @@ def _compare_settings(
     content: float,
     exact: Reference,
     lanes: int,
-    compiled: _CompiledKernels,
     rounds: int,
     progress: Callable[[str], None],
 ) -> tuple[list[CellError], dict[str, float]]:
@@ -165,7 +160,6 @@ def _compare_settings(
             if round_ and (setting.name not in times or times[setting.name][0] > _SLOW * times[compared[0].name][0]):
                 continue
             try:
-                _compile_kernel(setting, content, seeds[0], lanes, compiled)
                 found, taken = measure_and_time(setting.experiment, content, seeds, lanes)
             except ValueError as refused:
                 progress(f"{setting.name} at {content:g} %: {refused}")
@@ -177,15 +171,6 @@ def _compare_settings(
                     for cell, other in zip(found, exact.measurements, strict=True)
                 ]
     return cells, {name: median(values) for name, values in times.items()}
-
-
-def _compile_kernel(setting: Setting, content: float, seed: int, lanes: int, compiled: _CompiledKernels) -> None:
-    """Compile the kernel that a setting needs unless that has been done, so that no run time contains it."""
-    wave = setting.experiment.wave
-    kernel = (wave.regime, wave.precision, content > 0.0, lanes)
-    if kernel not in compiled:
-        compiled.add(kernel)
-        run_first_chunk(setting.experiment, content, seed, lanes)
 
 
 def _summaries_of(
