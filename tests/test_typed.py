@@ -17,8 +17,12 @@ from calcidem.dem import Scene
 with calcidem.open_campaign("paper.db") as campaign:
     reveal_type(campaign.vs())
     reveal_type(campaign.signal(seed=3, content=5.0).sampling_interval)
-    reveal_type(campaign.select(content=5.0)[0].vs)
-reveal_type(Scene)
+    reveal_type(next(campaign.select(content=5.0)).vs)
+
+
+def modulus(scene: Scene) -> float:
+    reveal_type(scene.sand)
+    return scene.sand.shear_modulus
 """
 
 
@@ -56,4 +60,4 @@ def test_a_strict_program_finds_the_types_of_an_installed_wheel(fresh_python: Pa
     assert "DataArray" in shown[0]
     assert "float" in shown[1]
     assert "float" in shown[2]
-    assert "Scene" in shown[3]
+    assert "Sand" in shown[3]

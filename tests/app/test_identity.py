@@ -15,7 +15,7 @@ from calcidem.app.campaign.packing import identify_packing, packing_record
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.status import read_status
 from calcidem.app.config import schema
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
 from calcidem.app.report import write_report
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.packing import Packing, make_packing
@@ -26,6 +26,9 @@ from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.sql.store import open_store
 
 pytestmark = pytest.mark.slow
+
+FORMER = Path(__file__).parents[1] / "assets" / "physics_1.db"
+"""Two cells of the tutorial as the calcidem of schema 0003 and physics version 1 stored them."""
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +154,26 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
     merge_databases([str(small_database), str(tmp_path / "again.db")], tmp_path / "merged.db")
     with open_campaign(tmp_path / "merged.db") as merged:
         assert list(merged.select(with_arrays=True)) == expected
+
+
+def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path: Path) -> None:
+    """What schema 0003 and physics version 1 stored is opened, reported and exported; a run names both versions."""
+    former = Path(shutil.copy(FORMER, tmp_path / "former.db"))
+    before = former.read_bytes()
+    with open_campaign(former) as campaign:
+        assert campaign.config["physics_version"] == 1
+        assert campaign.vs().notnull().all()
+        assert len(campaign.sample(seed=1, content=5.0).packing.radius) == 4663
+        expected = list(campaign.select(with_arrays=True))
+        file = export_netcdf(campaign.store, campaign.record, tmp_path / "former.nc")
+    assert [cell.key.content for cell in expected] == [0.66, 5.0]
+    assert write_report(former, tmp_path / "report.html").stat().st_size > 0
+    assert former.read_bytes() == before
+    with open_store(tmp_path / "again.db") as store:
+        import_netcdf(file, store, identify_packing)
+        assert list(store.results(with_arrays=True)) == expected
+    configuration = Configuration(campaign=CampaignPlan(name="quick", seeds=2, contents=(0.66, 5.0)))
+    with pytest.raises(CampaignMismatchError, match=rf"physics version 1, .* has version {PHYSICS_VERSION}:"):
+        run(configuration, db=former)
+    with open_campaign(former) as campaign:
+        assert list(campaign.select(with_arrays=True)) == expected
