@@ -123,9 +123,9 @@ def linear_stiffness(scene: Scene, i: int, j: int) -> tuple[float, float]:
     return normal, normal / cement.linear_stiffness_ratio
 
 
-def step(twin: Twin) -> None:
-    """One leapfrog step."""
-    kick_and_drift(twin, all_forces(twin, twin.dt), twin.dt)
+def step(twin: Twin, driven: dict[int, float] | None = None) -> None:
+    """One leapfrog step; ``driven`` gives some disks their velocity along y."""
+    kick_and_drift(twin, all_forces(twin, twin.dt), twin.dt, driven or {})
 
 
 def first_step(twin: Twin) -> None:
@@ -138,10 +138,10 @@ def first_step(twin: Twin) -> None:
     )
     force = all_forces(twin, 0.0)
     twin.shear, twin.overlap_before, twin.bond, twin.intact = before
-    kick_and_drift(twin, force, twin.dt / 2.0)
+    kick_and_drift(twin, force, twin.dt / 2.0, {})
 
 
-def kick_and_drift(twin: Twin, force: Floats, kick: float) -> None:
+def kick_and_drift(twin: Twin, force: Floats, kick: float, driven: dict[int, float]) -> None:
     """Local damping, velocities, displacements."""
     scene = twin.scene
     alpha = np.broadcast_to(scene.damping, (len(scene.radius),))
@@ -153,6 +153,8 @@ def kick_and_drift(twin: Twin, force: Floats, kick: float) -> None:
             damped = force[disk, component] - alpha[disk] * abs(force[disk, component]) * np.sign(speed)
             if scene.held is None or not scene.held[disk]:
                 twin.velocity[disk, component] += kick * damped / inertia
+            if component == 1 and disk in driven:
+                twin.velocity[disk, component] = driven[disk]
             twin.moved[disk, component] += twin.dt * twin.velocity[disk, component]
     twin.wall_moved += twin.dt * twin.wall_velocity
 

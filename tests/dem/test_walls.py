@@ -77,9 +77,8 @@ def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> 
     samples = np.zeros((sum(calls) // stride, 2, 1))
     done = 0
     for steps in calls:
-        recording = Recording(
-            drive=drive, driven=0, offset=done, stride=stride, receiver=1, listeners=np.array([0]), samples=samples
-        )
+        nobody, listeners = np.zeros(0, dtype=np.int64), np.array([0])
+        recording = Recording(drive, 0, nobody, done, stride, receiver=1, listeners=listeners, samples=samples)
         state = run_in_place(state, steps, recording)
         done += steps
     return state, samples

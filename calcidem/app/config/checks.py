@@ -10,7 +10,7 @@ import numpy as np
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import DEEPEST_LISTENING, listening_disks
+from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.scene import wave_scene
@@ -190,6 +190,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     try:
         wave_scene(packing, configuration.sand, configuration.wave, None)
         listening_disks(packing, configuration.wave)
+        driven_disks(packing, configuration.wave)
     except ValueError as error:
         problems.append(Problem(f"wave.{error}"))
     seed, room = _tightest_seed(experiment, plan.seed_numbers, max(plan.contents))

@@ -38,6 +38,9 @@ PHYSICS_VERSION = 3
 FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
 """Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
 
+_LATER_KEYS = ("transmitter",)
+"""Keys that campaigns did not have at first: hashes and stored configurations have them only where it is not the default."""
+
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
@@ -420,9 +423,11 @@ class Configuration:
 
 def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
     """Keys and values of a section as hashes and stored configurations have them, ready for JSON."""
-    return {
-        _stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()
-    }
+    values = asdict(section)
+    for added in fields(section):
+        if added.name in _LATER_KEYS and values[added.name] == added.default:
+            del values[added.name]
+    return {_stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
 def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:

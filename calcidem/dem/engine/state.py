@@ -289,6 +289,7 @@ def no_recording(state: State) -> Recording:
     return Recording(
         drive=np.zeros((0, lanes), dtype),
         driven=-1,
+        driven_disks=np.zeros(0, dtype=np.int64),
         offset=0,
         stride=np.iinfo(np.int64).max,  # never write: there is no room for samples
         receiver=0,

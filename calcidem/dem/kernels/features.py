@@ -37,6 +37,8 @@ class Features:
         The pair list is watched and renewed.
     recording
         A wall is driven, signals are written.
+    driven
+        Some disks move with the drive of the recording.
     loads
         Constant external forces act on some disks.
     account
@@ -56,6 +58,7 @@ class Features:
     servo: bool = False
     search: bool = False
     recording: bool = False
+    driven: bool = False
     loads: bool = True
     account: bool = False
 
@@ -73,6 +76,8 @@ class Features:
                 )
         if self.search and not self.finite:
             raise ValueError("search = True needs finite = True: other regimes keep their contacts")
+        if self.driven and not self.recording:
+            raise ValueError("driven = True needs recording = True: it is a recording that has the drive")
         if not self.bonds and (self.linear_group or self.breakage):
             raise ValueError("linear_group and breakage belong to cemented pairs: set bonds = True or switch them off")
 

@@ -224,9 +224,12 @@ class Recording(NamedTuple):
     Attributes
     ----------
     drive
-        (S, L) velocity of the driven wall along its tangent during each step, m/s.
+        (S, L) velocity during each step of the driven wall along its tangent, of driven disks along y, m/s.
     driven
-        Index of the driven wall.
+        Index of the driven wall; -1 for none.
+    driven_disks
+        (D,) disks that are driven. They have to be held: the drive gives them one component of their velocity, and
+        nothing changes the others.
     offset
         Steps of the drive and the samples that earlier calls have done.
     stride
@@ -241,6 +244,7 @@ class Recording(NamedTuple):
 
     drive: Floats
     driven: int
+    driven_disks: Integers
     offset: int
     stride: int
     receiver: int

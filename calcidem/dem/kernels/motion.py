@@ -8,6 +8,24 @@ from calcidem.dem.kernels.layout import DAMPING_LOSS, LOAD_WORK, ROTATION, WALL_
 
 
 @inline
+def drive_disks(features: Features, grains: range, level: int, step: int, dt: Vector, system: System) -> None:
+    """Give those of a range of disks that are driven their velocity of a step, just before it moves them.
+
+    To the account that is work against the contacts; what speeds up the driven disks comes back as they stop.
+    """
+    velocity, recording = system.motion.velocity, system.recording
+    for disk in recording.driven_disks:
+        if grains.start <= disk < grains.stop:
+            speed = load(recording.drive, (step,), features.lanes)
+            if features.account:
+                # Forces do work from half step to half step; `integrate` will see the later velocity only.
+                force = load(system.front.force, (row(_slot(disk, level, system.front), Y),), features.lanes)
+                gained = speed - load(velocity, (row(disk, Y),), features.lanes)
+                add_energy(features, WALL_WORK, 0.5 * dt * force * gained, system.watch)
+            store(velocity, (row(disk, Y),), speed)
+
+
+@inline
 def integrate(features: Features, grain: int, level: int, dt: Vector, system: System) -> Vector:
     """Kick and drift one disk; return the lanes in which it left the reach of the pair list."""
     lanes = features.lanes
@@ -55,9 +73,15 @@ def _kick(
 
 
 @inline
+def _slot(grain: int, level: int, front: Front) -> int:
+    """Slot in which the forces on a disk are summed up for one of the steps in flight."""
+    return (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
+
+
+@inline
 def _take_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
     """Return the sum of the contact forces on a disk; clear its slot for a later disk."""
-    slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
+    slot = _slot(grain, level, front)
     force = load(front.force, (row(slot, component),), features.lanes)
     store(front.force, (row(slot, component),), zero_like(force))
     return force
@@ -66,7 +90,7 @@ def _take_force(features: Features, grain: int, component: int, level: int, fron
 @inline
 def add_force(features: Features, grain: int, component: int, level: int, part: Vector, front: Front) -> None:
     """Add to the sum of the contact forces on a disk."""
-    slot = (level << front.slot_bits) + (grain & ((1 << front.slot_bits) - 1))
+    slot = _slot(grain, level, front)
     total = load(front.force, (row(slot, component),), features.lanes) + part
     store(front.force, (row(slot, component),), total)
 

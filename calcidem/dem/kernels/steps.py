@@ -31,7 +31,7 @@ from calcidem.dem.kernels.lanes import (
     store,
 )
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System, Y
-from calcidem.dem.kernels.motion import integrate
+from calcidem.dem.kernels.motion import drive_disks, integrate
 from calcidem.dem.kernels.pair import add_pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
@@ -67,7 +67,7 @@ def _take_steps(features: Features, steps: int, time_step: Floats, system: Syste
     while step < steps:
         together = _steps_in_flight(features, steps, step, system.front, recording)
         start_walls(features, together, recording.offset + step, dt, system)
-        far = _step_together(features, together, dt, system)
+        far = _step_together(features, together, recording.offset + step, dt, system)
         step += together
         finish_walls(features, together, recording.offset + step - 1, dt, system)
         if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
@@ -91,8 +91,11 @@ def _steps_in_flight(features: Features, steps: int, step: int, front: Front, re
 
 
 @inline
-def _step_together(features: Features, together: int, dt: Vector, system: System) -> Vector:
-    """Lead ``together`` steps through all blocks; return the lanes in which a disk left the reach of the pair list."""
+def _step_together(features: Features, together: int, step: int, dt: Vector, system: System) -> Vector:
+    """Lead ``together`` steps, from ``step`` on, through all blocks; return the lanes in which a disk went far.
+
+    Far is out of the reach of the pair list.
+    """
     pair_start, wall_start = system.pairs.start, system.wall_pairs.start
     far = dt < 0.0
     count, block = system.grains.radius.shape[0], system.front.block
@@ -105,6 +108,8 @@ def _step_together(features: Features, together: int, dt: Vector, system: System
             add_pair_forces(features, first, last, level, dt, system)
             for pair in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
                 wall_forces(features, pair, level, dt, system)
+            if features.driven:
+                drive_disks(features, range(begin, end), level, step + level, dt, system)
             for grain in range(begin, end):
                 far = far | integrate(features, grain, level, dt, system)
     return far

@@ -97,6 +97,26 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
     return found
 
 
+def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
+    """Disks that the pulse drives: those that overlap the left wall, by any amount, within the transmitter's band.
+
+    Both are judged in the reference geometry, at rest, so they are the same in all samples of a packing. None where the
+    wall itself is the transmitter.
+
+    Raises
+    ------
+    ValueError
+        If no disk touches the band.
+    """
+    if rule.transmitter == "wall":
+        return np.zeros(0, dtype=np.int64)
+    in_band = np.abs(packing.y - packing.height / 2.0) < rule.transmitter_half_width
+    found = np.flatnonzero(in_band & (packing.x < packing.radius))
+    cure = "no disk touches the transmitter: make it wider"
+    require(len(found) > 0, "transmitter_half_width", rule.transmitter_half_width, cure)
+    return found
+
+
 def _within_reach(packing: Packing, rule: WaveRule) -> Flags:
     """(N,) disks that are not deep in a layer that damps by 1."""
     if rule.boundary_damping < 1.0:

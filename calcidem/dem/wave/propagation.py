@@ -18,7 +18,7 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.arrival import record_duration
-from calcidem.dem.wave.domain import domain_of, listening_disks
+from calcidem.dem.wave.domain import domain_of, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
@@ -87,7 +87,10 @@ def prepare_recorder(
     domain = domain_of(whole, rule, installation)
     packing = domain.packing
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
-    scene = replace(wave_scene(packing, sand, rule, bonds), held=domain.held)
+    driven = driven_disks(packing, rule)
+    held = domain.held.copy()
+    held[driven] = True
+    scene = replace(wave_scene(packing, sand, rule, bonds), held=held)
     skin = _wave_skin(packing, pulse)
     state = start(
         scene,
@@ -114,6 +117,7 @@ def prepare_recorder(
         pulse,
         stride=_samples_stride(packing, sand, rule, bonds, frequency),
         listeners=np.sort(rank[listening_disks(packing, rule)]),
+        driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
@@ -143,7 +147,9 @@ def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Fea
     """What the wave needs of the kernel, and what the rule keeps all the same."""
     # A pulse that moves the grains little needs no contact search: the pairs that can meet are listed from the start.
     search = rule.regime == "finite" and skin >= SKIN
-    features = replace(choose_features(scene, rule.regime, lanes), recording=True, servo=False, search=search)
+    driven = rule.transmitter == "driven"
+    features = choose_features(scene, rule.regime, lanes)
+    features = replace(features, recording=True, driven=driven, servo=False, search=search)
     return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 

@@ -99,8 +99,8 @@ class Recorder:
         What the transmitter does.
     stride
         Time steps between two samples of the signals.
-    listeners
-        Disks whose velocity is recorded, in memory order.
+    listeners, driven_disks
+        Disks whose velocity is recorded, and those that the pulse drives, in memory order.
     samples
         Number of samples; further lanes are not looked at.
     longest
@@ -117,6 +117,7 @@ class Recorder:
     pulse: Pulse
     stride: int
     listeners: Integers
+    driven_disks: Integers
     samples: int
     longest: float
     unbalanced_speed: Floats
@@ -149,7 +150,8 @@ class Recorder:
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
             drive=self.pulse.velocity(middle).astype(dtype),
-            driven=TRANSMITTER,
+            driven=-1 if len(self.driven_disks) else TRANSMITTER,
+            driven_disks=self.driven_disks,
             offset=0,
             stride=self.stride,
             receiver=RECEIVER,

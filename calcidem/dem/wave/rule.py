@@ -1,12 +1,15 @@
 """How a shear wave is sent, carried and recorded, and what is refused beforehand."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import Precision
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
+
+Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
@@ -23,10 +26,14 @@ class WaveRule:
     ----------
     amplitude
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
+    transmitter
+        ``wall``: the band of the left wall moves along itself, and takes disks along by friction. ``driven``: the disks
+        that touch that band are given the pulse's velocity, and are held in x and in rotation, see
+        `domain.driven_disks`; the wall behind them is smooth and at rest.
     transmitter_half_width, receiver_half_width
         Of the bands, m.
     band_friction
-        Coulomb coefficient of the two bands.
+        Coulomb coefficient of the bands that move, or are pulled at, as walls.
     damping
         Local damping factor of the sample.
     boundary_damping, boundary_thickness
@@ -51,6 +58,7 @@ class WaveRule:
     """
 
     amplitude: float = 1.0e-3
+    transmitter: Transmitter = "wall"
     transmitter_half_width: float = 0.01
     receiver_half_width: float = 0.03
     band_friction: float = 0.7

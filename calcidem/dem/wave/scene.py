@@ -29,11 +29,12 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         rule.boundary_thickness,
         f"has to be less than half the height of the sample, {middle:.4g} m",
     )
+    rubbing = rule.band_friction if rule.transmitter == "wall" else 0.0
     sent, heard = rule.transmitter_half_width, rule.receiver_half_width
     walls = (
         # The tangent of the left wall points up, that of the right wall down; both have their origin at mid-height.
         Wall((0.0, middle), (1.0, 0.0), span=(-np.inf, -sent)),
-        Wall((0.0, middle), (1.0, 0.0), friction=rule.band_friction, span=(-sent, sent)),
+        Wall((0.0, middle), (1.0, 0.0), friction=rubbing, span=(-sent, sent)),
         Wall((0.0, middle), (1.0, 0.0), span=(sent, np.inf)),
         Wall((width, middle), (-1.0, 0.0), span=(heard, np.inf)),
         Wall((width, middle), (-1.0, 0.0), friction=rule.band_friction, span=(-heard, heard)),

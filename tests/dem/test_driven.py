@@ -1,0 +1,219 @@
+"""Disks that are driven: which they are, the wave they send, the work they do."""
+
+from dataclasses import replace
+
+import naive
+import numpy as np
+import pytest
+from scenes import RADIUS, SOFT, SOFT_CEMENT, jumble
+
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.readout import energies
+from calcidem.dem.engine.scene import Regime, Scene, Wall
+from calcidem.dem.engine.state import Precision, State, choose_features, run_in_place, start
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Floats, Recording
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.domain import driven_disks
+from calcidem.dem.wave.rule import WaveRule
+
+SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
+COUNT, STEPS = 40, 300
+FULL_KINDS: list[tuple[Regime, Precision]] = [("linear", "float32"), ("finite", "float64"), ("finite", "float32")]
+
+
+def features_for(scene: Scene, regime: Regime, lanes: int = 1, *, account: bool = False) -> Features:
+    """Features of a scene with driven disks."""
+    return replace(choose_features(scene, regime, lanes, account=account), recording=True, driven=True)
+
+
+def send(state: State, drive: Floats, driven: list[int], heard: int) -> tuple[State, Floats]:
+    """State after disks of the scene were driven (S, L), and the velocity (S, L) of one of them along y."""
+    place = np.argsort(state.assembly.order)
+    dtype = state.motion.velocity.dtype
+    recording = Recording(
+        drive=np.ascontiguousarray(drive, dtype),
+        driven=-1,
+        driven_disks=np.sort(place[driven]),
+        offset=0,
+        stride=1,
+        receiver=0,
+        listeners=place[[heard]],
+        samples=np.zeros((len(drive), 2, state.features.lanes), dtype),
+    )
+    return run_in_place(state, len(drive), recording), recording.samples[:, 1]
+
+
+def pulses(lanes: int) -> Floats:
+    """Pulse of each lane (`STEPS`, L), each of another height and duration, m/s."""
+    lane = np.arange(lanes)
+    cycle = np.minimum((np.arange(STEPS)[:, None] + 0.5) / (60.0 + 5.0 * lane), 1.0)
+    return np.asarray(1e-6 * (1.0 + lane) * (1.0 - np.cos(2.0 * np.pi * cycle)))
+
+
+def row_of_disks(along_y: bool, *, rotation: bool) -> Scene:
+    """Disks in a row that touch, the first of them held; a wall far away stands for the receiver."""
+    places, flat = SPACING * np.arange(float(COUNT)), np.zeros(COUNT)
+    x, y = (flat, places) if along_y else (places, flat)
+    wall = Wall((-1.0, 0.0), (1.0, 0.0))
+    return Scene(x, y, np.full(COUNT, RADIUS), SOFT, (wall,), held=np.arange(COUNT) == 0, rotation=rotation)
+
+
+def stiffness() -> tuple[float, float]:
+    """Normal and shear stiffness of the contacts."""
+    radius = np.array([RADIUS])
+    normal = 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt(2.0 * RADIUS - SPACING)
+    return normal, SOFT.shear_ratio * normal
+
+
+@pytest.mark.parametrize("heard", [0, 1, 20])
+def test_a_driven_end_of_a_chain_sends_its_pulse_one_disk_further_each_step(heard: int) -> None:
+    """At dt = sqrt(m / k) leapfrog solves the wave equation of a chain exactly: disk n is n steps late."""
+    scene = row_of_disks(along_y=True, rotation=False)
+    state = start(scene, features=features_for(scene, "linear", 8), step_fraction=1.0)
+    assert state.time_step[0] * np.sqrt(stiffness()[0] / scene.mass[0]) == pytest.approx(1.0, rel=1e-11)
+    drive = pulses(8)
+    _, found = send(state, drive, [0], heard)
+    expected = np.concatenate([np.zeros((heard, 8)), drive[: STEPS - heard]])
+    # The step is a rounding below sqrt(m / k); beyond two ways through the row the echo of its free end is there.
+    early = 2 * COUNT - heard - 2
+    np.testing.assert_allclose(found[:early], expected[:early], rtol=0.0, atol=1e-9 * drive.max())
+
+
+def rolling_row(drive: Floats, courant: float, heard: int) -> Floats:
+    """Velocity (S,) of a disk of an endless row that rolls as its first disk is moved across it: an exact solution.
+
+    With ``s_n`` the slide of contact n, ``m u_n'' = k_s (s_n - s_(n - 1))`` and, since an arm is half a spacing a and
+    ``q = m a^2 / (4 I)``, ``s_n'' = (k_s / m) [(1 - q) (s_(n + 1) + s_(n - 1)) - 2 (1 + q) s_n]``; the first disk does
+    not turn. On the leapfrog grid ``''`` is ``(z - 2 + 1 / z) / dt^2``, and ``s_n = s_0 p^n`` with ``|p| < 1``. The
+    circle on which z lies is a little wider than 1, which damps what would come round again.
+    """
+    count = 8 * len(drive)
+    growth = np.exp(20.0 / count)
+    z = growth * np.exp(2.0j * np.pi * np.fft.fftfreq(count))
+    sent = np.zeros(count)
+    sent[: len(drive)] = drive
+    moved = np.fft.fft(sent * growth ** -np.arange(count)) / (1.0 - 1.0 / z)  # displacement over dt
+    second = (z - 2.0 + 1.0 / z) / courant**2
+    q = 0.5 * (SPACING / (2.0 * RADIUS)) ** 2 * 4.0
+    middle = (second + 2.0 * (1.0 + q)) / (1.0 - q)
+    root = np.sqrt(middle**2 / 4.0 - 1.0)
+    p = np.where(np.abs(middle / 2.0 - root) < 1.0, middle / 2.0 - root, middle / 2.0 + root)
+    # s_0'' = (k_s / m) [(1 - q) s_1 - (1 + q) s_0] - u_0''
+    slide = -second * moved / (second + (1.0 + q) - (1.0 - q) * p)
+    heard_moved = slide * p ** (heard - 1) * (p - 1.0) / second
+    return np.fft.ifft(heard_moved * (1.0 - 1.0 / z)).real[: len(drive)] * growth ** np.arange(len(drive))
+
+
+@pytest.mark.parametrize("heard", [1, 4, 15])
+def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int) -> None:
+    """A disk held in x and in rotation and driven across its row makes the others roll as theory says."""
+    scene = row_of_disks(along_y=False, rotation=True)
+    state = start(scene, features=features_for(scene, "linear", 8), step_fraction=0.5)
+    drive = pulses(8)
+    courant = float(state.time_step[0] * np.sqrt(stiffness()[1] / scene.mass[0]))
+    end, found = send(state, drive, [0], heard)
+    assert end.rotation()[0] == 0.0
+    assert np.abs(end.rotation()[1:]).min() > 0.0
+    for lane in range(8):
+        expected = rolling_row(drive[:, lane], courant, heard)
+        np.testing.assert_allclose(found[:90, lane], expected[:90], rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("regime", "precision"),
+    [("linear", "float64"), *(pytest.param(*kind, marks=pytest.mark.full) for kind in FULL_KINDS)],
+)
+def test_a_driven_sample_gives_the_same_bits_alone_and_beside_others(regime: Regime, precision: Precision) -> None:
+    """One lane alone and the same lane of eight give the same bits."""
+    scene = row_of_disks(along_y=True, rotation=False)
+    drive = 100.0 * pulses(8)
+    eight, one = (start(scene, features=features_for(scene, regime, lanes), precision=precision) for lanes in (8, 1))
+    together, heard_together = send(eight, drive, [0], 9)
+    alone, heard_alone = send(one, drive[:, [5]], [0], 9)
+    assert heard_alone.any()
+    np.testing.assert_array_equal(heard_alone[:, 0], heard_together[:, 5])
+    np.testing.assert_array_equal(alone.position(), together.position(5))
+
+
+def supplied_and_gained(step: float, duration: float) -> tuple[float, float]:
+    """Work of driven disks on a heap with friction and damping, and what of it is missing or too much in the end.
+
+    The drive ends at rest: driven disks are no heavier to the account than what they push.
+    """
+    scene = jumble(5, 16, damping=0.2, held=np.isin(np.arange(16), (0, 4, 8)))
+    features = features_for(scene, "finite", account=True)
+    time = (np.arange(round(duration / step)) + 0.5) / round(duration / step)
+    drive = 0.5 * (1.0 - np.cos(2.0 * np.pi * time))[:, None]
+    state, _ = send(start(scene, features=features, time_step=step), drive, [0, 4, 8], 15)
+    first = energies(start(scene, features=features, time_step=step))
+    last = energies(state)
+    return last.wall_work - first.wall_work, last.imbalance - first.imbalance
+
+
+@pytest.mark.slow
+def test_the_power_put_in_by_driven_disks_is_the_energy_gained_and_lost() -> None:
+    """Work of the drive is what becomes kinetic, elastic, friction and damping, the better the smaller the step."""
+    step, duration = 4e-7, 2e-4
+    _, coarse = supplied_and_gained(step, duration)
+    work, fine = supplied_and_gained(step / 8.0, duration)
+    assert work > 0.0
+    assert abs(fine) < 1e-5 * work
+    assert np.log(abs(coarse / fine)) / np.log(8.0) > 0.9  # first order: first touches, and slopes of slip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "regime", ["finite", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("small", "linear"))]
+)
+def test_driven_disks_move_a_heap_as_in_its_slow_twin(regime: Regime) -> None:
+    """Disks that follow a drive beside one another, in a bonded heap with friction, are those of a plain loop."""
+    driven = [2, 7]
+    scene = jumble(8, 12, held=np.isin(np.arange(12), driven), share_bonded=0.4, cement=SOFT_CEMENT, damping=0.3)
+    features = features_for(scene, regime, 2)
+    state = start(scene, features=features, step_fraction=0.1)
+    drive = 0.05 * np.sin(0.1 * np.arange(1.0, 41.0))[:, None] * [1.0, -2.0]
+    end, _ = send(state, drive, driven, 0)
+    at_rest = np.zeros((12, 2)), np.zeros(12)
+    for lane in range(2):
+        twin = naive.make_twin(scene, features, float(state.time_step[lane]), *at_rest, lane)
+        for speed in drive[:, lane]:
+            naive.step(twin, dict.fromkeys(driven, speed))
+        moved = end.to_scene_order(end.motion.displacement[:, :, lane])
+        for component in range(3):
+            scale = np.abs(twin.moved[:, component]).max()
+            np.testing.assert_allclose(moved[:, component], twin.moved[:, component], rtol=0.0, atol=1e-7 * scale)
+        np.testing.assert_allclose(moved[driven, 1], drive[:, lane].sum() * state.time_step[lane], rtol=1e-12)
+
+
+def test_driven_disks_are_those_that_overlap_the_left_wall_in_the_band(small_packing: Packing) -> None:
+    """However little they overlap it; none where the wall is the transmitter, and a band without one is refused."""
+    rule = WaveRule(transmitter="driven", transmitter_half_width=0.01)
+    found = driven_disks(small_packing, rule)
+    assert 2 <= len(found) <= 8  # 20 mm of disks of 2.12 mm or more, some of which a neighbour keeps from the wall
+    left = small_packing.x - small_packing.radius
+    aside = np.abs(small_packing.y - small_packing.height / 2.0)
+    assert left[found].max() < 0.0
+    assert aside[found].max() < 0.01
+    others = np.setdiff1d(np.arange(len(left)), found)
+    assert np.all((left[others] >= 0.0) | (aside[others] >= 0.01))
+    assert len(driven_disks(small_packing, replace(rule, transmitter="wall"))) == 0
+    moved = replace(small_packing, x=small_packing.x + 1e-4)
+    with pytest.raises(ValueError, match=r"transmitter_half_width = 0\.01: no disk touches the transmitter"):
+        driven_disks(moved, rule)
+
+
+def test_campaigns_whose_wall_is_the_transmitter_keep_their_identity() -> None:
+    """A configuration that does not drive disks is stored, and hashed, without the key; one that does comes back."""
+    wall, driven = Configuration(), Configuration(wave=WaveRule(transmitter="driven"))
+    assert "transmitter" not in wall.physics["wave"]
+    assert driven.physics["wave"]["transmitter"] == "driven"
+    assert wall.hash != driven.hash
+    for configuration in (wall, driven):
+        assert Configuration.from_physics(configuration.physics).wave == configuration.wave
+
+
+def test_a_drive_needs_a_recording() -> None:
+    """A kernel without a recording has nothing that could drive disks."""
+    with pytest.raises(ValueError, match="driven = True needs recording = True"):
+        Features(driven=True)
