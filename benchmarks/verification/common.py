@@ -7,7 +7,7 @@ import numpy as np
 from reference import Floats, Grain, Integers, Springs
 
 from calcidem.app.campaign.packing import packing_from_bytes
-from calcidem.dem import Sand, Scene, State, advance, choose_features
+from calcidem.dem import Sand, Scene, State, advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import Packing
 
@@ -25,6 +25,11 @@ def features_of(scene: Scene, regime: str = "finite", **others: bool) -> Feature
     found = choose_features(scene, regime)  # type: ignore[arg-type]
     more = {"bonds": True, "linear_group": True} if regime == "linear" else {}
     return replace(found, damping=True, loads=True, **(more | others))
+
+
+def stability_limit(scene: Scene) -> float:
+    """Reported stability limit at the contacts of the scene, whatever flies about, s."""
+    return float(start(scene, regime="linear").critical_time_step[0])
 
 
 def history(state: State, steps: int, every: int = 1) -> tuple[Floats, Floats]:

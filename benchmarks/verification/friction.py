@@ -3,7 +3,7 @@
 from functools import cache
 
 import numpy as np
-from common import GRAIN, features_of, history, sand_of
+from common import GRAIN, features_of, history, sand_of, stability_limit
 from reference import Floats
 from table import check
 
@@ -21,7 +21,7 @@ def _on_floor(speed: float, fraction: float, *, rotation: bool) -> tuple[State, 
         load=np.array([[0.0, -_WEIGHT, 0.0]]), rotation=rotation,
     )  # fmt: skip
     velocity, features = np.array([[speed, 0.0]]), features_of(scene)
-    step = fraction * start(scene, features=features).critical_time_step[0]
+    step = fraction * stability_limit(scene)
     largest = 0.5 * start(scene, features=features, velocity=velocity).critical_time_step[0]
     return start(scene, features=features, velocity=velocity, time_step=min(step, largest)), depth
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from common import features_of
+from common import features_of, stability_limit
 from modes import QUARTZ, boxed_packing
 from reference import Floats
 from table import check
@@ -30,7 +30,7 @@ def _scene(share_bonded: float = 0.3) -> Scene:
 
 def _flown(scene: Scene, velocity: Floats, spin: Floats, steps: int = 1000) -> State:
     """Scene some steps later: grains slide, part, meet again, and bonds carry them."""
-    step = 0.1 * float(start(_scene(), features=features_of(_scene())).critical_time_step[0])
+    step = 0.1 * stability_limit(_scene())
     return advance(start(scene, features=features_of(scene), velocity=velocity, spin=spin, time_step=step), steps)
 
 
@@ -155,10 +155,13 @@ def _imbalance(fraction: float) -> float:
     scene = boxed_packing(damping=0.15, load=np.tile([0.2, -0.4, 1e-4], (280, 1)))
     walls = (replace(scene.walls[0], velocity=(0.01, 0.02)), *scene.walls[1:])
     scene = replace(scene, walls=walls)
-    limit = float(start(scene, features=features_of(scene)).critical_time_step[0])
     velocity, spin = _throw(scene)
     state = start(
-        scene, features=features_of(scene, account=True), velocity=velocity, spin=spin, time_step=fraction * limit
+        scene,
+        features=features_of(scene, account=True),
+        velocity=velocity,
+        spin=spin,
+        time_step=fraction * stability_limit(scene),
     )
     state = advance(state, 1)
     before = energies(state)
