@@ -15,8 +15,6 @@ SCRIPT = runpy.run_path(str(ROOT / "scripts" / "duplicate_names.py"))
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "migrations" not in path.parts)
 MOST_DUPLICATES = 14
 LARGEST_ROOM = 0.15
-NAMED_OUTSIDE = {"FeaturesType"}
-"""Names that stand in files which no checkout holds: numba's caches on disk."""
 
 
 @cache
@@ -115,7 +113,7 @@ def test_an_underscore_tells_what_a_module_keeps_to_itself(path: Path) -> None:
     """Names with an underscore are used in their own module only, names without one elsewhere too."""
     tree = tree_of(path)
     names = set(SCRIPT["defined_names"](path.read_text(encoding="utf-8"))) - {"__all__", "__getattr__"}
-    outside = uses()[module_name(path)] | NAMED_OUTSIDE
+    outside = uses()[module_name(path)]
     public = public_through_signatures(tree, outside | exceptions_of(tree))
     assert sorted(name for name in names if name.startswith("_") and name in outside) == []
     assert sorted(name for name in names if not name.startswith("_") and name not in public) == []

@@ -1,6 +1,8 @@
 """How the functions of the kernel are compiled."""
 
 from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
 from typing import Any, TypeVar
 
 from llvmlite import binding
@@ -19,13 +21,27 @@ def seconds_compiling() -> float:
     return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
+_SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+"""Identity of the kernel's source code."""
+
+
 def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
     """Return numba's ``njit``, without the counting of references to arrays.
 
     The kernel allocates nothing and keeps nothing, so the counts are of no use. Numba drops them itself, but not
     around a branch that depends on data; there, counting for each pair costs several times what the physics does.
+
+    With ``cache`` the files on disk bear the identity of the sources in their names. Numba itself looks at the file of
+    the outermost function only, so an edited contact law would run with yesterday's machine code; and it fails where
+    classes that it finds in files of another calcidem have gone.
     """
-    decorate: Callable[[Function], Function] = njit(_nrt=False, **options)  # type: ignore[call-overload]
+
+    def decorate(function: Function) -> Function:
+        if options.get("cache"):
+            function.__qualname__ += f"_{_SOURCES[:16]}"
+        compiled: Function = njit(_nrt=False, **options)(function)  # type: ignore[call-overload]
+        return compiled
+
     return decorate
 
 

@@ -8,8 +8,6 @@ combination is compiled and cached once, and with the JIT off the same code read
 # numba describes only a part of itself:
 # mypy: disable-error-code="no-untyped-call, untyped-decorator, override"
 
-from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 from numba.core import types
@@ -26,39 +24,34 @@ from numba.extending import (
 
 from calcidem.dem.kernels.features import Features
 
-_SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
-"""Identity of the kernel's source code. The disk cache of numba looks at the file of the outermost function only, so
-without it an edited contact law would run with yesterday's machine code."""
 
-
-class FeaturesType(types.Type):
+class _FeaturesType(types.Type):
     """Numba type of one combination of features."""
 
     def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
-        self.source = _SOURCES
         self.values = values
         super().__init__(name=f"Features({', '.join(f'{name}={value}' for name, value in values)})")
 
     @property
-    def key(self) -> tuple[str, tuple[tuple[str, int | bool], ...]]:
+    def key(self) -> tuple[tuple[str, int | bool], ...]:
         """What makes two combinations the same."""
-        return self.source, self.values
+        return self.values
 
 
 @typeof_impl.register(Features)
-def _type_of_features(features: Features, context: Any) -> FeaturesType:
+def _type_of_features(features: Features, context: Any) -> _FeaturesType:
     """Numba type of a `Features` object."""
     del context
-    return FeaturesType(features.items())
+    return _FeaturesType(features.items())
 
 
-@register_model(FeaturesType)
+@register_model(_FeaturesType)
 class _FeaturesModel(models.OpaqueModel):
     """Nothing is passed at run time."""
 
 
-@unbox(FeaturesType)
-def _unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
+@unbox(_FeaturesType)
+def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
     """Pass no data: the type says it all."""
     del kind, features
     return NativeValue(context.context.get_dummy_value())
@@ -68,16 +61,16 @@ def _unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
 class _FeaturesAttributes(AttributeTemplate):
     """Type of ``features.name``: the literal value itself."""
 
-    key = FeaturesType
+    key = _FeaturesType
 
-    def generic_resolve(self, kind: FeaturesType, name: str) -> Any:
+    def generic_resolve(self, kind: _FeaturesType, name: str) -> Any:
         """Literal type of a switch, None for an unknown name."""
         values = dict(kind.values)
         return types.literal(values[name]) if name in values else None
 
 
-@lower_getattr_generic(FeaturesType)
-def _lower_feature(context: Any, builder: Any, kind: FeaturesType, value: Any, name: str) -> Any:
+@lower_getattr_generic(_FeaturesType)
+def _lower_feature(context: Any, builder: Any, kind: _FeaturesType, value: Any, name: str) -> Any:
     """Machine code of ``features.name``: a constant."""
     del value
     literal = types.literal(dict(kind.values)[name])
