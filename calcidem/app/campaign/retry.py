@@ -23,14 +23,12 @@ def retry_cells(
 
     Parameters
     ----------
-    database
-        SQLite file or database URL.
+    database, campaign_name
+        SQLite file or database URL; which campaign, if there are several.
     statuses
         Of `RETRIABLE`.
     selection
         Seeds and contents; all by default.
-    campaign_name
-        Which one, if there are several.
 
     Returns
     -------

@@ -1,17 +1,19 @@
 """``calcidem calibrate``: fit named parameters to measured Vs against content."""
 
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.cli.arguments import ConfigurationFile
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, read_targets, text_with_values
 
 
 def calibrate_command(
-    configuration: Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")],
+    configuration: ConfigurationFile,
     target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
     parameter: Annotated[
@@ -25,8 +27,7 @@ def calibrate_command(
     packing = provide_packing(loaded, None, typer.echo)
     names = parameter or list(FITTABLE[: min(3, len(targets))])
     fitted = calibrate(loaded, packing, targets, names, range(1, seeds + 1), typer.echo)
-    for line in _calibration_lines(fitted):
-        typer.echo(line)
+    typer.echo("\n".join(_calibration_lines(fitted)))
     out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
     typer.echo(f"Wrote {out}")
 
@@ -34,13 +35,10 @@ def calibrate_command(
 def _calibration_lines(fitted: FittedParameters) -> list[str]:
     """Report on a calibration."""
     lines = [f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}" for name, value in fitted.values.items()]
-    names = list(fitted.values)
-    for i, first in enumerate(names):
-        lines += [
-            f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
-            for j, second in enumerate(names)
-            if j > i
-        ]
+    lines += [
+        f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+        for (i, first), (j, second) in combinations(enumerate(fitted.values), 2)
+    ]
     lines += [
         f"{content:g} %: target {wanted:.1f} m/s, reached {fitted.fitted[content]:.1f} m/s "
         f"({100.0 * (fitted.fitted[content] / wanted - 1.0):+.1f} %)"

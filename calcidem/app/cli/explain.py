@@ -74,13 +74,9 @@ def _errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
 
 def _explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
     """Table of one content."""
-    table = Table(title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("part")
-    table.add_column("needed")
-    table.add_column("why")
-    table.add_column("time of the alternative", justify="right")
-    table.add_column("change of Vs", justify="right")
-    table.add_column("error of Vs, own and of the alternative", justify="right")
+    table = Table("part", "needed", "why", title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
+    for name in ("time of the alternative", "change of Vs", "error of Vs, own and of the alternative"):
+        table.add_column(name, justify="right")
     for row in rows:
         table.add_row(
             row.alternative.what,

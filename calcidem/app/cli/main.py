@@ -55,17 +55,11 @@ def build_application(arguments: Sequence[str]) -> typer.Typer:
     application.callback()(lambda: None)  # without it typer takes a single command for the whole application
     asked = arguments[0] if arguments else ""
     for name in [asked] if asked in COMMANDS else COMMANDS:
-        function = _load_command(name) if name == asked else lambda: None
+        function: Callable[..., None] = lambda: None  # noqa: E731 - the list calls none of them
+        if name == asked:
+            function = getattr(import_module(f"calcidem.app.cli.{_module_name(name)}"), f"{name}_command")
         application.command(name, help=command_description(name))(function)
     return application
-
-
-def _load_command(command: str) -> Callable[..., None]:
-    """Function of a command."""
-    function: Callable[..., None] = getattr(
-        import_module(f"calcidem.app.cli.{_module_name(command)}"), f"{command}_command"
-    )
-    return function
 
 
 def _module_name(command: str) -> str:

@@ -26,8 +26,7 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    for line in _merge_lines(merged, sources, out):
-        typer.echo(line)
+    typer.echo("\n".join(_merge_lines(merged, sources, out)))
 
 
 def _merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:

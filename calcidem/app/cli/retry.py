@@ -1,14 +1,12 @@
 """``calcidem retry``: give cells that went wrong another chance."""
 
-from collections import Counter
-from collections.abc import Collection, Sequence
 from typing import Annotated
 
 import typer
 
 from calcidem.app.campaign.retry import RETRIABLE, retry_cells
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.records import CellStatus
 from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection
 
 _MOST_LISTED = 10
@@ -30,30 +28,21 @@ def retry_command(
     Their history is kept, but workers lost to them before no longer count against them.
     """
     statuses = tuple(status or RETRIED_BY_DEFAULT)
-    wrong = [chosen.value for chosen in statuses if chosen not in RETRIABLE]
-    if wrong:
-        possible = ", ".join(RETRIABLE)
-        raise typer.BadParameter(
-            f"{', '.join(wrong)} can't be retried; choose among {possible}.", param_hint="--status"
-        )
+    if wrong := ", ".join(chosen for chosen in statuses if chosen not in RETRIABLE):
+        problem = f"{wrong} can't be retried; choose among {', '.join(RETRIABLE)}."
+        raise typer.BadParameter(problem, param_hint="--status")
     try:
         selection = Selection(seed or None, content or None)
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--content") from error
     pending, others = retry_cells(database, statuses, selection, campaign)
-    for line in _retry_lines(pending, others, statuses):
-        typer.echo(line)
-
-
-def _retry_lines(
-    pending: Sequence[CellKey], others: Counter[CellStatus], statuses: Collection[CellStatus]
-) -> tuple[str, ...]:
-    """What was done, for a person."""
-    rest = ", ".join(f"{number} {status}" for status, number in sorted(others.items()))
     if not pending:
-        return (f"Nothing to retry: no selected cell is {' or '.join(statuses)} ({rest}).",)
-    named = [f"  seed {key.seed}, {key.content:g} %" for key in pending[:_MOST_LISTED]]
+        rest = ", ".join(f"{number} {other}" for other, number in sorted(others.items()))
+        typer.echo(f"Nothing to retry: no selected cell is {' or '.join(statuses)} ({rest}).")
+        return
+    typer.echo("1 cell is pending again:" if len(pending) == 1 else f"{len(pending)} cells are pending again:")
+    for key in pending[:_MOST_LISTED]:
+        typer.echo(f"  seed {key.seed}, {key.content:g} %")
     if len(pending) > _MOST_LISTED:
-        named.append(f"  and {len(pending) - _MOST_LISTED} more")
-    cells = "1 cell is" if len(pending) == 1 else f"{len(pending)} cells are"
-    return (f"{cells} pending again:", *named, "Compute them with the same 'calcidem run' as before.")
+        typer.echo(f"  and {len(pending) - _MOST_LISTED} more")
+    typer.echo("Compute them with the same 'calcidem run' as before.")

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble, worst_status
+from calcidem.app.cli.tables import format_number
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
 
@@ -56,16 +57,15 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
     total = sum(status.counts.values())
     finished = total - status.pending
     counts = [f"{status.counts[kind]} {_words(kind)}" for kind in CellStatus if status.counts.get(kind)]
-    yield f"{finished} of {total} cells finished ({_percent_of(finished, total)}): {', '.join(counts)}"
+    # Never 100 % before all is there.
+    percent = f"{math.floor(100 * finished / total)} %" if total else "-"
+    yield f"{finished} of {total} cells finished ({percent}): {', '.join(counts)}"
     if status.last_run is not None:
         run = status.last_run
-        if status.running:
-            state = "running"
-        else:
-            state = run.exit_state or "stopped unexpectedly; the same 'calcidem run' command continues"
+        ended = run.exit_state or "stopped unexpectedly; the same 'calcidem run' command continues"
         yield (
             f"Run {status.run_number} on {run.host} with {pluralize(run.ranks, 'rank')}"
-            f" since {run.started:%Y-%m-%d %H:%M} UTC: {state}"
+            f" since {run.started:%Y-%m-%d %H:%M} UTC: {'running' if status.running else ended}"
         )
     if status.pending and math.isfinite(status.seconds_left):
         workers = pluralize(status.workers, "core") + ("" if status.running else " (as in the last run)")
@@ -86,10 +86,10 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}",
-            _format_velocity(content.mean),
-            f"+- {content.interval.half_width:.1f}" if math.isfinite(content.interval.half_width) else "-",
-            _format_velocity(content.deviation),
-            "-" if math.isnan(content.seconds_per_cell) else f"{content.seconds_per_cell:.2g}",
+            format_number(content.mean),
+            format_number(content.interval.half_width, "+- {:.1f}"),
+            format_number(content.deviation),
+            format_number(content.seconds_per_cell, "{:.2g}"),
             duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
         )
     return table
@@ -154,16 +154,6 @@ def _words(status: CellStatus) -> str:
     return status.value.replace("_", " ")
 
 
-def _percent_of(part: int, whole: int) -> str:
-    """Part of a whole in percent, never 100 % before all is there."""
-    return f"{math.floor(100 * part / whole)} %" if whole else "-"
-
-
-def _format_velocity(value: float) -> str:
-    """A velocity, or a dash where there is none."""
-    return f"{value:.1f}" if math.isfinite(value) else "-"
-
-
 def status_as_json(status: CampaignStatus) -> dict[str, Any]:
     """All there is to know, in JSON's types; a missing number is null."""
     run = status.last_run
@@ -173,15 +163,15 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
         "packing_content_hashes": list(status.content_hashes.values()),
         "running": status.running,
         "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
-        "cells": {kind.value: number for kind, number in sorted(status.counts.items())},
+        "cells": dict(sorted(status.counts.items())),
         "seconds_left": _finite_or_none(status.seconds_left),
         "workers": status.workers,
         "seeds": list(status.seeds),
         "contents": [
             {
                 "content": content.content,
-                "status": [content.statuses[seed].value if seed in content.statuses else None for seed in status.seeds],
-                "cells": {kind.value: number for kind, number in sorted(content.counts.items())},
+                "status": [content.statuses.get(seed) for seed in status.seeds],
+                "cells": dict(sorted(content.counts.items())),
                 "mean": _finite_or_none(content.mean),
                 "sd": _finite_or_none(content.deviation),
                 "interval_95": [_finite_or_none(content.interval.low), _finite_or_none(content.interval.high)],
@@ -191,15 +181,8 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
             for content in status.contents
         ],
         "troubles": [
-            {
-                "seed": trouble.key.seed,
-                "content": trouble.key.content,
-                "status": trouble.status.value,
-                "attempts": trouble.attempts,
-                "losses": trouble.losses,
-                "reason": trouble.reason,
-                "retry": trouble.retry,
-            }
+            {"seed": trouble.key.seed, "content": trouble.key.content}
+            | {name: getattr(trouble, name) for name in ("status", "attempts", "losses", "reason", "retry")}
             for trouble in status.troubles
         ],
     }

@@ -1,5 +1,6 @@
 """What several commands show: the report on a packing, Vs against content, and the console for them."""
 
+import math
 import os
 import sys
 from collections import Counter
@@ -39,6 +40,11 @@ def tell(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:
+    """Write a number in a form, or what stands for a missing one (None or not finite)."""
+    return missing if value is None or not math.isfinite(value) else form.format(value)
+
+
 def packing_lines(packing: Packing) -> Iterator[str]:
     """Report on a packing."""
     report = packing.report
@@ -60,15 +66,7 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 
 def vs_table(store: Store, selection: Selection) -> Table:
-    """Table of Vs against content.
-
-    Parameters
-    ----------
-    store
-        With the campaign chosen.
-    selection
-        Cells to look at.
-    """
+    """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
     columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds"), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
     for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
@@ -82,8 +80,8 @@ def vs_table(store: Store, selection: Selection) -> Table:
         table.add_row(
             f"{content:g}",
             f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}",
-            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in moments),
-            f"{small_strain_modulus(moments[0]) / 1e6:.4g}" if np.isfinite(moments[0]) else "-",
+            *map(format_number, moments),
+            format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
             _wavelengths_text(columns["wavelengths_on_path"][here]),
             f"{seconds:.1f}",
             _other_outcomes(columns["status"][here]),

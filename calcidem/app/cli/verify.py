@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -39,35 +38,24 @@ def verify_command(
         for verification in verify(opened, keys, opened.experiment):
             typer.echo(_verification_line(verification))
             found.append(verification)
-    typer.echo(_verification_summary(found))
+    counts = Counter(verification.agreement for verification in found)
+    verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
+    typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
     if code := _EXIT_CODE_OF[worst_agreement(found)]:
         raise typer.Exit(code)
 
 
 def _verification_line(verification: Verification) -> str:
-    """What came of one cell, and which quantity differs most."""
-    key = verification.stored.key
+    """What came of one cell, and which quantity differs most, by how much."""
+    key, name = verification.stored.key, verification.most_different
     text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"
-    if not verification.differences:
+    if not name:
         return text
+    size = verification.differences[name]
+    stored, computed = (getattr(result, name, None) for result in (verification.stored, verification.computed))
+    amount = "" if stored is computed is None else f": stored {stored}, computed {computed}"
+    if math.isfinite(size):
+        amount = f", relative difference {size:.2g}"
     others = len(verification.differences) - 1
     also = f"; {others} other{'s' if others > 1 else ''} differ{'' if others > 1 else 's'}" if others else ""
-    return f"{text} ({_describe_largest(verification)}{also})"
-
-
-def _describe_largest(verification: Verification) -> str:
-    """Name the quantity that differs most, and say by how much."""
-    name = verification.most_different
-    size = verification.differences[name]
-    if math.isfinite(size):
-        return f"most of all {name}, relative difference {size:.2g}"
-    stored, computed = (getattr(result, name, None) for result in (verification.stored, verification.computed))
-    values = "" if stored is computed is None else f": stored {stored}, computed {computed}"
-    return f"most of all {name}{values}"
-
-
-def _verification_summary(found: Sequence[Verification]) -> str:
-    """The last line."""
-    counts = Counter(verification.agreement for verification in found)
-    verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
-    return f"{pluralize(len(found), 'cell')}: {verdicts}."
+    return f"{text} (most of all {name}{amount}{also})"

@@ -49,26 +49,28 @@ class FittedParameters:
 
 def start_value(configuration: Configuration, packing: Packing, name: str) -> float:
     """Value of a parameter to begin with; that of a cluster's area is Eq. 2 for the contacts of a mean cluster."""
-    section, key = name.split(".")
-    holder = configuration.calibration if key == "wave_stiffness_factor" else getattr(configuration, section)
-    value = getattr(holder, key)
+    part, key = _place_of(name)
+    value = getattr(getattr(configuration, part), key)
     if value is not None:
         return float(value)
     ordering = configuration.experiment(packing).ordering(configuration.campaign.seed_numbers[0])
     cement = ordering.at(min(5.0, ordering.maximum_content))
     calcite = (cement.content_reached - configuration.pattern.threshold) / 100.0
-    sand = (
-        configuration.pattern.sand_density / configuration.pattern.calcite_density * np.pi * np.sum(packing.radius**2)
-    )
-    return float(calcite * sand / max(1, cement.clusters))
+    densities = configuration.pattern.sand_density / configuration.pattern.calcite_density
+    return float(calcite * densities * np.pi * np.sum(packing.radius**2) / max(1, cement.clusters))
+
+
+def _place_of(name: str) -> tuple[str, str]:
+    """Attribute of `Configuration` that a parameter belongs to, and its name there."""
+    section, key = name.split(".")
+    return "calibration" if key == "wave_stiffness_factor" else section, key
 
 
 def with_values(configuration: Configuration, values: Mapping[str, float]) -> Configuration:
     """Configuration with some parameters changed."""
     changed = configuration
     for name, value in values.items():
-        section, key = name.split(".")
-        part = "calibration" if key == "wave_stiffness_factor" else section
+        part, key = _place_of(name)
         changed = replace(changed, **{part: replace(getattr(changed, part), **{key: float(value)})})
     return changed
 
