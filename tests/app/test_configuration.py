@@ -22,64 +22,24 @@ CHECKOUT = Path(__file__).parents[2]
 
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
-    (1, "examples/quick.toml"): (
-        "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
-        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
-    ),
-    (1, "examples/paper.toml"): (
-        "e2cb0bcaa0ba72c0c583e091fe8a2dc29f3e95322a50baed655e2045b7c3dc0a",
-        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
-    ),
-    (1, "examples/paper-literal.toml"): (
-        "cf8fd0138012374a519b4761619d3c70e6ab0d1293264804b78a5bebc8f6a26d",
-        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
-    ),
-    (1, "examples/paper-locked.toml"): (
-        "68633b10f4754b902913a1046dbaaa2e057454b6b0248f15290e4f1715781888",
-        "4257a5b0f6ded8c16a5a27c601667a82bc86d622ed563c9c9de74f4270fc3bdf",
-    ),
-    (1, "docs/tutorial/quick.toml"): (
-        "86e20367f5cdabb623b5079e8401e29eca648cbb5af5bf852e8df918b11e0b9f",
-        "6a49cced9b5488590ff9f67ded0bdb6fc763f52632aef91858fccd775e9ed5c4",
-    ),
-    (2, "examples/quick.toml"): (
-        "57c59c7cb9c8c69c314837c29ad626fea7a1d072138e8b2c65152ef44c2a830b",
-        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
-    ),
-    (2, "examples/paper.toml"): (
-        "57c59c7cb9c8c69c314837c29ad626fea7a1d072138e8b2c65152ef44c2a830b",
-        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
-    ),
-    (2, "examples/paper-literal.toml"): (
-        "fa0c925ac321f1ad0c52014dc6cce9200412997da5847745c31bd0feecded517",
-        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
-    ),
-    (2, "examples/paper-locked.toml"): (
-        "4055f369014a4810e0d9637167c85c5a91327bd9cb1d5f31127d6a25b82ff4ef",
-        "cf671afd003b1d480fa82e407604b5f532d2ad511eb727ff85b79bb4276d3960",
-    ),
-    (2, "docs/tutorial/quick.toml"): (
-        "ba6c0df8753d7002f0749f2a5c86755f7289c75161b368bd77f394927cb8768d",
-        "485883643d5f0bccfecfc743f78ee19b7abab5ac9dd4e0fbf480e0eb56d73f2c",
-    ),
     (3, "examples/quick.toml"): (
-        "220cf7d96f71a4d5878e35173a5fe03f324ef809bb5eb6afb6ae285c38510119",
+        "8fb73d18ea0542e707c514cd16a4880750850d3a8d59ed182081d4fb2c9b3f2e",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper.toml"): (
-        "220cf7d96f71a4d5878e35173a5fe03f324ef809bb5eb6afb6ae285c38510119",
+        "8fb73d18ea0542e707c514cd16a4880750850d3a8d59ed182081d4fb2c9b3f2e",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-literal.toml"): (
-        "e1740d6929c35881578636379a527017076bb8414536ff5688807716a823e4ff",
+        "4331266831f3cd48d6da5a3e040a3085a78fb9bbe0b48b4cf754dcd7dda22456",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-locked.toml"): (
-        "3f7c614bd2ad23705d0a0c403d0c908fe36c3b2288b6951514191b91a6b87008",
+        "5f197f768beed5515137419f1c876707d34a349801c5dcc74c30cdbb050b89c8",
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "976d78305eddb6b92836f34f860ffbcfea292b3bf4d0e2e7cb25d1a73ac4f8e5",
+        "61af8938b3b06c0babd3d124bfec8e6323987478802b627bdd9e52282bd3d54f",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
 }

@@ -36,7 +36,7 @@ def chain(velocity: float, frequency: float, samples: int = 100) -> Signals:
 
     ``omega = 2 (V / d) sin(q d / 2)``; above the cut-off q is complex and the motion decays from grain to grain.
     """
-    time = times(velocity, frequency, samples, longer=1.5)
+    time = times(velocity, frequency, samples, longer=1.1)
     count = 16 * len(time)  # the loss has damped what would come round again
     sent = Pulse(1.0, frequency).velocity(np.arange(count) * time[1])
     half = np.pi * np.fft.rfftfreq(count, time[1]) * SPACING / velocity * (1.0 - 0.003j)
@@ -99,9 +99,9 @@ def test_dispersed_pulses_are_read_at_their_wave_speed(velocity: float, frequenc
         assert reading.quality > 0.9
 
 
-@given(st.floats(100.0, 2000.0), st.floats(0.05, 0.75), st.integers(0, 2**32 - 1))
-def test_precursor_of_opposite_sign_lowers_quality_only(velocity: float, depth: float, seed: int) -> None:
-    """A P wave of opposite sign, arriving 1.4 to 2 times as fast, leaves the peak where it is."""
+@given(st.floats(100.0, 2000.0), st.floats(0.05, 1.5), st.integers(0, 2**32 - 1))
+def test_precursor_of_opposite_sign_does_no_harm(velocity: float, depth: float, seed: int) -> None:
+    """A P wave of opposite sign, 1.4 to 2 times as fast and however large, leaves the peak where it is."""
     frequency = 4.0 * velocity / DISTANCE  # four wavelengths between the walls: both waves are apart
     signals = delayed(velocity, frequency)
     faster = np.random.default_rng(seed).uniform(1.4, 2.0)
@@ -109,8 +109,8 @@ def test_precursor_of_opposite_sign_lowers_quality_only(velocity: float, depth: 
     height = signals.received.max()
     picks = read_travel_times(with_received(signals, signals.received - height * precursor))
     assert error(picks.peak, velocity) < 0.001
-    assert picks.peak.quality == pytest.approx(1.0 - depth, abs=0.05)  # smoothing takes a little off
-    assert picks.first_arrival.quality == pytest.approx(1.0 - depth, abs=0.05)
+    assert picks.peak.quality == pytest.approx(min(1.0, 1.0 / depth), abs=0.05)  # smoothing takes a little off
+    assert picks.first_arrival.quality == pytest.approx(1.0, abs=0.05)
 
 
 def test_naive_threshold_would_take_the_precursor() -> None:
@@ -122,23 +122,62 @@ def test_naive_threshold_would_take_the_precursor() -> None:
     assert picks.peak.quality == pytest.approx(0.6, abs=0.05)
 
 
-def test_precursor_as_large_as_the_peak_is_not_trusted() -> None:
-    """A swing of opposite sign that is larger than the peak after it makes all readings fail, and says why."""
+@pytest.mark.parametrize("height", [0.55, 0.7, 0.9])
+@pytest.mark.parametrize("ratio", [1.42, 2.0])
+def test_p_wave_of_the_same_sign_is_not_taken_for_the_s_wave(height: float, ratio: float) -> None:
+    """However high it is, the larger pulse that follows is read; half of it used to be enough."""
     signals = delayed(200.0, 10e3)
-    precursor = bump(signals, 0.5e-4 + DISTANCE / 290.0, 10e3, 1.2 * signals.received.max())
+    faster = bump(signals, 0.5e-4 + DISTANCE / (ratio * 200.0), 10e3, height * signals.received.max())
+    both = with_received(signals, signals.received + faster)
+    picks = read_travel_times(both)
+    assert error(picks.peak, 200.0) < 0.001
+    assert error(picks.cross_correlation, 200.0) < 0.001
+    # Nor is it while the S wave is still to come.
+    cuts = [both.received[:length] for length in range(100, len(both.received), 25)]
+    assert {reading.velocity for cut in cuts if (reading := read_travel_times(with_received(both, cut)).peak)} <= {
+        None,
+        picks.peak.velocity,
+    }
+
+
+def test_p_wave_that_runs_into_the_s_wave_is_a_reason() -> None:
+    """Where the way is short, a deep swing right before the peak has moved it: all readings fail, and say why."""
+    signals = delayed(200.0, 2.4e3)
+    middle = 0.5 / 2.4e3 + DISTANCE / 200.0
+    precursor = bump(signals, middle - 0.6 / 2.4e3, 2.4e3, signals.received.max())
     picks = read_travel_times(with_received(signals, signals.received - precursor))
     for reading in (picks.peak, picks.first_arrival, picks.cross_correlation):
         assert reading == Reading(failure=PickFailure.PRECURSOR)
 
 
-def test_precursor_stays_a_reason_when_something_larger_follows() -> None:
-    """A doubtful peak is not replaced by the next one, such as the ringing after it."""
+def test_two_waves_in_one_broad_peak_are_a_reason() -> None:
+    """Where the way is short, two pulses of one sign become one that is too broad to have a middle."""
+    signals = delayed(200.0, 2.4e3)
+    faster = bump(signals, 0.5 / 2.4e3 + DISTANCE / 200.0 - 0.45 / 2.4e3, 2.4e3, 0.9 * signals.received.max())
+    picks = read_travel_times(with_received(signals, signals.received + faster))
+    assert picks.peak == Reading(failure=PickFailure.BROAD)
+
+
+def test_what_follows_a_p_wave_of_opposite_sign_is_read() -> None:
+    """A deep swing tells that the S wave comes next, though ringing behind it is larger, up to twice."""
     signals = delayed(200.0, 10e3, longer=2.0)
     height, middle = signals.received.max(), 0.5e-4 + DISTANCE / 200.0
     precursor = bump(signals, 0.5e-4 + DISTANCE / 290.0, 10e3, 1.2 * height)
     ringing = bump(signals, middle + 2.6e-4, 10e3, 1.7 * height)
-    picks = read_travel_times(with_received(signals, signals.received - precursor + ringing))
-    assert picks.peak.failure is PickFailure.PRECURSOR
+    assert error(read_travel_times(with_received(signals, signals.received - precursor + ringing)).peak, 200.0) < 0.001
+    without = read_travel_times(with_received(signals, signals.received + ringing))
+    assert without.peak.travel_time == pytest.approx(DISTANCE / 200.0 + 2.6e-4, rel=1e-3)
+
+
+def test_readings_that_disagree_are_not_trusted() -> None:
+    """A reading that differs from the other two by a tenth fails alone; the message says why."""
+    signals = delayed(400.0, 10e3)
+    height, middle = signals.received.max(), 0.5e-4 + DISTANCE / 400.0
+    foot = bump(signals, middle - 0.6e-4, 10e3, 0.3 * height)
+    picks = read_travel_times(with_received(signals, signals.received + foot))
+    assert picks.first_arrival == Reading(failure=PickFailure.DISAGREEMENT)
+    assert error(picks.peak, 400.0) < 0.05
+    assert error(picks.cross_correlation, 400.0) < 0.1
 
 
 def test_small_peak_between_negative_swings_is_not_the_arrival() -> None:
@@ -182,11 +221,9 @@ def humps(second: float, apart: float, velocity: float = 400.0) -> Signals:
 
 @given(st.floats(0.985, 1.015), st.floats(0.57, 0.65))
 def test_two_tops_of_one_height_are_no_peak(second: float, apart: float) -> None:
-    """Which of them is the peak would be chance; the other two methods have their readings."""
+    """Which of them is the peak would be chance, and so would be the other readings."""
     picks = read_travel_times(humps(second, apart))
-    assert picks.peak.failure is PickFailure.UNSURE
-    assert picks.first_arrival.velocity is not None
-    assert picks.cross_correlation.velocity is not None
+    assert {picks.peak.failure, picks.first_arrival.failure, picks.cross_correlation.failure} == {PickFailure.UNSURE}
     assert has_arrived(humps(second, apart))
 
 
@@ -249,7 +286,7 @@ def test_doubtful_ripple_does_not_spoil_a_large_peak() -> None:
     """A ripple of 1 % that swings both ways is doubtful itself, but not beside the peak that comes later."""
     signals = delayed(60.0, 4e3)
     height = 0.01 * signals.received.max()
-    ripple = bump(signals, 5e-4, 4e3, height) - bump(signals, 3e-4, 4e3, height)
+    ripple = bump(signals, 7e-4, 4e3, height) - bump(signals, 2.5e-4, 4e3, height)
     assert error(read_travel_times(with_received(signals, signals.received + ripple)).peak, 60.0) < 0.001
 
 
@@ -341,9 +378,9 @@ def test_wave_outside_the_window_is_no_arrival() -> None:
 
 
 def test_unlike_signals_fail_by_correlation_only() -> None:
-    """A peak four times as long as the sent pulse is a peak still, but does not correlate well."""
+    """A peak 2.5 times as long as the sent pulse is a peak still, but does not correlate well."""
     signals = delayed(100.0, 10e3, longer=2.0)
-    long = bump(signals, 0.5e-4 + DISTANCE / 100.0, 1.5e3, 1.0)
+    long = bump(signals, 0.5e-4 + DISTANCE / 100.0, 4e3, 1.0)
     picks = read_travel_times(with_received(signals, long), PickRule(correlation=0.99))
     assert error(picks.peak, 100.0) < 0.01
     assert picks.cross_correlation.failure is PickFailure.UNLIKE
@@ -355,7 +392,6 @@ def test_unlike_signals_fail_by_correlation_only() -> None:
         ({"slowest": 0.0}, "slowest"),
         ({"slowest": 6e3}, "slowest"),
         ({"fastest": float("inf")}, "fastest"),
-        ({"significance": 0.0}, "significance"),
         ({"prominence": 1.1}, "prominence"),
         ({"width": -1.0}, "width"),
         ({"precursor": float("nan")}, "precursor"),

@@ -14,29 +14,41 @@ from calcidem.dem.wave.main_peak import MainPeak, PreparedSignals, find_main_pea
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
 
 _PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
-_APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
+_DISAGREEMENT = 0.1  # of the travel time
 _DEFAULT_RULE = PickRule()
 
 
 def read_travel_times(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> Picks:
     """Read the travel time of a pulse by three methods.
 
-    Without a trusted main peak all three readings fail, for the same reason.
+    Without a trusted main peak all three readings fail, for the same reason. A reading that differs from the middle one
+    by more than a tenth fails alone; of two that differ both do.
     """
     record = prepare_signals(signals, rule)
     main = find_main_peak(record)
-    if isinstance(main, PickFailure):
-        failed = Reading(failure=main)
-        return Picks(failed, failed, failed)
-    return Picks(
-        peak=_read_peak(record, main),
-        first_arrival=_read_first_arrival(record, main),
-        cross_correlation=_read_cross_correlation(record, main),
+    failure = main if isinstance(main, PickFailure) else main.doubt
+    if isinstance(main, PickFailure) or failure is not None:
+        return Picks(*[Reading(failure=failure)] * 3)
+    return _judge_together(
+        _read_peak(record, main), _read_first_arrival(record, main), _read_cross_correlation(record, main)
     )
 
 
+def _judge_together(*readings: Reading) -> Picks:
+    """Drop what differs from the middle of the readings; of two that differ neither can be trusted."""
+    times = sorted(reading.travel_time for reading in readings if reading.travel_time is not None)
+
+    def stands_alone(reading: Reading) -> bool:
+        if reading.travel_time is None:
+            return False
+        against = times[1:2] if len(times) == len(readings) else times
+        return any(abs(reading.travel_time - time) > _DISAGREEMENT * time for time in against)
+
+    return Picks(*(Reading(failure=PickFailure.DISAGREEMENT) if stands_alone(one) else one for one in readings))
+
+
 def has_arrived(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> bool:
-    """Return whether the main peak is settled, so that a longer record of this sample changes no reading."""
+    """Return whether the main peak is settled, trusted or not: a longer record of this sample changes no reading."""
     return isinstance(find_main_peak(prepare_signals(signals, rule)), MainPeak)
 
 
@@ -48,10 +60,7 @@ def record_duration(distance: float, velocity: float, frequency: float, rule: Pi
 
 def _read_peak(record: PreparedSignals, main: MainPeak) -> Reading:
     """Read the time between both peaks."""
-    travel = main.time - record.sent_peak
-    if main.twin > _APART * travel:
-        return Reading(failure=PickFailure.UNSURE)
-    return record.reading(travel, main.quality)
+    return record.reading(main.time - record.sent_peak, main.quality)
 
 
 def _read_first_arrival(record: PreparedSignals, main: MainPeak) -> Reading:

@@ -1,7 +1,8 @@
 """The main peak of a received signal, on which every reading of a travel time leans.
 
 Bare rules fail on real records: the largest value may be a reflection, and the first one above some level a precursor
-(a P wave of the near field) or noise. This search looks no further than a horizon behind the peak it takes.
+(a P wave of the near field) or noise. This search takes the first peak that nothing exceeds up to a horizon behind it,
+and looks no further. Its bounds were set on synthetic signals with a known delay (docs/reading.md).
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,15 @@ from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
-_TWIN = 0.03  # of the height of a top; step and regime change signals by half of that (docs/accuracy.md)
+_FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
+_BEHIND_P = 0.5  # of the largest value; the first peak as high as this behind a P wave of opposite sign is the S wave
+_TROUGH = 1.6  # over the height of a peak; what goes deeper behind it is no part of the same pulse
+_TWIN = 0.05  # of the height of a top; step and regime change signals by a third of that (docs/accuracy.md)
+_APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
+_BLUR = 0.14  # of the travel time that half the additional width of a peak may be ...
+_BLURRED = 1.4  # ... in records with fewer periods on the way
+_OVERLAP = 0.8  # periods between a swing and the peak that it runs into ...
+_OVERLAPPING = 1.7  # ... in records with fewer periods on the way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +80,11 @@ class MainPeak:
     height, noise
         In the unit of the received signal.
     precursor
-        Largest earlier swing over the height.
+        Largest earlier bump of the same sign over the height.
     quality
         See `Picks`.
-    twin
-        Number of samples to its farthest twin, see `_farthest_twin`.
+    doubt
+        Why its time cannot be trusted; None if it can.
     end
         Number of samples on which all this, and every other reading, depends.
     """
@@ -86,7 +95,7 @@ class MainPeak:
     noise: float
     precursor: float
     quality: float
-    twin: int
+    doubt: PickFailure | None
     end: int
 
 
@@ -118,10 +127,9 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
 
 
 def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
-    """Find the first peak that nothing up to its horizon outshines.
+    """Find the first peak that nothing up to its horizon exceeds, by more than twice if a deep swing came before it.
 
-    A peak with earlier swings as large is passed over: ripples before the pulse look like that. It spoils the
-    record only if no later peak makes it small.
+    A deep swing of opposite sign is the P wave; what follows it is the S wave, and what is larger still a reflection.
     """
     rule, smooth = record.rule, record.smooth
     if not np.isfinite(record.received).all():
@@ -130,74 +138,71 @@ def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
     # Of the whole record, and so at least as large as in the view up to the horizon.
     stands_out = found["prominences"] >= rule.prominence * found["peak_heights"]
     travel = peaks - record.sent_peak
-    doubtful = 0.0
     for index in peaks[stands_out & (travel > record.earliest) & (travel < record.latest)].tolist():
         time = index + parabola_vertex(smooth, index)
         horizon = int(np.ceil(time + max((rule.horizon - 1.0) * (time - record.sent_peak), record.period)))
         if horizon + record.reach > len(smooth):
-            return PickFailure.PRECURSOR if doubtful else _why_no_peak(record, cut_off=True)
+            return _why_no_peak(record, cut_off=True)
         peak = _judge_peak(record, index, time, horizon)
-        if peak is not None and peak.precursor >= rule.precursor:
-            doubtful = max(doubtful, peak.height)
-        elif peak is not None:
-            return peak if doubtful < rule.significance * peak.height else PickFailure.PRECURSOR
-    return PickFailure.PRECURSOR if doubtful else _why_no_peak(record, cut_off=False)
+        if peak is not None:
+            return peak
+    return _why_no_peak(record, cut_off=False)
 
 
 def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) -> MainPeak | None:
     """Weigh a peak against the record up to its horizon; None if it cannot be the main one."""
-    rule, view = record.rule, record.smooth[:horizon]
-    height, largest = float(view[index]), float(view.max())
-    noise = _noise_level(record, horizon)
+    rule, view, periods = record.rule, record.smooth[:horizon], (time - record.sent_peak) / record.period
+    height = float(view[index])
+    trough = int(np.argmin(view[: index + 1]))
+    behind_p = -float(view[trough]) > rule.precursor * height
+    if height < float(view.max()) * (_BEHIND_P if behind_p else 1.0) or -float(view[index:].min()) > _TROUGH * height:
+        return None
+    noise = _noise_level(record, horizon, periods * record.period / _FASTEST_P)
     prominence = float(peak_prominences(view, [index])[0][0])
-    width = float(peak_widths(view, [index], rel_height=0.5)[0][0])
+    width = float(peak_widths(view, [index], rel_height=0.5)[0][0]) / (record.period / 2.0)
     if (
-        height < rule.significance * largest
-        or prominence < rule.prominence * largest
-        or width < rule.width * record.period / 2.0
-        or height <= rule.signal_to_noise * noise
+        prominence < rule.prominence * height
+        or width < rule.width
+        or height * min(1.0, periods * periods) <= rule.signal_to_noise * noise
     ):
         return None
-    before = view[: index + 1]
-    bumps = find_peaks(before, prominence=0.0)[1]["prominences"]
-    precursor = max(0.0, -float(before.min()), float(bumps.max(initial=0.0))) / height
-    stands_out = min(prominence, height) / float(np.abs(view).max())
+    precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
+    doubt = None
+    if _has_twin(view[:index] if behind_p else view, height, index, _APART * periods * record.period):
+        doubt = PickFailure.UNSURE
+    elif periods < _BLURRED and 0.5 * (width - 1.0) > _BLUR * periods:
+        doubt = PickFailure.BROAD
+    elif behind_p and periods < _OVERLAPPING and index - trough < _OVERLAP * record.period:
+        doubt = PickFailure.PRECURSOR
     return MainPeak(
         index=index,
         time=time,
         height=height,
         noise=noise,
         precursor=precursor,
-        quality=stands_out * max(0.0, 1.0 - precursor),
-        twin=_farthest_twin(view, index, (1.0 + _TWIN) * rule.prominence * largest),
+        quality=min(prominence, height) / float(np.abs(view).max()) * max(0.0, 1.0 - precursor),
+        doubt=doubt,
         end=horizon + record.reach,
     )
 
 
-def _farthest_twin(view: Floats, index: int, prominence: float) -> int:
-    """Return the number of samples to the farthest top that a slightly different signal would have as its main peak.
-
-    The lower of two tops loses its prominence to the higher one, unless the dip between them is deep enough.
-    """
-    height = float(view[index])
-    farthest = 0
-    for top in find_peaks(view, height=(1.0 - _TWIN) * height)[0].tolist():
-        between = view[min(top, index) : max(top, index) + 1]
-        if height - float(between.min()) < prominence:
-            farthest = max(farthest, abs(top - index))
-    return farthest
+def _has_twin(view: Floats, height: float, index: int, apart: float) -> bool:
+    """Whether a slightly different signal would have its largest value elsewhere, further away than so many samples."""
+    tops = find_peaks(view, height=(1.0 - _TWIN) * height)[0]
+    return bool(np.any(np.abs(tops - index) > apart))
 
 
-def _noise_level(record: PreparedSignals, horizon: int) -> float:
-    """Return the larger of what was there before any wave, and of what smoothing takes away (rms)."""
-    quiet = np.abs(record.smooth[: max(1, int(record.earliest))]).max()
+def _noise_level(record: PreparedSignals, horizon: int, quiet: float) -> float:
+    """Return the larger of what was there in the first samples, and of what smoothing takes away (rms)."""
+    swing = np.abs(record.smooth[: max(1, int(max(quiet, record.earliest)))]).max()
     rough = np.std(record.received[:horizon] - record.smooth[:horizon])
-    return float(max(quiet, rough))
+    return float(max(swing, rough))
 
 
 def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     """Tell silence, a record that ends too early, and a record without a clear peak apart."""
-    smooth, noise = record.smooth, _noise_level(record, len(record.smooth))
+    smooth = record.smooth
+    noise = _noise_level(record, len(smooth), (int(np.argmax(smooth)) - record.sent_peak) / _FASTEST_P)
     if np.abs(smooth).max() <= max(record.signals.floor, record.rule.signal_to_noise * noise):
         return PickFailure.SILENT
     rising = np.argmax(smooth) >= len(smooth) - record.period

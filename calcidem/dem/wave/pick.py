@@ -17,8 +17,10 @@ class PickFailure(StrEnum):
     SILENT = "nothing above the noise was received"
     TOO_SHORT = "the record ends before the main peak is certain: record for longer"
     NO_PEAK = "no peak stands out of the received signal"
-    PRECURSOR = "an earlier swing is nearly as large as the main peak"
-    UNSURE = "two tops are of nearly the same height, either may be the peak: use the cross-correlation"
+    PRECURSOR = "a swing of opposite sign runs into the main peak and may have moved it: send a higher frequency"
+    BROAD = "the main peak is so broad that a faster wave may be part of it: send a higher frequency"
+    UNSURE = "two tops are of nearly the same height, either may be the peak: send another frequency"
+    DISAGREEMENT = "differs by more than a tenth from the other readings: look at the signal, send a higher frequency"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
     UNLIKE = "the received signal does not resemble the sent pulse"
@@ -33,24 +35,23 @@ class PickRule:
     slowest, fastest
         Window of possible velocities, m/s. What is recorded before the fastest wave is there tells the zero
         line and the noise, so it pays not to set the latter higher than needed.
-    significance
-        Smallest height of the main peak, relative to the largest value up to the horizon.
     prominence
-        Smallest prominence of the main peak, relative to the same.
+        Smallest prominence of the main peak, relative to its height.
     width
         Smallest width of the main peak at half its prominence, relative to the sent pulse's: grains widen a
         pulse, and what is much narrower is noise.
     precursor
-        Earlier swings of this size, relative to the main peak, make it doubtful.
+        Swings of opposite sign of this size, relative to the main peak, make it doubtful if they run into it.
     horizon
         How far the record is judged, as a multiple of the travel time of a peak, but at least one period
-        behind it. P waves are 1.4 to 1.5 times as fast as S waves in packings with k_s / k_n of 1 to 0.86 (in a
-        hexagonal lattice ``sqrt((3 k_n + k_s) / (k_n + k_s))`` times), so a P wave is not taken for the S wave that is
-        still to come.
+        behind it. P waves are 1.3 to 2 times as fast as S waves (in a hexagonal lattice
+        ``sqrt((3 k_n + k_s) / (k_n + k_s))`` times, 1.4 to 1.5 for k_s / k_n of 1 to 0.86), so a P wave is not taken
+        for the larger S wave that is still to come.
     onset
         Level of the first arrival, relative to the peak.
     signal_to_noise
-        Smallest ratio of the main peak to the noise.
+        Smallest ratio of the main peak to the noise, which is what was there before a P wave could be. A peak that
+        comes within a period leaves too little of that to tell, and has to be higher still.
     correlation
         Smallest normalised correlation that is still a resemblance.
     smoothing
@@ -60,13 +61,12 @@ class PickRule:
 
     slowest: float = 20.0
     fastest: float = 5000.0
-    significance: float = 0.5
     prominence: float = 0.5
     width: float = 0.4
-    precursor: float = 0.8
-    horizon: float = 1.5
+    precursor: float = 0.5
+    horizon: float = 2.1
     onset: float = 0.1
-    signal_to_noise: float = 3.0
+    signal_to_noise: float = 4.0
     correlation: float = 0.5
     smoothing: float = 0.25
 
@@ -74,7 +74,7 @@ class PickRule:
         """Refuse rules that pick nothing or anything."""
         if not 0.0 < self.slowest < self.fastest < np.inf:
             raise ValueError(f"slowest = {self.slowest}, fastest = {self.fastest} m/s: give 0 < slowest < fastest")
-        for name in ("significance", "prominence", "width", "precursor", "correlation", "smoothing"):
+        for name in ("prominence", "width", "precursor", "correlation", "smoothing"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
         if not _PULSE_START <= self.onset < 1.0:
@@ -150,15 +150,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Picks:
-    """Travel time by three methods.
+    """Travel time by three methods, which were weighed against one another (docs/reading.md).
 
     Attributes
     ----------
     peak
-        From the peak sent to the main peak received, unless a slightly different signal would have another one.
-        Quality: how far that peak stands out (its prominence, not counting what lies below zero, over the largest
-        absolute value up to the horizon), times how little came before (one less the largest earlier swing over
-        the peak).
+        From the peak sent to the main peak received. Quality: how far that peak stands out (its prominence, not
+        counting what lies below zero, over the largest absolute value up to the horizon), times how little of its sign
+        came before (one less the largest earlier bump over the peak).
     first_arrival
         From the sent to the received signal's last rise through the onset level before their peaks. Using
         the same level on both takes out the delay that a level has. Quality: how little came before.
