@@ -46,7 +46,7 @@ def shear_modulus(state: State, edges: Sequence[Integers], lane: int = 0) -> flo
     pairs = state.assembly.pairs
     whole = bool(np.all((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0))
     require(whole, "state", "with broken bonds", "their contacts have no one stiffness")
-    strain_matrix, stiffness = _springs(state, lane)
+    strain_matrix, stiffness = contact_springs(state, lane)
     require(bool(np.any(stiffness > 0.0)), "state", "without contacts", "give disks that touch")
     affine, in_row, area = _mean_shear(state, edges)
     on_rim = np.any(in_row[:, pairs.first] & in_row[:, pairs.second], axis=0)
@@ -62,7 +62,7 @@ def shear_modulus(state: State, edges: Sequence[Integers], lane: int = 0) -> flo
     return float(stiffness @ (strain_matrix @ moved) ** 2 / area)
 
 
-def _springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
+def contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
     """Approach, slide and roll of each pair from the motion of the disks, (3 M, 3 N), and stiffnesses (3 M,), N/m.
 
     A disk moves by x, y and radius times rotation, in memory order.
