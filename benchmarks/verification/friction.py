@@ -28,7 +28,7 @@ def _on_floor(speed: float, fraction: float, *, rotation: bool) -> tuple[State, 
 
 @check(
     "Coulomb: a block slides v^2 / (2 mu g) + mu N / (2 k_s) before it turns back",
-    source="Newton; while it slides, the shear spring holds mu N", tolerance=2e-4,
+    source="Newton; while it slides, the shear spring holds mu N", tolerance=1e-4,
     reason="it begins to slide within a step, one of 450",
 )  # fmt: skip
 def _block() -> float:
@@ -48,7 +48,7 @@ def _block() -> float:
     reason="rolling swings on the shear spring, by mu N over k_s a part", quick=True,
 )  # fmt: skip
 def _bowling() -> float:
-    speed = 5.0
+    speed = 1.0
     state, depth = _on_floor(speed, 0.05, rotation=True)
     mass = float(GRAIN.mass(_RADIUS))
     arm = _RADIUS - depth / 2.0
@@ -63,17 +63,18 @@ def _bowling() -> float:
 _CEMENT = Cement(bond_modulus=3.1e8, bond_stiffness_ratio=1.7, linear_modulus=0.9e8)
 
 
-def _oscillator(alpha: float, fraction: float) -> tuple[State, float]:
+def _oscillator(alpha: float, fraction: float, n: tuple[float, float]) -> tuple[State, float]:
     """Disk on a bond to a held disk, kicked along it, with the step as a part of the period; angular frequency."""
     radius = np.array([1.1e-3, 1.7e-3])
+    place = np.outer([0.0, radius.sum()], n)
     scene = Scene(
-        np.array([0.0, 0.6 * radius.sum()]), np.array([0.0, 0.8 * radius.sum()]), radius, sand_of(GRAIN),
-        bonds=Bonds(np.array([[0, 1]]), _CEMENT), held=np.array([True, False]), damping=alpha,
+        place[:, 0], place[:, 1], radius, sand_of(GRAIN), bonds=Bonds(np.array([[0, 1]]), _CEMENT),
+        held=np.array([True, False]), damping=alpha,
     )  # fmt: skip
     stiffness = (_CEMENT.bond_modulus + _CEMENT.linear_modulus) * 2.0 * radius[0] / radius.sum()
     omega = float(np.sqrt(stiffness / GRAIN.mass(radius[1])))
     step = fraction * 2.0 * np.pi / omega
-    velocity = np.array([[0.0, 0.0], [0.6, 0.8]]) * 1e-3
+    velocity = np.outer([0.0, 1e-3], n)
     return start(scene, features=features_of(scene, "linear"), velocity=velocity, time_step=step), omega
 
 
@@ -82,7 +83,7 @@ def _oscillator(alpha: float, fraction: float) -> tuple[State, float]:
     tolerance=1e-10, reason="rounding over 2,000 steps", quick=True,
 )  # fmt: skip
 def _frequency() -> float:
-    state, omega = _oscillator(0.0, 0.13)
+    state, omega = _oscillator(0.0, 0.13, (0.6, 0.8))
     path, _ = history(state, 2000)
     moved = (path - path[0])[:, 1, :2] @ [0.6, 0.8]
     dt = float(state.time_step[0])
@@ -93,16 +94,9 @@ def _frequency() -> float:
 
 @cache
 def _damped(alpha: float) -> tuple[Floats, Floats, float]:
-    """Extremes of a damped oscillator along x, their times and its angular frequency; 2,000 steps a period."""
-    radius = np.array([1.1e-3, 1.7e-3])
-    state, omega = _oscillator(alpha, 5e-4)
-    scene = Scene(
-        np.array([0.0, radius.sum()]), np.zeros(2), radius, sand_of(GRAIN), bonds=state.scene.bonds,
-        held=state.scene.held, damping=alpha,
-    )  # fmt: skip
-    velocity = np.array([[0.0, 0.0], [1e-3, 0.0]])
-    state = start(scene, features=features_of(scene, "linear"), velocity=velocity, time_step=state.time_step)
-    path, _ = history(state, 5200)
+    """Extremes of a damped oscillator along x, their times and its angular frequency; 1,000 steps a period."""
+    state, omega = _oscillator(alpha, 1e-3, (1.0, 0.0))
+    path, _ = history(state, 2600)
     x = path[:, 1, 0] - path[0, 1, 0]
     turns = np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0.0) + 1
     return np.abs(x[turns]), turns * float(state.time_step[0]), omega
@@ -110,8 +104,8 @@ def _damped(alpha: float) -> tuple[Floats, Floats, float]:
 
 @check(
     "Oscillator with local damping: each half cycle shrinks by sqrt((1 - alpha) / (1 + alpha)); alpha 0.05 to 0.9",
-    source="energy of the half cycles: (1 - alpha) A^2 on the way in is (1 + alpha) A'^2 on the way out", tolerance=2e-4,
-    reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 1e-5 times a few", quick=True,
+    source="energy of the half cycles: (1 - alpha) A^2 on the way in is (1 + alpha) A'^2 on the way out", tolerance=4e-4,
+    reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 4e-5 times a few", quick=True,
 )  # fmt: skip
 def _decay() -> float:
     worst = 0.0
@@ -124,8 +118,8 @@ def _decay() -> float:
 
 @check(
     "Oscillator with local damping: half cycles last pi / (2 omega) (1 / sqrt(1 - alpha) + 1 / sqrt(1 + alpha))",
-    source="quarter periods of the two stiffnesses", tolerance=5e-3,
-    reason="a velocity that turns within a step keeps the kick of the other branch: up to (1 + alpha) / (1 - alpha) steps of 1,000", quick=True,
+    source="quarter periods of the two stiffnesses", tolerance=1e-2,
+    reason="a velocity that turns within a step keeps the kick of the other branch: up to (1 + alpha) / (1 - alpha) steps of 500", quick=True,
 )  # fmt: skip
 def _half_cycle() -> float:
     worst = 0.0

@@ -108,7 +108,9 @@ def _limits_of_packings() -> Floats:
     for share, alpha in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (0.5, 0.7)):
         scene = boxed_packing(share_bonded=share, damping=alpha)
         exact = _exact_limit(scene, packing_springs(scene), QUARTZ)
-        ratios += [float(start(scene, regime=regime).critical_time_step[0]) / exact for regime in ("linear", "finite")]  # type: ignore[arg-type]
+        for regime in ("linear", "finite"):
+            state = start(scene, features=features_of(scene, regime))
+            ratios.append(float(state.critical_time_step[0]) / exact)
     return np.array(ratios)
 
 
@@ -159,5 +161,7 @@ def _gaps() -> float:
     for scene, springs in _gapped_scenes():
         exact = _exact_limit(scene, springs, GRAIN)
         for regime in ("linear", "finite"):
-            worst = max(worst, float(start(scene, regime=regime).critical_time_step[0]) / exact - 1.0)  # type: ignore[arg-type]
+            worst = max(
+                worst, float(start(scene, features=features_of(scene, regime)).critical_time_step[0]) / exact - 1.0
+            )
     return worst

@@ -20,7 +20,7 @@ matrix put together and solved elsewhere, a law of conservation, a slow twin, an
     python benchmarks/verification/run.py --out docs/verification.md
 
 It takes two minutes on one core. The scenes are in `benchmarks/verification`; radii, materials, directions and speeds were
-picked once, away from those of the paper and of the tests, and no tolerance was moved after a measurement to let a row pass.
+picked once, away from those of the paper and of the tests; a tolerance follows from the reason beside it.
 Errors are relative unless the row says what they are; rows that end in rounding differ in their last digits between
 computers. `tests/dem/test_verification.py` repeats the quick rows in every run of the tests, all of them with `--full`.
 
