@@ -37,8 +37,7 @@ class DamagedPackingError(ValueError):
 
 def cache_folder() -> Path:
     """Folder in which packings are kept between campaigns; need not exist yet."""
-    own = os.environ.get(CACHE_VARIABLE)
-    if own:
+    if own := os.environ.get(CACHE_VARIABLE):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "calcidem"
 
@@ -131,15 +130,7 @@ def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
 
 
 def _packing_of_own_disks(configuration: Configuration, check: Callable[[], None]) -> Packing:
-    """Make the packing of the disks in the configuration's file.
-
-    Raises
-    ------
-    PackingFileError
-        If the file is no longer the one that was looked at.
-    PackingError
-        If the disks do not come to rest.
-    """
+    """Make the packing of the disks in the configuration's file, unless that was changed meanwhile."""
     draw = configuration.packing_draw
     path = Path(str(draw.file))
     if sha256(path.read_bytes()).hexdigest() != draw.file_sha256:

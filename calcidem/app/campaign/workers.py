@@ -135,8 +135,7 @@ def describe_unlike(workers: Sequence[WorkerRecord]) -> str:
         + f" on {hosts_text(worker)}"
         for worker in workers
     )
-    doubt = describe_doubt(workers)
-    if doubt:
+    if doubt := describe_doubt(workers):
         return (
             f"Warning: the ranks are not alike, and {doubt}, so a cell could have other bits on one than on another: "
             f"{kinds}. Use machines of one kind, with one installation."

@@ -56,7 +56,9 @@ def query_command(
         selection = Selection(seed or None, content or None, status or None, where)
     except ValueError as error:
         raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
-    found = find(database, selection, _column_names(columns), _split_list(sort), limit, campaign)
+    names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+    names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+    found = find(database, selection, names, _split_list(sort), limit, campaign)
     if layout is Format.PARQUET:
         if out is None:
             raise QueryError("Parquet is a binary format.", "Give a file with --out.")
@@ -76,24 +78,9 @@ def find(
     limit: int | None = None,
     campaign_name: str | None = None,
 ) -> Columns:
-    """Columns of the selected cells; see `calcidem.storage.store.Store.table`.
-
-    Raises
-    ------
-    QueryError
-        For an unknown quantity or a filter that can't be understood.
-    StoreError
-        If the database can't be read.
-    """
+    """Columns of the selected cells, and what is refused: see `calcidem.storage.store.Store.table`."""
     with open_stored_campaign(database, campaign_name) as campaign:
         return campaign.store.table(columns, selection, sort=sort, limit=limit)
-
-
-def _column_names(text: str | None) -> Sequence[str]:
-    """Columns asked for: the default ones, all, or a list with commas."""
-    if text is None:
-        return _DEFAULT_COLUMNS
-    return tuple(QUANTITY_BY_NAME) if text == "all" else tuple(dict.fromkeys(_split_list(text)))
 
 
 def _split_list(text: str) -> list[str]:
@@ -117,11 +104,11 @@ def as_text(columns: Columns, layout: Format) -> str:
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     """Values of a column as Python's own, None where missing."""
-    if QUANTITY_BY_NAME[name].kind == "whole":
-        return [None if math.isnan(value) else int(value) for value in values.tolist()]
-    if QUANTITY_BY_NAME[name].kind == "real":
-        return [None if math.isnan(value) else value for value in values.tolist()]
-    return list(values)
+    kind = QUANTITY_BY_NAME[name].kind
+    if kind == "text":
+        return list(values)
+    number = int if kind == "whole" else float
+    return [None if math.isnan(value) else number(value) for value in values.tolist()]
 
 
 def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -153,13 +140,7 @@ def _format_value(value: object) -> str:
 
 
 def _write_parquet(columns: Columns, out: Path) -> None:
-    """Write columns into a Parquet file, replaced in one step.
-
-    Raises
-    ------
-    QueryError
-        If the library for Parquet isn't installed.
-    """
+    """Write columns into a Parquet file, replaced in one step."""
     import pandas as pd  # noqa: PLC0415 - takes half a second to import, and only this format needs it
 
     frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
