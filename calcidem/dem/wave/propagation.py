@@ -6,11 +6,13 @@ in their cement alone and are computed side by side.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Sand, require
+from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import SKIN, choose_features, start
 from calcidem.dem.kernels.features import Features
@@ -92,14 +94,19 @@ def prepare_recorder(
     held[driven] = True
     scene = replace(wave_scene(packing, sand, rule, bonds), held=held)
     skin = _wave_skin(packing, pulse)
-    state = start(
-        scene,
+    begin = partial(
+        start,
         features=_wave_features(scene, rule, skin, lanes),
         precision=rule.precision,
         preload=packing.preload,
         step_fraction=rule.step_fraction,
         skin_fraction=skin,
     )
+    state = begin(scene)
+    if rule.regime != "linear" and installation == "preserve":
+        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it.
+        loaded = replace(scene, load=-net_forces(state))
+        state = begin(loaded, features=_wave_features(loaded, rule, skin, lanes))
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
