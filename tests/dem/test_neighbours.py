@@ -9,9 +9,10 @@ from scenes import GROUPED, HERTZ, RADIUS, SOFT, jumble, throw
 from calcidem.dem.engine import state as state_module
 from calcidem.dem.engine.assembly import assemble, near_pairs
 from calcidem.dem.engine.histories import listed_pairs
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import DISTANCE, NORMAL_X, NORMAL_Y
 
 
@@ -28,6 +29,16 @@ def test_near_pairs_are_those_that_looking_at_all_pairs_finds(seed: int, count: 
         if np.hypot(*(centres[j] - centres[i])) - radius[i] - radius[j] < skin
     ]
     np.testing.assert_array_equal(near_pairs(centres, radius, skin), np.array(expected).reshape(-1, 2))
+
+
+@given(st.integers(0, 2**20), st.integers(2, 40), st.sampled_from([0.0, 1e-3, 0.3, 5.0]))
+def test_pairs_near_in_several_samples_are_those_of_each_alone(seed: int, count: int, apart: float) -> None:
+    """One search for all samples finds what a search in each finds together, however far apart the samples are."""
+    generator = np.random.default_rng(seed)
+    radius = generator.uniform(0.5, 0.7, count)
+    centres = generator.uniform(0.0, 10.0, (count, 2, 1)) + apart * generator.uniform(-1.0, 1.0, (count, 2, 3))
+    each = [near_pairs(centres[:, :, sample], radius, 0.2) for sample in range(3)]
+    np.testing.assert_array_equal(near_pairs(centres, radius, 0.2), np.unique(np.concatenate(each), axis=0))
 
 
 def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:

@@ -71,13 +71,22 @@ def _memory_order(scene: Scene) -> Integers:
 
 
 def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
-    """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second."""
+    """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second.
+
+    ``centres`` are (N, 2) or, in any of several samples, (N, 2, K).
+    """
+    samples = centres.reshape(len(centres), 2, -1)
+    middle = samples.mean(axis=2)
+    aside = samples - middle[:, :, None]
+    largest, apart = float(radius.max()), float(length(aside[:, 0], aside[:, 1]).max())
+    if apart > largest:  # one tree would find too much
+        return np.unique(np.concatenate([near_pairs(one, radius, skin) for one in np.moveaxis(samples, 2, 0)]), axis=0)
     # The tree looks a little further than need be: which of its pairs are near enough is decided here.
-    reach = (2.0 * float(radius.max()) + skin) * (1.0 + 1e-9)
-    found = cKDTree(centres).query_pairs(reach, output_type="ndarray")
-    apart = centres[found[:, 0]] - centres[found[:, 1]]
-    gap = length(apart[:, 0], apart[:, 1]) - (radius[found[:, 0]] + radius[found[:, 1]])
-    found = np.sort(found[gap < skin], axis=1)
+    reach = (2.0 * (largest + apart) + skin) * (1.0 + 1e-9)
+    found = cKDTree(middle).query_pairs(reach, output_type="ndarray")
+    between = samples[found[:, 0]] - samples[found[:, 1]]
+    gap = length(between[:, 0], between[:, 1]) - (radius[found[:, 0]] + radius[found[:, 1]])[:, None]
+    found = np.sort(found[(gap < skin).any(axis=1)], axis=1)
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
 
@@ -127,8 +136,8 @@ def assemble(
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
     # A sample that has blown up has no neighbours worth listing, and must not harm the others.
     samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
-    near = [pair_keys(near_pairs(centres[order, :, s], radius, skin), scene.count) for s in samples]
-    listed = np.unique(np.concatenate([*near, cemented]))
+    near = near_pairs(centres[order][:, :, samples], radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
+    listed = np.unique(np.concatenate([pair_keys(near, scene.count), cemented]))
     moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
     faced = [_near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
     facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
