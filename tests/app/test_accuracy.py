@@ -19,6 +19,7 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.rule import WaveRule
 
 pytestmark = pytest.mark.slow
@@ -115,6 +116,15 @@ def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, 
     assert row.error is not None
     assert row.other_error is not None
     assert with_errors(Explanation(4.0, precision(experiment), 1.0, 0.0), measured).error is None
+
+
+def test_a_wave_starts_in_equilibrium(experiment: Experiment) -> None:
+    """Loads hold what the packing left unbalanced: without a pulse, forces would move disks at less than 1e-15 m/s."""
+    faint = with_wave(experiment, regime="finite", amplitude=1e-6)
+    bonded = [faint.ordering(1).at(0.66).bonded] * 8
+    recorder = prepare_recorder(faint, bonded, faint.frequency(0.66), 8, lambda: None)
+    assert 0.0 < recorder.unbalanced_speed.max() < 1e-9
+    assert np.abs(recorder.state.scene.load).max() > 0.0
 
 
 def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
