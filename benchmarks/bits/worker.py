@@ -8,7 +8,7 @@ from pathlib import Path
 from calcidem.app.campaign.packing import packing_from_bytes
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.state import State, duplicate
+from calcidem.dem.engine.leapfrog import State, duplicate
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import Recorder
 

@@ -33,8 +33,9 @@ from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_p
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.leapfrog import Precision, no_recording, run_kernel
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import Precision, choose_features, no_recording, run_kernel, start
+from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 

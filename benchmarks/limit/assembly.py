@@ -5,7 +5,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from calcidem.dem.engine.state import State, no_recording, run_kernel
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.kernels.compiling import compile_function
 from calcidem.dem.kernels.steps import advance_steps
 

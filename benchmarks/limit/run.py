@@ -25,8 +25,9 @@ from assembly import assembly_of, pair_loop
 from ceilings import Ceilings, measure_ceilings
 from scenes import Problem, as_scene, packing_problem, touching_pairs
 
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
+from calcidem.dem.engine.state import choose_features, start
 
 LANES = 8
 ROUNDS = 7

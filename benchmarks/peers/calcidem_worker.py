@@ -7,7 +7,8 @@ import numpy as np
 from scenes import as_scene, load_problem
 from worker import Engine, serve
 
-from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start, start_leapfrog
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel, start_leapfrog
+from calcidem.dem.engine.state import choose_features, start
 
 
 class Calcidem(Engine):

@@ -11,7 +11,7 @@ from time import process_time
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.state import State
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.wave import recorder
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import problems_of

@@ -20,8 +20,9 @@ from scipy.sparse.linalg import splu
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.settings import with_wave
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
-from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import NORMAL_X, NORMAL_Y, OVERLAP
 from calcidem.dem.wave.arrival import record_duration
 from calcidem.dem.wave.domain import listening_disks

@@ -23,8 +23,9 @@ from scipy.sparse.csgraph import connected_components
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.pulse import Pulse

@@ -12,8 +12,14 @@ from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.laws import SMALLEST_ROOT
 from calcidem.dem.kernels.layout import (
+    DISTANCE,
+    NORMAL_PATH,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
     REFERENCE_OVERLAP,
     SPEEDS,
+    XY,
     Flags,
     Floats,
     Grains,
@@ -21,6 +27,8 @@ from calcidem.dem.kernels.layout import (
     Pairs,
     WallPairs,
     Walls,
+    X,
+    Y,
 )
 
 _ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
@@ -153,7 +161,6 @@ def assemble(
 def _assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Grains:
     """Properties of the disks in memory order."""
     free = np.ones(scene.count) if scene.held is None else 1.0 - np.asarray(scene.held, dtype=float)
-    load = np.zeros((scene.count, 3)) if scene.load is None else np.asarray(scene.load, dtype=float)
 
     def sorted_copy(values: npt.ArrayLike) -> npt.NDArray[Any]:
         return aligned_copy(np.asarray(values)[order].astype(dtype))
@@ -164,7 +171,7 @@ def _assemble_grains(scene: Scene, order: Integers, dtype: npt.DTypeLike) -> Gra
         inverse_inertia=sorted_copy(free / scene.inertia),
         damping=sorted_copy(scene.per_disk(scene.damping)),
         friction=sorted_copy(scene.per_disk(scene.sand.friction)),
-        load=sorted_copy(load),
+        load=sorted_copy(scene.total_load),
         shear_ratio=scene.sand.shear_ratio,
     )
 
@@ -230,6 +237,31 @@ def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
     """(M, L) square roots of overlaps (M,), the same in all lanes."""
     values = np.maximum(np.sqrt(np.maximum(overlap, 0.0)), SMALLEST_ROOT)
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
+
+
+def pair_overlaps(assembly: Assembly, displacement: Floats, *, finite: bool) -> Floats:
+    """(M, L) overlaps of the listed pairs after displacements (N, 3, L), m; see `Features.finite`."""
+    pairs = assembly.pairs
+    moved = displacement[:, XY].astype(float)
+    apart = moved[pairs.second] - moved[pairs.first]
+    n_x, n_y, distance, overlap = (
+        pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP)
+    )
+    further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
+    if finite:
+        now = length(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
+        further = (2.0 * distance * further + (apart[:, X] ** 2 + apart[:, Y] ** 2)) / (now + distance)
+    return overlap - further
+
+
+def wall_pair_overlaps(assembly: Assembly, displacement: Floats) -> Floats:
+    """(V, L) overlaps of the listed wall pairs after displacements (N, 3, L), m."""
+    wall_pairs, walls = assembly.wall_pairs, assembly.walls
+    normal = walls.normal[wall_pairs.wall].astype(float)
+    moved = displacement[wall_pairs.disk, XY].astype(float)
+    away = normal[:, X, None] * moved[:, X] + normal[:, Y, None] * moved[:, Y]
+    closer: Floats = walls.motion[wall_pairs.wall, NORMAL_PATH] - away
+    return wall_pairs.overlap.astype(float)[:, None] + closer
 
 
 def _breaking_limits(strength: Floats) -> Floats:

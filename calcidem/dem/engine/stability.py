@@ -42,15 +42,25 @@ def critical_time_step(
     With the scaled rotation ``R theta / sqrt 2`` the three inertias of a disk are all ``m_i``, and a contact adds
     ``k_n (n (u_i - u_j))^2 + k_s (s_i u_i + s_j u_j)^2 + k_theta (theta_i - theta_j)^2`` to ``u K u``, with
     ``s = (t, sqrt 2 a / R)`` up to signs. The arm a from the centre to the contact is R, and longer by half of the gap
-    where cement spans one. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would add if each
-    moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
-    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``. A bond that may break gives way to
-    the sand's contact; whichever of the two is stiffer counts. A wall does not move, so its contacts count half. Local damping multiplies a force by up to ``1 + alpha``, as a mass
-    smaller by that factor would: it lowers the limit to ``2 / (omega sqrt(1 + alpha))``.
+    where cement spans one. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would add if
+    each moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
+    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``. A bond that may break gives way
+    to the sand's contact; whichever of the two is stiffer counts. A wall does not move, so its contacts count half.
+    Local damping multiplies a force by up to ``1 + alpha``, as a mass smaller by that factor would: it lowers the limit
+    to ``2 / (omega sqrt(1 + alpha))``.
 
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
     contacts, and that rules of thumb overestimate it.
     """
+    squared = squared_frequencies(scene, assembly, features, overlap, wall_overlap).max(axis=0)
+    with np.errstate(divide="ignore"):
+        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
+
+
+def squared_frequencies(
+    scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
+) -> Floats:
+    """Each disk's part in the bound of `critical_time_step` on the highest frequency: (N, L) squares, rad^2/s^2."""
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
     _add_pairs(matrices, scene, assembly, features, overlap)
     _add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
@@ -58,9 +68,7 @@ def critical_time_step(
         matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
     largest = largest_eigenvalue(matrices)
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
-    squared = (2.0 * inverse_mass[:, None] * largest).max(axis=0)
-    with np.errstate(divide="ignore"):
-        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
+    return np.asarray(2.0 * inverse_mass[:, None] * largest)
 
 
 def largest_eigenvalue(matrices: Floats) -> Floats:
@@ -154,7 +162,9 @@ def pair_stiffness(
         bond, linear = pairs.bond.astype(float), pairs.linear.astype(float)
         if features.linear_group:
             cemented = lanes_of_bits(pairs.cemented, features.lanes)
-            normal, shear = (np.where(cemented, linear[:, k, None], sand) for k, sand in ((NORMAL, normal), (SHEAR, shear)))
+            normal, shear = (
+                np.where(cemented, linear[:, k, None], sand) for k, sand in ((NORMAL, normal), (SHEAR, shear))
+            )
             normal, shear = normal + intact * bond[:, NORMAL, None], shear + intact * bond[:, SHEAR, None]
         else:
             least = (normal, shear) if features.breakage else (0.0, 0.0)
@@ -169,7 +179,7 @@ def _add_contacts(
 ) -> None:
     """Add the contacts' matrices to those of their disks, in place.
 
-    ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the stiffness against rotation, each (M, L).
+    ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the rotational stiffness, each (M, L).
     """
     arm, twist = turning
     s = np.empty((*arm.shape, 3))

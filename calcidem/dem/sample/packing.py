@@ -12,17 +12,19 @@ from time import perf_counter
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
-from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.engine.state import advance, start
+from calcidem.dem.engine.step_control import present_limit
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
 _RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
-_STEP_FRACTION = 0.8  # of the stability limit at the present overlaps
+_STEP_FRACTION = 0.8  # of the limit at the present overlaps
+_STEPS_PER_CONTACT = 4.0  # enough for impacts that damping is to end
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
 _FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
@@ -214,7 +216,7 @@ def make_packing(
         preload = _preload_of(state)
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
-    state = relax(scene, preload, rule, cost, check, filling=False)
+    state = relax(scene, preload, rule, cost, check)
     return packing_at_rest(state, rule, cost)
 
 
@@ -283,18 +285,25 @@ def box_walls(width: float, height: float, lid_force: float | None = None) -> tu
 
 
 def relax(
-    scene: Scene, preload: Preload | None, rule: PackingRule, cost: Cost, check: Callable[[], None], *, filling: bool
+    scene: Scene,
+    preload: Preload | None,
+    rule: PackingRule,
+    cost: Cost,
+    check: Callable[[], None],
+    *,
+    filling: bool = False,
+    own: bool = False,
 ) -> State:
     """Let a scene come to rest.
 
-    The step follows the stability limit at the present overlaps. While the box is being filled it is enough
-    that the disks have moved apart again: a loose gas of disks has no balance to wait for.
+    The step follows the stability limit at the present overlaps; for disks from elsewhere (``own``), which may hardly
+    touch, it also follows their impacts. While the box is being filled it is enough that the disks have moved apart
+    again: a loose gas of disks has no balance to wait for.
     """
-    state = start(scene, preload=preload)
+    state = start(scene, preload=preload, steps_per_contact=_STEPS_PER_CONTACT if own else 0.0)
     while True:
         check()
-        limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
-        state = advance(replace(state, time_step=_STEP_FRACTION * limit), _RELAXATION_CHUNK)
+        state = advance(replace(state, time_step=_STEP_FRACTION * present_limit(state)), _RELAXATION_CHUNK)
         cost.steps += _RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
         if not np.isfinite(ratio) or cost.steps > rule.most_steps:

@@ -64,7 +64,7 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[
     walls = box_walls(rule.width, height, rule.stress * rule.width)
     cost = Cost()
     scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
-    return packing_at_rest(relax(scene, None, boxed, cost, check, filling=False), boxed, cost)
+    return packing_at_rest(relax(scene, None, boxed, cost, check, own=True), boxed, cost)
 
 
 def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:

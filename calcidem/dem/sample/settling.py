@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_place
 from calcidem.dem.engine.readout import unbalanced_ratio
-from calcidem.dem.engine.state import State, duplicate, no_recording, run_in_place
 from calcidem.dem.kernels.layout import SPEEDS
 
 _SETTLING_CHUNK = 500  # steps between two looks

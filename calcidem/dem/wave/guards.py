@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.state import State
 from calcidem.dem.kernels.layout import Floats
 
 _BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
-from calcidem.dem.engine.state import State, run_in_place
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
 from calcidem.dem.wave.guards import problems_of
 from calcidem.dem.wave.pulse import Pulse

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from calcidem.dem.engine.leapfrog import Precision
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import Precision
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
 

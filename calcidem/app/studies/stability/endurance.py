@@ -8,9 +8,10 @@ import numpy as np
 
 from calcidem.app.studies.stability.limits import acceleration_matrix, inertia_of
 from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
+from calcidem.dem.engine.leapfrog import State, duplicate
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime, Scene
-from calcidem.dem.engine.state import State, advance, choose_features, duplicate, start
+from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _LONG = 100_000  # steps

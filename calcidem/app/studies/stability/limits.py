@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import State, choose_features, no_recording, run_kernel, start
+from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder

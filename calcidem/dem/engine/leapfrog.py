@@ -1,0 +1,323 @@
+"""State of a scene, and the leapfrog that changes it while nobody watches."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calcidem.dem.engine.assembly import Assembly, aligned_copy, aligned_zeros
+from calcidem.dem.engine.histories import renew_assembly
+from calcidem.dem.engine.scene import Scene
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import (
+    CONTACT_LOSS,
+    NORMAL_PATH,
+    PATHS,
+    ROTATION,
+    SPEEDS,
+    XY,
+    Floats,
+    Front,
+    Motion,
+    Recording,
+    System,
+    Watch,
+)
+from calcidem.dem.kernels.steps import advance_steps
+
+Precision = Literal["float64", "float32"]
+_REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
+_REACH_TOGETHER = 0.35  # the same where several steps are under way then
+STEPS_TOGETHER = 4
+SMALLEST_BLOCK = 32
+
+
+@dataclass(frozen=True, slots=True)
+class StepControl:
+    """How the step of a state follows its limit.
+
+    Attributes
+    ----------
+    fraction
+        Part of the limit that a step is chosen as.
+    per_contact
+        Steps that resolve an impact when the fraction is `SAFETY`; 0: impacts are not resolved.
+    fixed
+        True: the caller has given the step, which is never changed; a limit below it is an error.
+    next_look
+        Step at which the limit is looked at again.
+    stability
+        (L,) s, stability limit at the overlaps of the last look that had to compute it.
+    overlap
+        (2, L) m, largest and summed overlap at that look.
+    began
+        Steps and time (L,) at which the present step was chosen.
+    energy
+        (2, L) J/m: at the start, and the largest so far; NaN before the first step.
+    """
+
+    fraction: float
+    per_contact: float
+    fixed: bool
+    next_look: int
+    stability: Floats
+    overlap: Floats
+    began: tuple[int, Floats]
+    energy: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything that changes while a scene is advanced.
+
+    Attributes
+    ----------
+    scene
+        The scene and its reference geometry.
+    features
+        What the kernel was told to do.
+    time_step
+        (L,) s.
+    critical_time_step
+        (L,) s, its limit at the last look: the lower bound of `stability.critical_time_step`, and where disks move
+        freely not more than a twentieth of the shortest contact they may make.
+    control
+        How the one follows the other.
+    steps
+        Steps done.
+    skin
+        Rims of disks up to this far apart are listed as pairs, m; zero where nothing new can touch.
+    assembly
+        Neighbours and histories of the contacts, in memory order.
+    motion
+        Displacements and velocities, in memory order.
+    origin
+        (N, 2, L) displacements when the neighbours were listed.
+    wall_origin
+        (W, L) displacements of the walls along their normals, at that time.
+    account
+        (4, L) J/m: work of the walls and of held disks that move, losses of contacts (friction, changing shear
+        stiffness, broken bonds), local damping, work of the loads.
+    """
+
+    scene: Scene
+    features: Features
+    time_step: Floats
+    critical_time_step: Floats
+    control: StepControl
+    steps: int
+    skin: float
+    assembly: Assembly
+    motion: Motion
+    origin: Floats
+    wall_origin: Floats
+    account: Floats
+
+    @property
+    def time(self) -> Floats:
+        """(L,) s."""
+        steps, time = self.control.began
+        return time + self.time_step * (self.steps - steps)
+
+    def position(self, lane: int = 0) -> Floats:
+        """(N, 2) centres of the disks, m, in the order of the scene."""
+        reference = np.column_stack([self.scene.x, self.scene.y])
+        return reference + self.to_scene_order(self.motion.displacement[:, XY, lane])
+
+    def velocity(self, lane: int = 0) -> Floats:
+        """(N, 2) velocities half a step before `time` (at time zero: then), m/s, in the order of the scene."""
+        return self.to_scene_order(self.motion.velocity[:, XY, lane])
+
+    def spin(self, lane: int = 0) -> Floats:
+        """(N,) angular velocities half a step before `time`, rad/s, in the order of the scene."""
+        return self.to_scene_order(self.motion.velocity[:, ROTATION, lane])
+
+    def rotation(self, lane: int = 0) -> Floats:
+        """(N,) rotations since the start, rad, in the order of the scene."""
+        return self.to_scene_order(self.motion.displacement[:, ROTATION, lane])
+
+    def to_scene_order(self, values: Floats) -> Floats:
+        """Values of the disks brought from memory order back to the order of the scene."""
+        result = np.empty_like(values, dtype=float)
+        result[self.assembly.order] = values
+        return result
+
+
+def make_front(state: State) -> Front:
+    """Empty scratch for the steps in flight, see `layout.Front`."""
+    features, assembly = state.features, state.assembly
+    # A servo answers to the forces of the step before, and an account is summed up in the order of the steps.
+    together = 1 if features.servo or features.account else STEPS_TOGETHER
+    block = max(SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
+    slot_bits = (2 * block - 1).bit_length()
+    walls, lanes, dtype = len(state.scene.walls), features.lanes, state.motion.velocity.dtype
+    return Front(
+        levels=together,
+        block=block,
+        slot_bits=slot_bits,
+        force=aligned_zeros((3 * together << slot_bits, lanes), dtype),
+        wall_motion=aligned_zeros((together + 1, walls, 4, lanes), dtype),
+        reaction=aligned_zeros((together, walls, 3, lanes), dtype),
+    )
+
+
+def run_in_place(state: State, steps: int, recording: Recording) -> State:
+    """Let the kernel change a state in place for ``steps`` steps, with new lists of pairs where they are needed."""
+    done = 0
+    while done < steps:
+        count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
+        done += count
+        state = replace(state, steps=state.steps + count)
+        if done < steps:
+            state = renew_neighbours(state)
+    return state
+
+
+def run_kernel(state: State, steps: int, recording: Recording) -> int:
+    """Let the kernel change a state in place; return the steps it did."""
+    assembly, front = state.assembly, make_front(state)
+    reach = (_REACH if front.levels == 1 else _REACH_TOGETHER) * state.skin
+    system = System(
+        grains=assembly.grains,
+        motion=Motion(*(_rows(array) for array in state.motion)),
+        pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
+        wall_pairs=assembly.wall_pairs,
+        walls=assembly.walls,
+        front=front,
+        recording=recording,
+        watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
+    )
+    time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
+    return advance_steps(state.features, steps, time_step, system)
+
+
+def _rows(array: Floats) -> Floats:
+    """View of an array as rows of lanes, the shape in which kernels find their way fastest."""
+    return array.reshape(-1, array.shape[-1])
+
+
+def no_recording(state: State) -> Recording:
+    """Stand-in for a call in which nothing is driven or recorded."""
+    dtype, lanes = state.motion.velocity.dtype, state.features.lanes
+    return Recording(
+        drive=np.zeros((0, lanes), dtype),
+        driven=-1,
+        driven_disks=np.zeros(0, dtype=np.int64),
+        offset=0,
+        stride=np.iinfo(np.int64).max,  # never write: there is no room for samples
+        receiver=0,
+        listeners=np.zeros(0, dtype=np.int64),
+        samples=np.zeros((0, 2, lanes), dtype),
+    )
+
+
+def duplicate(state: State) -> State:
+    """Copy of everything the kernel changes in place."""
+    pairs, walls = state.assembly.pairs, state.assembly.walls
+    wall_pairs = state.assembly.wall_pairs
+    assembly = replace(
+        state.assembly,
+        pairs=pairs._replace(
+            intact=pairs.intact.copy(),
+            shear=aligned_copy(pairs.shear),
+            root=aligned_copy(pairs.root),
+            bond_force=aligned_copy(pairs.bond_force),
+        ),
+        wall_pairs=wall_pairs._replace(shear=aligned_copy(wall_pairs.shear), root=aligned_copy(wall_pairs.root)),
+        walls=walls._replace(motion=aligned_copy(walls.motion), reaction=aligned_copy(walls.reaction)),
+    )
+    motion = Motion(*(aligned_copy(array) for array in state.motion))
+    return replace(state, assembly=assembly, motion=motion, account=aligned_copy(state.account))
+
+
+def look_ahead(state: State) -> State:
+    """Return the state one step later, with histories that belong to the present position.
+
+    At time zero the histories do so already, hence nothing slides in that step.
+    """
+    ahead = duplicate(state)
+    if state.steps == 0:
+        ahead.motion.velocity[...] = 0.0
+        ahead.assembly.walls.motion[:, SPEEDS] = 0.0
+    run_kernel(ahead, 1, no_recording(state))
+    return ahead
+
+
+def start_leapfrog(state: State) -> State:
+    """First step from a state whose velocities are those of time zero: half a kick, then a drift.
+
+    The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
+    itself, which does one step on a copy at rest; damping, which needs the velocity, is added here.
+    """
+    current = duplicate(state)
+    dt = state.time_step.astype(state.motion.velocity.dtype)
+    probe = duplicate(state)
+    probe.motion.velocity[...] = 0.0
+    probe.assembly.walls.motion[:, SPEEDS] = 0.0
+    run_kernel(probe, 1, no_recording(state))
+    kick = probe.motion.velocity / 2.0
+    if state.features.damping:
+        alpha = state.assembly.grains.damping[:, None, None]
+        kick -= alpha * np.abs(kick) * np.sign(state.motion.velocity)
+    current.motion.velocity[...] += kick
+    current.motion.displacement[...] += dt * current.motion.velocity
+    walls = current.assembly.walls
+    walls.motion[:, PATHS] += dt * walls.motion[:, SPEEDS]
+    walls.reaction[...] = probe.assembly.walls.reaction
+    return replace(current, steps=state.steps + 1)
+
+
+def change_step(state: State, ahead: State, step: Floats) -> State:
+    """Return the state one step later, with new steps (L,).
+
+    The leapfrog is brought to the present, where velocities are the mean of those half a step before and after, and
+    begins anew, so that a change costs no order. ``ahead`` is what `look_ahead` gives; lanes that keep their step end
+    there.
+    """
+    if state.steps == 0:
+        return replace(state, time_step=step)
+    walls = ahead.assembly.walls
+    motion = aligned_copy(walls.motion)
+    motion[:, PATHS] = state.assembly.walls.motion[:, PATHS]
+    middle = (0.5 * (state.motion.velocity + ahead.motion.velocity)).astype(ahead.motion.velocity.dtype)
+    halted = replace(
+        state,
+        assembly=replace(ahead.assembly, walls=walls._replace(motion=motion)),
+        motion=Motion(aligned_copy(state.motion.displacement), middle),
+        time_step=step,
+    )
+    resumed = start_leapfrog(halted)
+    changed = step != state.time_step
+    for now, then in (
+        (ahead.motion.displacement, resumed.motion.displacement),
+        (ahead.motion.velocity, resumed.motion.velocity),
+        (walls.motion, resumed.assembly.walls.motion),
+    ):
+        now[..., changed] = then[..., changed]
+    # Half of the old and half of the new step lie between the two velocities.
+    share = 0.5 * (1.0 + step / state.time_step)
+    share = np.where(np.arange(len(state.account))[:, None] == CONTACT_LOSS, 1.0, share)
+    account = (state.account + share * (ahead.account - state.account)).astype(ahead.account.dtype)
+    control = replace(state.control, began=(state.steps, state.time))
+    return renew_neighbours(
+        replace(
+            ahead,
+            time_step=step,
+            control=control,
+            critical_time_step=state.critical_time_step,
+            steps=state.steps + 1,
+            account=account,
+        )
+    )
+
+
+def renew_neighbours(state: State) -> State:
+    """Return the same state with its pair list made anew."""
+    displacement = state.motion.displacement[:, XY]
+    assembly = renew_assembly(state.scene, state.assembly, displacement, state.skin)
+    return replace(
+        state,
+        assembly=assembly,
+        origin=aligned_copy(displacement),
+        wall_origin=aligned_copy(assembly.walls.motion[:, NORMAL_PATH]),
+    )

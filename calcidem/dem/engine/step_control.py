@@ -1,0 +1,204 @@
+"""The step while a scene is advanced: how it follows its limit, and what ends a run that cannot be trusted.
+
+The step is a part of the limit that present contacts, speeds and unbalanced forces set. It is looked at again and
+again, shrinks with its limit, and never grows. A step that the caller has fixed ends the run instead.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calcidem.dem.engine.assembly import pair_overlaps, wall_pair_overlaps
+from calcidem.dem.engine.energy import stored_energy
+from calcidem.dem.engine.impacts import Instant, contact_durations
+from calcidem.dem.engine.leapfrog import State, StepControl, change_step, look_ahead
+from calcidem.dem.engine.portable import length
+from calcidem.dem.engine.stability import critical_time_step, squared_frequencies
+from calcidem.dem.kernels.layout import ROTATION, SPEEDS, XY, Floats, X, Y
+
+SAFETY = 0.8  # default step as a part of the critical time step
+_CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
+_UNSEEN = 0.05  # part of it that two disks may come nearer between two looks without having been listed
+_BUSY_LOOK, _QUIET_LOOK = 32, 256  # steps to the next look at most
+_NOTICEABLE = 0.3  # motion over mean overlap in that time, below which stiffnesses change by less than the margin
+_GROWN = 1.3  # overlaps over those of the last stability limit at which it is computed again
+_NEAR = 0.5  # part of the stability limit below which only much deeper overlaps (x 16) can matter
+_SLACK = 1.05  # of a fixed step over the limit of impacts, which is an estimate
+_LEAP = 0.1  # of the smallest radius, in a step: a run that has blown up
+_ENERGY = 0.1  # of the largest energy so far, that may come from nowhere
+
+
+class UnstableRunError(RuntimeError):
+    """A run whose numbers cannot be trusted any more; the message names step, disk and cure."""
+
+
+def present_limit(state: State) -> Floats:
+    """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
+    now = _instant(state, look_ahead(state))
+    stability = critical_time_step(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+    return np.asarray(np.minimum(stability, _impact_limits(state, now)[0].min(axis=0)))
+
+
+def is_watched(state: State) -> bool:
+    """Whether the limit of the step may fall: not where stiffnesses stay, nor where others look after it."""
+    return not state.features.linear and state.control.per_contact > 0.0
+
+
+def _impact_limits(state: State, now: Instant) -> tuple[Floats, Floats]:
+    """Limit (N, L) by the impacts each disk may have and by what it may cross in a step, s; fastest speed (L,), m/s."""
+    limits, fastest = contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
+    if not is_watched(state):
+        return np.full_like(limits, np.inf), fastest
+    with np.errstate(divide="ignore"):
+        limits = limits / (SAFETY * state.control.per_contact)
+        if state.features.search:
+            limits = np.minimum(limits, _CROSSED * state.skin / fastest)
+    return limits, fastest
+
+
+def _instant(state: State, ahead: State) -> Instant:
+    """What a state does now; ``ahead`` is what `look_ahead` gives."""
+    scene, order = state.scene, state.assembly.order
+    inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
+    velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
+    before = velocity if state.steps else 0.0
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    return Instant(
+        velocity=velocity,
+        force=(later - before) / state.time_step * inertia,
+        overlap=overlap,
+        wall_overlap=wall_overlap,
+        reaction=ahead.assembly.walls.reaction.astype(float),
+        kinetic=0.5 * (inertia * velocity * (later if state.steps else velocity)).sum(axis=(0, 1)),
+        stored=stored_energy(scene, ahead.assembly, state.features, overlap, wall_overlap),
+    )
+
+
+def look(state: State) -> State:
+    """Return the state with a step that its limit allows, a step later if it had to be changed; see `advance`."""
+    if not is_watched(state):
+        return replace(state, control=replace(state.control, next_look=state.steps + _QUIET_LOOK))
+    ahead = look_ahead(state)
+    now = _instant(state, ahead)
+    limits, fastest = _impact_limits(state, now)
+    control = _watch_energy(state, now, _watch_stability(state, now))
+    limit = np.minimum(control.stability, limits.min(axis=0))
+    control = replace(control, next_look=state.steps + _steps_to_look(state, now, limits, fastest))
+    current = replace(state, critical_time_step=limit, control=control)
+    if control.fixed:
+        _refuse_step(current, now, limits)
+        return current
+    step = np.where(state.time_step > 0.5 * (1.0 + control.fraction) * limit, control.fraction * limit, state.time_step)
+    return current if np.array_equal(step, state.time_step) else change_step(current, ahead, step)
+
+
+def _watch_stability(state: State, now: Instant) -> StepControl:
+    """Return the control with a new stability limit if overlaps have grown so much that it may be lower."""
+    control = state.control
+    sides = [np.maximum(side, 0.0) for side in (now.overlap, now.wall_overlap)]
+    overlap = np.stack(
+        [np.maximum(*(side.max(axis=0, initial=0.0) for side in sides)), sum(side.sum(axis=0) for side in sides)]
+    )
+    growth = np.where(state.time_step > _NEAR * control.stability, _GROWN, _NEAR**-4)
+    if np.isfinite(control.overlap).all() and not (overlap > growth * control.overlap).any():
+        return control
+    limit = critical_time_step(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+    return replace(control, stability=limit, overlap=overlap)
+
+
+def _steps_to_look(state: State, now: Instant, limits: Floats, fastest: Floats) -> int:
+    """Steps in which speeds and overlaps cannot change much, nor anything be met that is not listed."""
+    motion = fastest * state.time_step
+    busy = (limits < np.inf).any()
+    touching = now.overlap[now.overlap > 0.0]
+    steps = [_BUSY_LOOK if busy else _QUIET_LOOK]
+    if not busy and len(touching):
+        steps.append(max(_BUSY_LOOK, _steps_across(_NOTICEABLE * float(touching.mean()), motion)))
+    if state.features.search:
+        steps.append(_steps_across(_UNSEEN * state.skin, motion))
+    return max(1, min(steps))
+
+
+def _steps_across(length: float, motion: Floats) -> int:
+    """Steps in which something that moves by ``motion`` (L,) in a step goes no further than a length."""
+    fastest = float(motion.max())
+    return int(min(length / fastest, _QUIET_LOOK)) if fastest > 0.0 else _QUIET_LOOK
+
+
+def _watch_energy(state: State, now: Instant, control: StepControl) -> StepControl:
+    """Return the control with the largest energy so far.
+
+    Raises
+    ------
+    UnstableRunError
+        If there is more than loads have supplied. Where walls or held disks supply some, bonds broke or shear forces
+        are not rescaled, which creates energy, nothing is known.
+    """
+    load = state.assembly.grains.load.astype(float)[:, :, None]
+    supplied = (load * state.motion.displacement).sum(axis=(0, 1))
+    present = now.kinetic + now.stored
+    if state.steps == 0:
+        return replace(control, energy=np.stack([present, present]))
+    largest = np.maximum(control.energy[1], np.abs(supplied))
+    # A disk of mass 1 kg at 1e-6 m/s has next to none.
+    least = 0.5e-12 * float(np.sum(state.scene.mass))
+    for lane in np.flatnonzero(present - supplied - control.energy[0] > _ENERGY * largest + least).tolist():
+        if _is_closed(state, now, lane):
+            disk = int(np.argmax(length(now.velocity[:, X, lane], now.velocity[:, Y, lane])))
+            raise UnstableRunError(
+                f"after {state.steps} steps there are {present[lane]:.3g} J/m, at the start there were "
+                f"{control.energy[0, lane]:.3g}, and loads have supplied {supplied[lane]:.3g}; the fastest is "
+                f"{_name_disk(state, disk)}: the step of {state.time_step[lane]:.3g} s is too long, choose a smaller time_step"
+            )
+    return replace(control, energy=np.stack([control.energy[0], np.maximum(largest, present)]))
+
+
+def _is_closed(state: State, now: Instant, lane: int) -> bool:
+    """Whether nothing but loads supplies energy to a lane."""
+    walls, pairs = state.assembly.walls, state.assembly.pairs
+    still = not state.features.servo and not np.any(walls.motion[:, SPEEDS, lane])
+    held = state.assembly.grains.inverse_mass == 0.0
+    whole = bool(((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0).all())
+    return still and not np.any(now.velocity[held, :, lane]) and whole and state.features.rescaling
+
+
+def _refuse_step(state: State, now: Instant, limits: Floats) -> None:
+    """Raise an `UnstableRunError` if a fixed step is above its limit."""
+    stability = state.control.stability
+    for lane in np.flatnonzero(
+        (state.time_step > stability * (1.0 + 1e-9)) | (state.time_step > _SLACK * limits.min(axis=0))
+    ).tolist():
+        disk = int(np.argmin(limits[:, lane]))
+        if stability[lane] < limits[disk, lane]:
+            bounds = squared_frequencies(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+            disk = int(np.argmax(bounds[:, lane]))
+        raise UnstableRunError(
+            f"time_step = {state.time_step[lane]:.3g} s: after {state.steps} steps the limit is "
+            f"{state.critical_time_step[lane]:.3g} s, set by {_name_disk(state, disk)}: start with a smaller one, or "
+            "without, and it follows the limit"
+        )
+
+
+def refuse_blow_up(state: State) -> None:
+    """Raise an `UnstableRunError` if a disk has no number any more or leaps."""
+    velocity = state.motion.velocity
+    leap = _LEAP * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
+    moved = np.abs(velocity[:, XY]) * state.time_step
+    # NaN compares with nothing, so it is asked for by what it is not.
+    if (moved <= leap).all() and np.isfinite(velocity).all():
+        return
+    size = np.where(np.isfinite(velocity), np.abs(velocity), np.inf)
+    size[:, ROTATION] = np.where(size[:, ROTATION] < np.inf, 0.0, np.inf)
+    disk, component, lane = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
+    raise UnstableRunError(
+        f"after {state.steps} steps {_name_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, more "
+        f"than a tenth of a radius in a step of {state.time_step[lane]:.3g} s: the run has blown up; choose a smaller "
+        "time_step"
+    )
+
+
+def _name_disk(state: State, disk: int) -> str:
+    """Say which disk of the scene is at a place in memory."""
+    number = int(state.assembly.order[disk])
+    return f"disk {number}, which began at ({state.scene.x[number]:.5g}, {state.scene.y[number]:.5g}) m"
