@@ -10,6 +10,7 @@ from typing import Any
 from mpi4py import MPI
 
 from calcidem.sweep.batch import CellT
+from calcidem.sweep.channel import tell_command
 from calcidem.sweep.context import SweepContext
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.protocol import Backoff
@@ -18,7 +19,7 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepState
 from calcidem.sweep.worker_pool import Loss, WorkerPool
 
 _HEARTBEAT_INTERVAL = 0.5
-"""Seconds between two heartbeats, which the progress display passes on."""
+"""Seconds between two heartbeats, for the command that started the ranks and for the progress display."""
 
 
 def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: bool) -> SweepEnd:
@@ -33,12 +34,14 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     """
     start = time.monotonic()
     options = context.options
+    tell_command("sweeping")
     pool: WorkerPool[CellT] = WorkerPool(comm, options, fault_tolerant)
     try:
         state, detail = _master_exec(pool, context)
     except BaseException as error:
         _master_stop(pool, SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
         raise
+    tell_command("pause")
     end = SweepEnd(state, detail, context.schedule.tally, time.monotonic() - start)
     return _master_stop(pool, end, options.hurry_grace if context.stop_request.hurry() else options.stop_grace)
 
@@ -62,6 +65,7 @@ def _master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple
             return end
         if time.monotonic() > next_heartbeat:
             next_heartbeat = time.monotonic() + _HEARTBEAT_INTERVAL
+            tell_command("beat")
             context.progress.on_heartbeat(workers=len(pool.expected), running=pool.running)
         if outcomes or handed_out or losses:
             backoff.reset()

@@ -1,7 +1,6 @@
 """Operating-system help against processes that die, hang or outlive their launcher (Linux)."""
 
 import contextlib
-import ctypes
 import os
 import platform
 import select
@@ -11,29 +10,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
-
-_PR_SET_PDEATHSIG = 1
-
-
-def die_with_parent() -> None:
-    """Let the kernel kill this process as soon as its parent ends.
-
-    A rank whose mpirun was killed would otherwise go on for ever: the parent of a rank is mpirun itself or,
-    on other nodes, its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
-    the launcher is gone by then, initialisation fails and the rank ends, so no moment is left unguarded.
-
-    Raises
-    ------
-    OSError
-        If the kernel refuses.
-    """
-    parent = os.getppid()
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
-        number = ctypes.get_errno()
-        raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
-    if os.getppid() != parent:  # it ended between the two calls, so its death will not be signalled
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 @dataclass(frozen=True, slots=True)

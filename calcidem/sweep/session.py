@@ -6,28 +6,19 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
+from calcidem.sweep.channel import tell_command
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher, refuse_ranks_off_linux
-from calcidem.sweep.processes import ProcessIdentity, die_with_parent, end_after
+from calcidem.sweep.processes import ProcessIdentity, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
+from calcidem.sweep.starter import die_with_parent
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
 
 if TYPE_CHECKING:
     from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
 
 ValueT = TypeVar("ValueT")
-
-EXIT_CODE_FILE_VARIABLE = "CALCIDEM_EXIT_CODE_FILE"
-"""Names a file into which rank 0 writes its exit code as its last act, and the signal that asked it to stop, if any.
-
-mpirun's own exit code can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM
-it is 1 whatever the ranks return. A launcher script that finds no such file knows that the run was cut off, if there is
-a file of that name with `STARTED_SUFFIX`, and else that it never began.
-"""
-
-STARTED_SUFFIX = ".started"
 
 _MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
@@ -71,6 +62,7 @@ class Session:
         if launcher() is not None:
             refuse_ranks_off_linux()
             die_with_parent()
+            tell_command("loaded")
             import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
 
             mpi4py.rc.thread_level = "funneled"  # only the main thread calls MPI
@@ -80,14 +72,13 @@ class Session:
             self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         if self.rank == 0:
             self.stop_request.__enter__()
-            if path := os.environ.get(EXIT_CODE_FILE_VARIABLE):
-                Path(path + STARTED_SUFFIX).touch()
         else:
             leave_signals_to_master()
         if self.size > 1:
             master = self.broadcast(ProcessIdentity.of_this_process())
             if self.rank != 0:
                 end_after(master, _MASTER_GONE_GRACE, EXIT_RESUMABLE)
+        tell_command("joined")
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
@@ -99,9 +90,11 @@ class Session:
             return
         if error is None:
             self.end(EXIT_COMPLETE)
-        if isinstance(error, MasterLostError):
-            # Every worker finds out by itself. Several ranks that abort at once can hang mpirun for ever.
-            sys.stderr.write(f"rank {self.rank}: {error}\n")
+        from mpi4py import MPI  # noqa: PLC0415 - a serial run must not need an MPI library
+
+        if isinstance(error, MasterLostError | MPI.Exception) and fault_tolerance_enabled():
+            # Every rank finds out by itself. Several ranks that abort at once can hang mpirun for ever.
+            sys.stderr.write(f"rank {self.rank}: another rank is lost ({error}); the same command continues\n")
             self._flush(EXIT_RESUMABLE)
             os._exit(EXIT_RESUMABLE)
         sys.stderr.write(f"rank {self.rank}: {''.join(traceback.format_exception(error))}")
@@ -172,13 +165,16 @@ class Session:
         os._exit(exit_code)
 
     def _flush(self, exit_code: int) -> None:
-        """Bring everything out that Python holds back, and note the exit code."""
+        """Bring everything out that Python holds back, and tell the command the exit code.
+
+        mpirun's own can't be trusted: with ULFM it is 0 even if all ranks were killed, and after a SIGTERM it is 1
+        whatever the ranks return.
+        """
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
-        path = os.environ.get(EXIT_CODE_FILE_VARIABLE)
-        if path and self.rank == 0:
-            Path(path).write_text(f"{exit_code} {self.stop_request.reason}".strip() + "\n", encoding="ascii")
+        if self.rank == 0:
+            tell_command(f"exit {exit_code} {self.stop_request.reason}")
 
     def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
         """End the other ranks, if there are any left."""

@@ -8,6 +8,7 @@ from typing import Any, Generic
 from mpi4py import MPI
 
 from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.channel import lost_according_to_command
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
@@ -147,7 +148,9 @@ class WorkerPool(Generic[CellT]):
 
     def find_lost(self) -> dict[int, str]:
         """Return the ranks that are lost, each with the reason; they stay in the pool until `remove`."""
-        reasons: dict[int, str] = dict.fromkeys(self._watch.find_ended(), "its process ended")
+        told = lost_according_to_command()
+        reasons = {rank: reason for rank, reason in told.items() if rank in self.expected}
+        reasons = dict.fromkeys(self._watch.find_ended(), "its process ended") | reasons
         failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed

@@ -152,9 +152,9 @@ class Workshop:
             except sqlite3.OperationalError:
                 return 0  # it is being made
 
-    def processes(self, variable: str = "") -> list[int]:
-        """Processes started from this workshop that still run, or those of them that have a variable set like this."""
-        marks = {f"WORKSHOP={self.folder}".encode(), variable.encode()} - {b""}
+    def processes(self, *variables: str) -> list[int]:
+        """Processes started from this workshop that still run, or those of them that have variables set like this."""
+        marks = {variable.encode() for variable in (f"WORKSHOP={self.folder}", *variables)}
         found = []
         for path in Path("/proc").glob("[0-9]*/environ"):
             try:
@@ -162,6 +162,11 @@ class Workshop:
                     found.append(int(path.parent.name))
             except OSError:
                 continue  # it has ended meanwhile, or is not ours
+        return found
+
+    def rank(self, number: int) -> int:
+        """Process of a rank, not that of the starter that watches it."""
+        (found,) = self.processes("CALCIDEM_COMMAND_DESCRIPTOR=3", f"OMPI_COMM_WORLD_RANK={number}")
         return found
 
     def leaves_no_process(self) -> bool:

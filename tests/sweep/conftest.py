@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,9 +17,10 @@ from typing import Any
 
 import pytest
 
-from calcidem.app.campaign.launch import NO_LISTENER
+from calcidem.app.campaign.launch import NO_LISTENER, starter_command
 from calcidem.sweep import Batch, BatchOutcome
-from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE
+from calcidem.sweep.rank_watch import RankWatch
+from calcidem.sweep.starter import COMMAND_VARIABLE
 
 PROGRAMS = Path(__file__).parent / "programs"
 CHECKOUT = Path(__file__).parents[2]
@@ -58,10 +60,20 @@ class Launch:
     """One start of a program under mpirun."""
 
     process: subprocess.Popen[str]
-    exit_code_file: Path
+    watch: RankWatch
     again: Callable[[], subprocess.Popen[str]] | None
     output: str = ""
     errors: str = ""
+
+    def __post_init__(self) -> None:
+        """Listen to the ranks as the command does, without ending anything."""
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
+
+    def _listen(self) -> None:
+        with self.watch:
+            while self.watch.listen(0.1) or self.process.poll() is None:
+                pass
 
     @property
     def exit_code(self) -> int:
@@ -71,7 +83,8 @@ class Launch:
     @property
     def noted_exit_code(self) -> int | None:
         """The exit code that rank 0 noted, or None if it didn't come to that."""
-        return int(self.exit_code_file.read_text().split()[0]) if self.exit_code_file.exists() else None
+        self._listener.join()
+        return self.watch.exit_code
 
     def wait(self) -> "Launch":
         """Wait for the end and collect what the program wrote; an mpirun that fails by itself is started once more."""
@@ -92,7 +105,11 @@ class Launch:
         for line in self.process.stdout:
             if text in line:
                 return
-        pytest.fail(f"{text!r} was never written")
+        if self.process.wait(PATIENCE) == NO_LISTENER and self.again is not None:
+            self.process, self.again = self.again(), None
+            self.wait_for_line(text)
+        else:
+            pytest.fail(f"{text!r} was never written")
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to mpirun."""
@@ -123,23 +140,22 @@ class Campaign:
             *(["--with-ft", "ulfm"] if ulfm else []),
         ]
         arguments = [str(self.database), *options] if program == "sweep_program.py" else list(options)
-        exit_code_file = self.folder / "exit-code"
-        exit_code_file.unlink(missing_ok=True)
+        watch = RankWatch(ranks, PATIENCE, PATIENCE)
         start = partial(
             subprocess.Popen,
-            [*launcher, sys.executable, str(PROGRAMS / program), *arguments],
+            [*launcher, *starter_command(), sys.executable, str(PROGRAMS / program), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
             env=os.environ
             | {
-                EXIT_CODE_FILE_VARIABLE: str(exit_code_file),
+                COMMAND_VARIABLE: watch.address,
                 "CAMPAIGN_MARK": str(self.folder),  # marks all processes of this campaign, see `processes`
                 "PYTHONPATH": str(CHECKOUT),
             },
         )
-        return Launch(start(), exit_code_file, start)
+        return Launch(start(), watch, start)
 
     def run(self, *options: str, ranks: int = 3, ulfm: bool = True) -> Launch:
         """Start the program and wait for its end."""

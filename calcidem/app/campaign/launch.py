@@ -5,18 +5,15 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
-from calcidem.sweep.heartbeat import HeartbeatMonitor
-from calcidem.sweep.processes import die_with_parent
-from calcidem.sweep.session import EXIT_CODE_FILE_VARIABLE, STARTED_SUFFIX
+from calcidem.sweep.rank_watch import RankWatch
 from calcidem.sweep.signals import SignalHandlers, find_signals
 
 _MPIRUN_VARIABLE = "MPIRUN"
@@ -28,20 +25,23 @@ TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that goes on when a rank is lost."""
 
-_FIRST_SIGNAL_CODE = 128
-"""Exit codes from here on stand for signals."""
-
 NO_LISTENER = 213
 """Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
 
 _RESTART_PAUSE = 1.0
 """Seconds before a new start, in which the last processes of the former one are gone."""
 
-_HEARTBEAT_TIMEOUT = 120.0
-"""Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
+_POLL_INTERVAL = 0.2
+"""Seconds between two looks at launcher and signals."""
 
-_POLL_INTERVAL = 1.0
-"""Seconds between two looks at the heartbeat."""
+_TIME_TO_END = 5.0
+"""Seconds that the launcher has for ending its ranks before it is killed."""
+
+_PATIENCE_OF_USERS = 10.0
+"""Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
+
+_FORWARDED_VARIABLES = (*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR")
+"""What ranks on other hosts must know, too; ssh takes no variables along."""
 
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
@@ -59,85 +59,161 @@ def default_ranks() -> int:
     return int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1
 
 
-def launch(arguments: Sequence[str], ranks: int, restarts: int = 0) -> int:
-    """Run calcidem under an MPI launcher and return its exit code.
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """What `calcidem run --ranks` starts.
 
-    Parameters
+    Attributes
     ----------
     arguments
-        Of the command line.
+        Of the command line of each rank.
     ranks
         Number of ranks, of which the first coordinates.
     restarts
-        How often to start again when the run was cut off: when ranks died and the others could not go on. A run that
-        a signal has asked to stop is not started again.
-
-    Raises
-    ------
-    LaunchError
-        If there is no launcher, or this process was started by one, or this is not Linux.
+        How often to start again when the run was cut off: when ranks, or a host, died and the others could not go on. A
+        run that a signal has asked to stop is not started again, nor is one whose ranks fail the same way twice while
+        they start.
+    start_timeout
+        Seconds in which all ranks must have found one another.
+    silence_timeout
+        Seconds without a sign of life after which a rank's host is given up.
     """
-    refuse_ranks_off_linux()
-    if launcher() is not None:
-        raise LaunchError(f"--ranks {ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}")
-    mpirun = find_mpirun()
-    command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, "-m", "calcidem", *arguments]
-    with _Relay() as relay:
-        code, asked = _launch_once(command, relay)
-        for restart in range(1, restarts + 1):
-            if code != EXIT_RESUMABLE or asked or relay.wait_for_signal(_RESTART_PAUSE):
-                break
-            sys.stderr.write(f"Restart {restart} of {restarts}: continuing with the cells that are left.\n")
-            sys.stderr.flush()
-            code, asked = _launch_once(command, relay)
-    return code
 
+    arguments: Sequence[str]
+    ranks: int
+    restarts: int = 0
+    start_timeout: float = 120.0
+    silence_timeout: float = 60.0
 
-def _launch_once(command: Sequence[str], relay: "_Relay", *, again: bool = True) -> tuple[int, bool]:
-    """Start the launcher, ``again`` if it fails by itself; return its exit code, and whether a signal asked for it."""
-    with tempfile.TemporaryDirectory(prefix="calcidem-") as folder:
-        note = Path(folder) / "exit-code"
-        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {EXIT_CODE_FILE_VARIABLE: str(note)}
+    def run(self) -> int:
+        """Run calcidem under an MPI launcher and return its exit code.
+
+        Raises
+        ------
+        LaunchError
+            If there is no launcher, or this process was started by one, or this is not Linux.
+        """
+        refuse_ranks_off_linux()
+        if launcher() is not None:
+            raise LaunchError(
+                f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
+            )
+        mpirun = find_mpirun()
+        failure = ""
+        with _Relay() as relay:
+            for restart in range(self.restarts + 1):
+                end = self._once(mpirun, relay)
+                same_failure = bool(failure) and end.failure_at_start == failure
+                if not end.worth_a_restart or same_failure or restart == self.restarts:
+                    break
+                failure = end.failure_at_start
+                if relay.wait_for_signal(_RESTART_PAUSE):
+                    break
+                _say(f"Restart {restart + 1} of {self.restarts}: continuing with the cells that are left.")
+        return end.code
+
+    def _once(self, mpirun: str, relay: "_Relay", *, again: bool = True) -> "_LaunchEnd":
+        """Start the launcher, ``again`` if it fails by itself, and see to its end."""
+        name = Path(mpirun).name
+        with RankWatch(self.ranks, self.start_timeout, self.silence_timeout) as watch:
+            process = self._start(mpirun, watch.address)
+            why = _attend(process, watch, relay)
+            killed_at_start = watch.killed_at_start
+            while watch.listen(_POLL_INTERVAL):  # the last words of ranks that have ended with the launcher
+                pass
+            if watch.exit_code is not None:
+                # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
+                asked = watch.exit_reason not in {"", signal.SIGTERM.name}
+                return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and not asked)
+            if process.returncode == NO_LISTENER and again and not watch.anybody_began:
+                _say(f"{name} failed before any rank began; it is being started once more.")
+                return self._once(mpirun, relay, again=False)
+            why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
+            if watch.begun:
+                _say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
+                return _LaunchEnd(EXIT_RESUMABLE, worth_a_restart=not relay.asked)
+            if relay.asked:
+                _say("Ended at a signal before the ranks had begun; the same command begins anew.")
+                return _LaunchEnd(EXIT_RESUMABLE)
+            _say(f"The run did not begin ({why}); nothing was computed.")
+            return _LaunchEnd(EXIT_ERROR, worth_a_restart=killed_at_start, failure_at_start=why)
+
+    def _start(self, mpirun: str, address: str) -> "subprocess.Popen[bytes]":
+        """Start the launcher, in a group of its own: Ctrl-C reaches this process alone, which passes it on."""
+        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {starter.COMMAND_VARIABLE: address}
         if sys.stdout.isatty():
             environment[TERMINAL_VARIABLE] = str(shutil.get_terminal_size().columns)
-        # In a group of its own: Ctrl-C reaches this process alone, which passes it on in the form that works.
-        process = subprocess.Popen(  # noqa: S603 - our own program
-            command,
+        forwarded = [name for name in _FORWARDED_VARIABLES if name in environment]
+        return subprocess.Popen(  # noqa: S603 - our own program
+            [
+                *(mpirun, *launcher_options(mpirun, self.ranks, forwarded)),
+                *starter_command(),
+                *(sys.executable, "-m", "calcidem", *self.arguments),
+            ],
             env=environment,
             stdin=subprocess.DEVNULL,
             process_group=0,
-            preexec_fn=die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
+            preexec_fn=starter.die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
-        with relay.forward_to(process):
-            code = _wait_for_end(process, HeartbeatMonitor(note))
-        if noted := note.read_text(encoding="ascii").split() if note.exists() else []:
-            # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-            return int(noted[0]), not {signal.SIGTERM.name}.issuperset(noted[1:])
-        began = Path(f"{note}{STARTED_SUFFIX}").exists()
-    if code == NO_LISTENER and again and not began:
-        sys.stderr.write(f"{Path(command[0]).name} failed before any rank began; it is being started once more.\n")
-        return _launch_once(command, relay, again=False)
-    cut_off = began or code == 0 or code < 0 or code > _FIRST_SIGNAL_CODE
-    advice = "everything stored is safe, and the same command continues" if cut_off else "see the messages above"
-    sys.stderr.write(f"The run was cut off ({Path(command[0]).name} returned {code}): {advice}.\n")
-    return EXIT_RESUMABLE if cut_off else EXIT_ERROR, False
 
 
-def _wait_for_end(process: "subprocess.Popen[bytes]", monitor: HeartbeatMonitor) -> int:
-    """Wait for the end of the launcher and return its exit code; tell the user, once, if the heartbeat stops."""
-    reported = False
-    while True:
-        try:
-            return process.wait(_POLL_INTERVAL)
-        except subprocess.TimeoutExpired:
-            silent = monitor.seconds_since_last() > _HEARTBEAT_TIMEOUT
-        if silent and not reported:
-            sys.stderr.write(
-                f"No heartbeat from rank 0 ({monitor.sender}) for {_HEARTBEAT_TIMEOUT:.0f} s: it is stopped or waiting "
-                "for a disk. Continue it (kill -CONT), or end this command and run it again; what is stored is safe.\n"
-            )
-            sys.stderr.flush()
-        reported = silent
+@dataclass(frozen=True, slots=True)
+class _LaunchEnd:
+    """How a launch ended.
+
+    Attributes
+    ----------
+    code
+        Exit code.
+    worth_a_restart
+        Whether another start may do better.
+    failure_at_start
+        Why the ranks did not even begin, empty if they did.
+    """
+
+    code: int
+    worth_a_restart: bool = False
+    failure_at_start: str = ""
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay") -> str:
+    """Wait for the end of the launcher, and bring it about if it must be; return why, empty if it ended by itself."""
+    while process.poll() is None:
+        watch.listen(_POLL_INTERVAL)
+        for number in relay.take():
+            if watch.begun:
+                process.send_signal(number)
+        if text := watch.describe_silent_master():
+            _say(text)
+        why = watch.reason_to_end()
+        if why is None and relay.asked and not watch.begun:
+            why = "a signal asked for it"
+        if why is None and relay.impatient:
+            why = "a second signal asked for it"
+        if why is not None:
+            _end(process)
+            return why
+    return ""
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End the launcher, in order if it can; its ranks end with it."""
+    process.terminate()
+    try:
+        process.wait(_TIME_TO_END)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def starter_command() -> list[str]:
+    """Beginning of the command line of a rank that tells this command of itself; the starter needs no site packages."""
+    return [sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())]
 
 
 def find_mpirun() -> str:
@@ -160,8 +236,11 @@ def find_mpirun() -> str:
     return found
 
 
-def launcher_options(mpirun: str, ranks: int) -> list[str]:
-    """Options of the launcher: as many ranks as asked for, free to use any core, alive when one is lost."""
+def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> list[str]:
+    """Options of the launcher: as many ranks as asked for, free to use any core, alive when one is lost.
+
+    ``forwarded`` names variables of the environment that ranks on other hosts are to have, too.
+    """
     answer = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True)  # noqa: S603 - found above
     options = ["-n", str(ranks)]
     if "Open MPI" not in answer.stdout:
@@ -171,38 +250,48 @@ def launcher_options(mpirun: str, ranks: int) -> list[str]:
     version = answer.stdout.split("Open MPI)")[-1].strip().partition(".")[0]
     if version.isdigit() and int(version) >= FIRST_WITH_ULFM:
         options += ["--with-ft", "ulfm"]
-    return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none"]
+    names = [word for name in (*forwarded, starter.COMMAND_VARIABLE) for word in ("-x", name)]
+    return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none", *names]
 
 
 class _Relay(SignalHandlers):
-    """Passes signals on to the launcher while it runs, and remembers that one came."""
+    """Notes signals for the launcher.
+
+    Attributes
+    ----------
+    asked
+        Whether any has come.
+    """
 
     def __init__(self) -> None:
         super().__init__(dict.fromkeys(find_signals(*_FORWARDED), self._note))
-        self._number: signal.Signals | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._noted: list[signal.Signals] = []
+        self._first_urgent: float | None = None
+        self._second_urgent: float | None = None
+        self.asked = False
 
-    @contextmanager
-    def forward_to(self, process: "subprocess.Popen[bytes]") -> Iterator[None]:
-        """Pass signals on to this process, first of all one that came while it was started."""
-        self._process = process
-        self._forward()
-        try:
-            yield
-        finally:
-            self._process = None
+    @property
+    def impatient(self) -> bool:
+        """Whether a second urgent signal has come some time ago."""
+        return self._second_urgent is not None and time.monotonic() - self._second_urgent > _PATIENCE_OF_USERS
+
+    def take(self) -> list[signal.Signals]:
+        """Signals to pass on, each once."""
+        noted, self._noted = self._noted, []
+        return noted
 
     def wait_for_signal(self, seconds: float) -> bool:
         """Wait some seconds for a signal; tell whether there was one, now or earlier."""
         end = time.monotonic() + seconds
-        while self._number is None and time.monotonic() < end:
+        while not self.asked and time.monotonic() < end:
             time.sleep(0.05)
-        return self._number is not None
+        return self.asked
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
-        self._number = signal.Signals(number)
-        self._forward()
-
-    def _forward(self) -> None:
-        if self._process is not None and self._number is not None:
-            self._process.send_signal(signal.Signals[_FORWARDED[self._number.name]])
+        self.asked = True
+        passed_on = signal.Signals[_FORWARDED[signal.Signals(number).name]]
+        self._noted.append(passed_on)
+        if passed_on is signal.SIGUSR2:
+            if self._first_urgent is not None:
+                self._second_urgent = self._second_urgent or time.monotonic()
+            self._first_urgent = time.monotonic()

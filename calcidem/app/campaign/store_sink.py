@@ -2,13 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
 from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
-from calcidem.sweep.heartbeat import Heartbeat
 
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
@@ -87,21 +86,18 @@ class LeaseKeeper:
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatProgress(Progress):
-    """Progress display that keeps heartbeat and lease alive, and otherwise is the one it wraps.
-
-    The heartbeat is for the command that started the ranks, the lease for other machines.
+    """Progress display that keeps the lease alive, for other machines, and otherwise is the one it wraps.
 
     Attributes
     ----------
     shown
         The display that it wraps.
-    lease_keeper, heartbeat
+    lease_keeper
         What is kept alive.
     """
 
     shown: Progress
     lease_keeper: LeaseKeeper
-    heartbeat: Heartbeat = field(default_factory=Heartbeat)
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Pass it on."""
@@ -116,12 +112,10 @@ class HeartbeatProgress(Progress):
         self.shown.on_loss(place, reason)
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Beat, and pass it on."""
+        """Renew the lease, and pass it on."""
         self.lease_keeper()
-        self.heartbeat.beat()
         self.shown.on_heartbeat(workers, running)
 
     def on_end(self, end: SweepEnd) -> None:
-        """Pass it on; what follows may take its time."""
-        self.heartbeat.end()
+        """Pass it on."""
         self.shown.on_end(end)

@@ -25,25 +25,32 @@ def run_command(
         typer.Option(min=0, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."),
     ] = None,
     restarts: Annotated[
-        int,
+        int | None,
         typer.Option(
-            min=0, metavar="K", help="With --ranks: restart up to K times if ranks die and the others cannot go on."
+            min=0, metavar="K", help="With --ranks: restart up to K times (3) if ranks die and the others cannot go on."
         ),
-    ] = 0,
+    ] = None,
+    start_timeout: Annotated[
+        float, typer.Option(min=1.0, metavar="SECONDS", help="With --ranks: time for all ranks to find one another.")
+    ] = 120.0,
+    silence_timeout: Annotated[
+        float, typer.Option(min=1.0, metavar="SECONDS", help="With --ranks: give up a host not heard of for so long.")
+    ] = 60.0,
     with_report: Annotated[
         bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")
     ] = False,
 ) -> None:
     """Compute a campaign, or what is left of it: after a stop, the same command continues."""
     if ranks is not None and ranks != 1:
-        from calcidem.app.campaign.launch import default_ranks, launch
+        from calcidem.app.campaign.launch import Launch, default_ranks
 
         arguments = ["run", str(configuration)]
         arguments += ["--db", database] if database is not None else []
         arguments += ["--output", str(output)] if output is not None else []
         arguments += ["--report"] if with_report else []
-        raise typer.Exit(launch(arguments, ranks or default_ranks(), restarts))
-    if restarts:
+        restarts = 3 if restarts is None else restarts
+        raise typer.Exit(Launch(arguments, ranks or default_ranks(), restarts, start_timeout, silence_timeout).run())
+    if restarts is not None:
         raise typer.BadParameter(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )

@@ -51,7 +51,7 @@ def test_restarts_go_on_without_ulfm(tmp_path: Path, cache: Path, undisturbed: C
     """With --restarts a worker killed under an MPI without ULFM costs a new start, which is said, and no cell."""
     trial = Trial(tmp_path, cache)
     try:
-        ended = trial.run("--restarts", "2", case=Case("SIGKILL", "worker", "after", ulfm=False), ranks=2)
+        ended = trial.run(case=Case("SIGKILL", "worker", "after", ulfm=False), ranks=2, restarts=2)
         assert trial.leaves_no_process()
     finally:
         trial.kill_all()

