@@ -19,7 +19,7 @@ from calcidem.dem.engine.leapfrog import (
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Preload, Regime, Scene
 from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.step_control import SAFETY, is_watched, look, present_limit, refuse_blow_up
+from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_blow_up, step_limit
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
@@ -133,7 +133,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         account=aligned_zeros((4, chosen.lanes), dtype),
     )
     if is_watched(state):
-        limit = present_limit(state)
+        limit = step_limit(state)
     step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), chosen.lanes)
     require(bool(np.all(step > 0.0)), "time_step", step.tolist(), "give a positive number of seconds")
     cure = f"above the critical time step of {limit.tolist()} s: choose a smaller one"

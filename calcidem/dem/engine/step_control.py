@@ -20,7 +20,7 @@ SAFETY = 0.8  # default step as a part of the critical time step
 _CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
 _UNSEEN = 0.05  # part of it that two disks may come nearer between two looks without having been listed
 _BUSY_LOOK, _QUIET_LOOK = 32, 256  # steps to the next look at most
-_NOTICEABLE = 0.3  # motion over mean overlap in that time, below which stiffnesses change by less than the margin
+_STEADY = 0.3  # motion over mean overlap in that time, below which stiffnesses change by less than the margin
 _GROWN = 1.3  # overlaps over those of the last stability limit at which it is computed again
 _NEAR = 0.5  # part of the stability limit below which only much deeper overlaps (x 16) can matter
 _SLACK = 1.05  # of a fixed step over the limit of impacts, which is an estimate
@@ -32,7 +32,7 @@ class UnstableRunError(RuntimeError):
     """A run whose numbers cannot be trusted any more; the message names step, disk and cure."""
 
 
-def present_limit(state: State) -> Floats:
+def step_limit(state: State) -> Floats:
     """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
     now = _instant(state, look_ahead(state))
     stability = critical_time_step(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
@@ -114,7 +114,7 @@ def _steps_to_look(state: State, now: Instant, limits: Floats, fastest: Floats) 
     touching = now.overlap[now.overlap > 0.0]
     steps = [_BUSY_LOOK if busy else _QUIET_LOOK]
     if not busy and len(touching):
-        steps.append(max(_BUSY_LOOK, _steps_across(_NOTICEABLE * float(touching.mean()), motion)))
+        steps.append(max(_BUSY_LOOK, _steps_across(_STEADY * float(touching.mean()), motion)))
     if state.features.search:
         steps.append(_steps_across(_UNSEEN * state.skin, motion))
     return max(1, min(steps))
@@ -149,7 +149,8 @@ def _watch_energy(state: State, now: Instant, control: StepControl) -> StepContr
             raise UnstableRunError(
                 f"after {state.steps} steps there are {present[lane]:.3g} J/m, at the start there were "
                 f"{control.energy[0, lane]:.3g}, and loads have supplied {supplied[lane]:.3g}; the fastest is "
-                f"{_name_disk(state, disk)}: the step of {state.time_step[lane]:.3g} s is too long, choose a smaller time_step"
+                f"{_describe_disk(state, disk)}: the step of {state.time_step[lane]:.3g} s is too long, choose a "
+                "smaller time_step"
             )
     return replace(control, energy=np.stack([control.energy[0], np.maximum(largest, present)]))
 
@@ -175,7 +176,7 @@ def _refuse_step(state: State, now: Instant, limits: Floats) -> None:
             disk = int(np.argmax(bounds[:, lane]))
         raise UnstableRunError(
             f"time_step = {state.time_step[lane]:.3g} s: after {state.steps} steps the limit is "
-            f"{state.critical_time_step[lane]:.3g} s, set by {_name_disk(state, disk)}: start with a smaller one, or "
+            f"{state.critical_time_step[lane]:.3g} s, set by {_describe_disk(state, disk)}: start with a smaller one, or "
             "without, and it follows the limit"
         )
 
@@ -192,13 +193,13 @@ def refuse_blow_up(state: State) -> None:
     size[:, ROTATION] = np.where(size[:, ROTATION] < np.inf, 0.0, np.inf)
     disk, component, lane = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
     raise UnstableRunError(
-        f"after {state.steps} steps {_name_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, more "
+        f"after {state.steps} steps {_describe_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, more "
         f"than a tenth of a radius in a step of {state.time_step[lane]:.3g} s: the run has blown up; choose a smaller "
         "time_step"
     )
 
 
-def _name_disk(state: State, disk: int) -> str:
+def _describe_disk(state: State, disk: int) -> str:
     """Say which disk of the scene is at a place in memory."""
     number = int(state.assembly.order[disk])
     return f"disk {number}, which began at ({state.scene.x[number]:.5g}, {state.scene.y[number]:.5g}) m"

@@ -17,14 +17,14 @@ from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.engine.step_control import present_limit
+from calcidem.dem.engine.step_control import step_limit
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
 _RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
 _STEP_FRACTION = 0.8  # of the limit at the present overlaps
-_STEPS_PER_CONTACT = 4.0  # enough for impacts that damping is to end
+_IMPACT_STEPS = 4.0  # enough for impacts that damping is to end
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
 _FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
@@ -300,10 +300,10 @@ def relax(
     touch, it also follows their impacts. While the box is being filled it is enough that the disks have moved apart
     again: a loose gas of disks has no balance to wait for.
     """
-    state = start(scene, preload=preload, steps_per_contact=_STEPS_PER_CONTACT if own else 0.0)
+    state = start(scene, preload=preload, steps_per_contact=_IMPACT_STEPS if own else 0.0)
     while True:
         check()
-        state = advance(replace(state, time_step=_STEP_FRACTION * present_limit(state)), _RELAXATION_CHUNK)
+        state = advance(replace(state, time_step=_STEP_FRACTION * step_limit(state)), _RELAXATION_CHUNK)
         cost.steps += _RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
         if not np.isfinite(ratio) or cost.steps > rule.most_steps:

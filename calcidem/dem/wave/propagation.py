@@ -101,6 +101,7 @@ def prepare_recorder(
         preload=packing.preload,
         step_fraction=rule.step_fraction,
         skin_fraction=skin,
+        steps_per_contact=0.0,
     )
     state = begin(scene)
     if rule.regime != "linear" and installation == "preserve":
@@ -140,7 +141,8 @@ def _samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds |
     """
     every = None if bonds is None else replace(bonds, pairs=packing.pairs, lanes=None)
     scene = wave_scene(packing, sand, rule, every)
-    limit = start(scene, features=choose_features(scene, rule.regime), preload=packing.preload).critical_time_step[0]
+    features = choose_features(scene, rule.regime)
+    limit = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0).critical_time_step[0]
     return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
