@@ -15,6 +15,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
+_QUIET = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
 _BEHIND_P = 0.5  # of the largest value; the first peak as high as this behind a P wave of opposite sign is the S wave
 _TROUGH = 1.6  # over the height of a peak; what goes deeper behind it is no part of the same pulse
 _TWIN = 0.05  # of the height of a top; step and regime change signals by a third of that (docs/accuracy.md)
@@ -163,7 +164,7 @@ def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) 
     if (
         prominence < rule.prominence * height
         or width < rule.width
-        or height * min(1.0, periods * periods) <= rule.signal_to_noise * noise
+        or height * min(1.0, _QUIET * periods) <= rule.signal_to_noise * noise
     ):
         return None
     precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
