@@ -26,16 +26,10 @@ class Correlations:
         Over all samples of all contents. A common trend with content inflates it.
     within
         After subtracting from each variable its mean at the same content: what is left without that trend.
-    by_content
-        At each content alone, along a further dimension `content`.
-    left_out
-        Number of samples with a variable missing, which are in none of the matrices.
     """
 
     overall: xr.Dataset
     within: xr.Dataset
-    by_content: xr.Dataset
-    left_out: int
 
 
 def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
@@ -59,7 +53,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each
     further content whose mean was subtracted (Fisher 1924, on partial correlation). They take samples as
     independent. Those of different seeds are; those of one seed share their cement from content to content,
-    so the intervals of `overall` and `within` are somewhat too narrow, those of `by_content` are not.
+    so the intervals are somewhat too narrow.
     """
     names = [str(name) for name in table.data_vars]
     if len(names) <= 1:
@@ -75,16 +69,9 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     pooled = np.concatenate(groups)
     centred = np.concatenate([group - group.mean(axis=0) for group in groups if len(group)])
     means_subtracted = sum(len(group) > 0 for group in groups)
-    contents = table["content"].to_numpy()
     return Correlations(
         overall=_correlation_matrix(pooled, names, level),
         within=_correlation_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
-        by_content=xr.concat(
-            [_correlation_matrix(group, names, level) for group in groups],
-            dim=xr.Variable("content", contents),
-            join="exact",
-        ),
-        left_out=int((~complete).sum()),
     )
 
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import xarray as xr
@@ -11,13 +12,13 @@ from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.arrival import read_travel_times
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, Method
 from calcidem.dem.wave.measurement import Measurement, measure, signals_of
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.campaign import open_stored_campaign
 
-_METHODS = ("peak", "first_arrival", "cross_correlation")
+_METHODS: tuple[Method, ...] = get_args(Method)
 _FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
 _DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
 _LANES = (4, 8, 16, 32)
