@@ -67,7 +67,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     complete = np.asarray(np.isfinite(values).all(axis=-1))
     groups = [values[complete[:, column], column] for column in range(values.shape[1])]
     pooled = np.concatenate(groups)
-    centred = np.concatenate([group - group.mean(axis=0) for group in groups if len(group)])
+    centred = np.concatenate([pooled[:0], *(group - group.mean(axis=0) for group in groups if len(group))])
     means_subtracted = sum(len(group) > 0 for group in groups)
     return Correlations(
         overall=_correlation_matrix(pooled, names, level),
