@@ -20,12 +20,12 @@ from scipy.sparse.linalg import spsolve
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem import Bonds, start
-from calcidem.dem.engine.state import State
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.statics import contact_springs
-from calcidem.dem.kernels.layout import NORMAL_X, NORMAL_Y, Flags, Floats
+from calcidem.dem.kernels.layout import NORMAL, NORMAL_X, NORMAL_Y, Flags, Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.scene import TRANSMITTER, wave_scene
 from calcidem.dem.wave.static_speed import static_speed
 
 CONTENTS = (0.0, 0.66, 2.55, 5.0, 9.0)
@@ -85,6 +85,16 @@ def _mean_stress(state: State, forces: Floats, place: Floats, inside: Flags) -> 
     return float(share @ (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])) / 2.0
 
 
+def wall_delay(experiment: Experiment, speed: float, frequency: float) -> float:
+    """Periods by which a wall passes a wave on late: a spring k before a medium of impedance Z = rho V, atan(w Z / k)."""
+    packing, sand = experiment.stiffen()
+    state = start(wave_scene(packing, sand, experiment.wave, None), regime="linear", preload=packing.preload)
+    wall_pairs, left = state.assembly.wall_pairs, (TRANSMITTER - 1, TRANSMITTER, TRANSMITTER + 1)
+    spring = sand.shear_ratio * float(wall_pairs.tangent[np.isin(wall_pairs.wall, left), NORMAL].sum()) / packing.height
+    impedance = sand.density * (1.0 - packing.report.porosity) * speed
+    return float(np.arctan(2.0 * np.pi * frequency * impedance / spring) / (2.0 * np.pi))
+
+
 def picked(experiment: Experiment, content: float, seeds: Sequence[int], changes: dict[str, Any]) -> Floats:
     """Vs of each seed with some keys of the wave changed, NaN where there is none."""
     found = measure(replace(experiment, wave=replace(experiment.wave, **changes)), content, seeds)
@@ -107,7 +117,7 @@ def main() -> None:
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None, lambda: None))
     for content in (0.0, 5.0):
         measure(experiment, content, seeds)  # compiles
-    titles = ("content %", "static, m/s", "inner part, m/s", *VARIANTS, "seconds: static", "wave")
+    titles = ("content %", "static, m/s", "inner part, m/s", *VARIANTS, "delay at the wall", "seconds: static", "wave")
     print(f"| {' | '.join(titles)} |\n|{'---|' * len(titles)}")
     for content in CONTENTS:
         chosen = seeds if content else seeds[:1]
@@ -120,7 +130,8 @@ def main() -> None:
         measure(experiment, content, chosen)
         seconds.append((time.process_time() - began) / len(chosen))
         ratios = [ratio_text(picked(experiment, content, chosen, changes), static) for changes in VARIANTS.values()]
-        cells = (f"{content:g}", f"{static.mean():.0f}", f"{inner:.0f}", *ratios, *(f"{s:.2f}" for s in seconds))
+        last = [wall_delay(experiment, float(static.mean()), experiment.frequency(content)), *seconds]
+        cells = (f"{content:g}", f"{static.mean():.0f}", f"{inner:.0f}", *ratios, *(f"{value:.2f}" for value in last))
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

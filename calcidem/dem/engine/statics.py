@@ -55,7 +55,10 @@ def shear_modulus(state: State, edges: Sequence[Integers], lane: int = 0) -> flo
     matrix = strain_matrix.T @ sparse.diags_array(stiffness) @ strain_matrix
     ground = _GROUND * float(np.median(stiffness[stiffness > 0.0])) * sparse.eye_array(int(free.sum()))
     factors = splu(
-        (matrix[free][:, free] + ground).tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+        (matrix[free][:, free] + ground).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
     )
     moved = affine.copy()
     moved[free] -= factors.solve((matrix @ affine)[free])
