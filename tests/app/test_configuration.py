@@ -23,11 +23,11 @@ CHECKOUT = Path(__file__).parents[2]
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "8fb73d18ea0542e707c514cd16a4880750850d3a8d59ed182081d4fb2c9b3f2e",
+        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper.toml"): (
-        "8fb73d18ea0542e707c514cd16a4880750850d3a8d59ed182081d4fb2c9b3f2e",
+        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-literal.toml"): (
@@ -39,7 +39,7 @@ IDENTITIES = {
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "61af8938b3b06c0babd3d124bfec8e6323987478802b627bdd9e52282bd3d54f",
+        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
 }
