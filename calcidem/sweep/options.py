@@ -14,7 +14,10 @@ class SweepOptions:
     Attributes
     ----------
     time_limit
-        Seconds that a batch may take, including compilation, or None for no limit and no guards.
+        Seconds that a batch may take, including compilation, or None for no limit but the next.
+    silence_factor, silence_floor
+        Without a time limit the master gives a worker up that takes this many times as long as the slowest batch so
+        far, in proportion to their costs, and at least so many seconds; before any batch is done, ten times as many.
     hard_limit_factor
         The hard limit as a multiple of the time limit, larger than 1.
     watchdog_margin
@@ -31,6 +34,8 @@ class SweepOptions:
     """
 
     time_limit: float | None = None
+    silence_factor: float = 20.0
+    silence_floor: float = 300.0
     hard_limit_factor: float = 1.5
     watchdog_margin: float = 5.0
     stop_grace: float = 60.0

@@ -90,8 +90,8 @@ class WorkerPool(Generic[CellT]):
 
     def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:
         self._comm = comm
-        self._hard_limit = options.hard_limit
-        self._watchdog_limit = options.watchdog_limit
+        self._options = options
+        self._slowest = 0.0  # seconds for a unit of cost
         self._next_watchdog = 0.0
         self._fault_tolerant = fault_tolerant
         self._workers: dict[int, _Worker[CellT]] = {}
@@ -158,11 +158,11 @@ class WorkerPool(Generic[CellT]):
         for rank in failed & self.expected:
             reasons.setdefault(rank, "MPI reports that its process failed")
         now = time.monotonic()
-        if self._watchdog_limit is not None and now >= self._next_watchdog:
+        if now >= self._next_watchdog:
             self._next_watchdog = now + _WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
-                if worker.batch is not None and now - worker.since > self._watchdog_limit:
-                    reasons.setdefault(rank, f"no answer within {self._watchdog_limit:g} s")
+                if worker.batch is not None and now - worker.since > (limit := self._patience(worker.batch)):
+                    reasons.setdefault(rank, f"no answer within {limit:.3g} s")
         return reasons
 
     def remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
@@ -210,11 +210,19 @@ class WorkerPool(Generic[CellT]):
 
     def _explain(self, reason: str, seconds: float) -> str:
         """Add to the reason of a loss that the worker's own hard stop was due."""
-        if self._hard_limit is None or self._watchdog_limit is None:
+        hard, watchdog = self._options.hard_limit, self._options.watchdog_limit
+        if hard is None or watchdog is None or not hard <= seconds < watchdog:
             return reason
-        if self._hard_limit <= seconds < self._watchdog_limit:
-            return f"{reason} at the hard time limit of {self._hard_limit:g} s"
-        return reason
+        return f"{reason} at the hard time limit of {hard:g} s"
+
+    def _patience(self, batch: Batch[CellT]) -> float:
+        """Seconds after which a worker that computes this batch counts as lost."""
+        options = self._options
+        if options.watchdog_limit is not None:
+            return options.watchdog_limit
+        if not self._slowest:
+            return 10.0 * options.silence_floor
+        return max(options.silence_floor, options.silence_factor * self._slowest * batch.cost)
 
     def _gone(self) -> set[int]:
         return self._watch.find_ended() | self._failed()
@@ -271,4 +279,6 @@ class WorkerPool(Generic[CellT]):
         except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
             failure = Failure.from_exception(FailureKind.FAILED, error)
             return BatchOutcome(batch, worker.place, time.monotonic() - worker.since, failure=failure)
+        if outcome.failure is None:
+            self._slowest = max(self._slowest, outcome.seconds / batch.cost)
         return outcome

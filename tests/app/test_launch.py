@@ -3,8 +3,11 @@
 import os
 import shutil
 import signal
+import sqlite3
 import sys
 import time
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -152,3 +155,39 @@ def test_a_signal_while_starting_ends_the_run(workshop: "Workshop") -> None:
     assert time.monotonic() - asked < 20.0
     assert "Ended at a signal" in ended.errors
     assert workshop.leaves_no_process()
+
+
+def hold_lease(workshop: "Workshop", heartbeat: datetime) -> None:
+    """Let a master on another machine have been heard of at this time."""
+    with closing(sqlite3.connect(workshop.database)) as connection, connection:
+        connection.execute("delete from lease")
+        connection.execute(
+            "insert into lease (campaign_id, token, host, pid, acquired, heartbeat) values (1, 'x', 'nodeZ', 7, ?, ?)",
+            [f"{heartbeat:%Y-%m-%d %H:%M:%S.%f}"] * 2,
+        )
+
+
+@pytest.mark.full
+def test_the_lease_of_a_dead_node_is_waited_for(workshop: "Workshop") -> None:
+    """A master of another machine that is not heard of any more is followed once its lease has ended."""
+    workshop.configure(seeds=1, contents=(0.0,))
+    assert workshop.run("run", "c.toml").code == 0
+    hold_lease(workshop, datetime.now(UTC) - timedelta(minutes=5) + timedelta(seconds=40))
+    waited = workshop.run("run", "c.toml")
+    assert waited.code == 0, waited.errors
+    assert "was writing this campaign" in waited.output
+    assert "Taken over from nodeZ" in waited.output
+
+
+def test_a_master_on_another_machine_that_lives_is_not_disturbed(workshop: "Workshop") -> None:
+    """A run that waits for a lease ends with 1 as soon as its holder is heard of."""
+    workshop.configure(seeds=1, contents=(0.0,))
+    assert workshop.run("run", "c.toml").code == 0
+    hold_lease(workshop, datetime.now(UTC) - timedelta(minutes=1))
+    process = workshop.start("run", "c.toml")
+    assert process.stdout is not None
+    assert any("was writing this campaign" in line for line in process.stdout)
+    hold_lease(workshop, datetime.now(UTC))
+    refused = workshop.wait(process)
+    assert refused.code == 1
+    assert "nodeZ" in refused.errors

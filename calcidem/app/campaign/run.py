@@ -1,6 +1,8 @@
 """One campaign from its configuration to its database: the same in one process and on many ranks."""
 
 import os
+import socket
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -16,6 +18,7 @@ from calcidem.app.campaign.workers import describe_unlike, describe_worker, grou
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
+from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.engine import parse_address
@@ -28,6 +31,9 @@ from calcidem.sweep import (
     plan_batches,
     run_sweep,
 )
+
+_LEASE_POLL = 1.0
+"""Seconds between two looks at a lease that another machine holds."""
 
 
 def run(
@@ -132,11 +138,11 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
-        store = self._master(tell) if _exists(configuration.database) else None
+        store = self._master(tell, check) if _exists(configuration.database) else None
         try:
             self.packing = provide_packing(configuration, store, tell, check)
             check_against_packing(configuration, self.packing)
-            store = store or self._master(tell)
+            store = store or self._master(tell, check)
             self.store: Store = store
             self._begin(workers, tell)
         except BaseException:
@@ -144,7 +150,7 @@ class CampaignRun:
                 store.close()
             raise
 
-    def _master(self, tell: Tell) -> Store:
+    def _master(self, tell: Tell, check: Callable[[], None]) -> Store:
         """Open the database and become the only one that writes this campaign."""
         configuration = self.configuration
         path = parse_address(configuration.database).path
@@ -164,7 +170,7 @@ class CampaignRun:
                     created=datetime.now(UTC),
                 )
             )
-            former = store.acquire_lease().taken_over_from
+            former = _acquire_lease(store, tell, check)
         except BaseException:
             store.close()
             raise
@@ -205,6 +211,38 @@ class CampaignRun:
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
         finally:
             self.store.close()
+
+
+def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> str | None:
+    """Become the only master, as soon as one on another machine has been silent for so long that it must have died.
+
+    Returns
+    -------
+    str or None
+        The former master whose lease this one took over.
+
+    Raises
+    ------
+    LeaseHeldError
+        If another one lives: on this machine, or it is heard of meanwhile.
+    """
+    first = None
+    while True:
+        try:
+            return store.acquire_lease().taken_over_from
+        except LeaseHeldError:
+            holder = store.lease_holder()
+            if holder is None or holder.host == socket.gethostname() or holder != (first or holder):
+                raise
+        if first is None:
+            tell(
+                f"Process {holder.pid} on {holder.host} was writing this campaign, last heard of at "
+                f"{holder.heartbeat:%H:%M:%S} UTC: waiting until it is heard of, or counts as dead after five "
+                "minutes of silence."
+            )
+        first = holder
+        check()
+        time.sleep(_LEASE_POLL)
 
 
 def _exists(database: str) -> bool:
