@@ -10,13 +10,8 @@ from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.netcdf.export import export_netcdf
 
-
-class _ArrayGroup(StrEnum):
-    """Arrays of single cells in an exported file."""
-
-    PATHS = "paths"
-    SIGNALS = "signals"
-    CEMENT = "cement"
+_ArrayGroup = StrEnum("_ArrayGroup", ["PATHS", "SIGNALS", "CEMENT"])
+"""Arrays of single cells in an exported file."""
 
 
 def export_command(

@@ -29,13 +29,7 @@ Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
 
 
-class Format(StrEnum):
-    """Output format."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    PARQUET = "parquet"
+Format = StrEnum("Format", ["TABLE", "CSV", "JSON", "PARQUET"])
 
 
 def query_command(

@@ -50,9 +50,8 @@ def _show_status(statuses: Iterator[CampaignStatus], *, as_json: bool, one_per_l
         return
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=PLAIN_WIDTH)
         for found in statuses:
-            console.print(status_view(found, console.width))
+            Console(highlight=False, width=PLAIN_WIDTH).print(status_view(found, PLAIN_WIDTH))
         return
     with Live(Group(), console=console, auto_refresh=False, vertical_overflow="visible") as live:
         for found in statuses:

@@ -11,12 +11,7 @@ from calcidem.analysis.figures.style import save
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.studies.frequency_and_damping import run_studies
 
-
-class _StudyName(StrEnum):
-    """Sensitivity studies."""
-
-    FREQUENCY = "frequency"
-    DAMPING = "damping"
+_StudyName = StrEnum("_StudyName", ["FREQUENCY", "DAMPING"])
 
 
 def study_command(

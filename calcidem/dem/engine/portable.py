@@ -138,7 +138,7 @@ def _cubic_basis(reach: int) -> Floats:
     second, third = reach * (reach + 1), 3 * reach * (reach + 1) - 1
     gram = np.array([np.ones_like(j), j, 3 * j * j - second, 5 * j * j * j - third * j])
     sums = [sum(value * value for value in row) for row in gram.tolist()]
-    basis = gram / np.sqrt(np.array(sums, dtype=float))[:, np.newaxis]
+    basis: Floats = gram / np.sqrt(np.array(sums, dtype=float))[:, np.newaxis]
     basis.setflags(write=False)
     return basis
 
