@@ -43,7 +43,7 @@ def _block() -> float:
 
 
 @check(
-    "Coulomb: a disk thrown without spin rolls at last, at v / (1 + m R a / I), a the lever arm",
+    "Coulomb: a disk thrown without spin rolls at last, at v / (1 + I / (m a^2)), a the lever arm",
     source="angular momentum about the floor", tolerance=2e-3,
     reason="rolling swings on the shear spring, by mu N over k_s a part", quick=True,
 )  # fmt: skip

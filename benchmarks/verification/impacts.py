@@ -10,7 +10,7 @@ from table import check
 from calcidem.dem import Scene, Wall, advance, start
 
 _JOHNSON = "Hertz; Johnson, Contact Mechanics (1985), 4.2 and 11.4, doi:10.1017/CBO9781139171731"
-_LEAPFROG = "leapfrog at 60 steps a contact: about (pi / 60)^2 / 24 = 1.1e-4"
+_LEAPFROG = "leapfrog: 0.5 / n^2 at n = 60 steps a contact, where a sine would have 0.41 / n^2"
 _SMALL, _LARGE, _SPEED, _ANGLE = 0.7e-3, 3.3e-3, 3.7, 0.83
 _STEPS = 60
 
