@@ -5,16 +5,18 @@ from dataclasses import replace
 import naive
 import numpy as np
 import pytest
-from scenes import RADIUS, SOFT, SOFT_CEMENT, jumble
+from scenes import BONDED, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.leapfrog import Precision, State, run_in_place
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime, Scene, Wall
-from calcidem.dem.engine.state import Precision, State, choose_features, run_in_place, start
+from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Recording
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import driven_disks
+from calcidem.dem.wave.guards import broken_bonds, problems_of
 from calcidem.dem.wave.rule import WaveRule
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
@@ -217,3 +219,26 @@ def test_a_drive_needs_a_recording() -> None:
     """A kernel without a recording has nothing that could drive disks."""
     with pytest.raises(ValueError, match="driven = True needs recording = True"):
         Features(driven=True)
+
+
+def test_a_sample_may_lose_as_many_bonds_as_it_is_told() -> None:
+    """Bonds that broke are counted; they make a sample another one if they are more than the part that is allowed."""
+    weak = replace(SOFT_CEMENT, tensile_strength=5.0e4, cohesion=5.0e4, linear_modulus=0.0)
+    scene = jumble(8, 20, share_bonded=1.0, cement=weak)
+    assert scene.bonds is not None
+    velocity, spin = throw(scene, 8)
+    state = advance(start(scene, features=BONDED, velocity=velocity, spin=spin), 100)
+    lost = len(scene.bonds.pairs) - int(np.count_nonzero(state.assembly.pairs.intact))
+    assert 0 < lost < len(scene.bonds.pairs)
+    assert broken_bonds(state).tolist() == [lost]
+    share = lost / len(scene.bonds.pairs)
+    assert problems_of(state, 1e3, 1.0, breakable=1.01 * share) == [""]
+    for part in (0.0, 0.99 * share):
+        assert problems_of(state, 1e3, 1.0, breakable=part)[0].startswith(f"{lost} bonds broke within 100 steps")
+
+
+@pytest.mark.parametrize("part", [-0.1, 1.1])
+def test_a_share_of_broken_bonds_is_a_part(part: float) -> None:
+    """Neither less than none nor more than all bonds can break."""
+    with pytest.raises(ValueError, match="most_broken_bonds"):
+        WaveRule(most_broken_bonds=part)

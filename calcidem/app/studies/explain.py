@@ -117,7 +117,8 @@ def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     found += [_early_stop(experiment), precision(experiment)]
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
-    return [*found, Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds), _local_damping(experiment)]
+    found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
+    return [*found, _local_damping(experiment), _driven_disks(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -177,6 +178,13 @@ def _local_damping(experiment: Experiment) -> Alternative:
         return Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
     why = f"alpha of the sample is {alpha:g}: without it Vs is another one"
     return Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
+
+
+def _driven_disks(experiment: Experiment) -> Alternative:
+    """Disks that the pulse drives, instead of a wall that rubs along them."""
+    wall = experiment.wave.transmitter == "wall"
+    why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
+    return Alternative("driven disks", not wall, why, with_wave(experiment, transmitter="driven" if wall else "wall"))
 
 
 def _early_stop(experiment: Experiment) -> Alternative:

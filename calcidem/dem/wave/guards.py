@@ -6,22 +6,24 @@ steps, so whatever starts between two looks is beyond every bound at the second.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
+from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Floats, Integers
 
 _BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
 _LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
 _NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
 
 
-def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
+def problems_of(state: State, amplitude: float, overlap: float, breakable: float = 0.0) -> list[str]:
     """Why each lane cannot be trusted any more, empty for those that can.
 
     Parameters
@@ -32,6 +34,8 @@ def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
         Of the pulse, m/s; nothing moves much faster in a sample that was at rest.
     overlap
         Mean overlap of the contacts at the start, m.
+    breakable
+        Part of its bonds that a sample may lose.
     """
     problems = [""] * state.features.lanes
     # NaN compares with nothing, so it is asked for by what it is not.
@@ -41,13 +45,17 @@ def problems_of(state: State, amplitude: float, overlap: float) -> list[str]:
     if state.features.linear:
         return problems
     motion = _largest_translation(state.motion.displacement)
-    for find in (_find_unlisted_neighbours, _find_broken_bonds, _find_steps_above_limit):
-        for lane, problem in find(state, motion, overlap):
-            problems[lane] = problems[lane] or problem
+    found = (
+        _find_unlisted_neighbours(state, motion),
+        _find_broken_bonds(state, breakable),
+        _find_steps_above_limit(state, motion, overlap),
+    )
+    for lane, problem in chain(*found):
+        problems[lane] = problems[lane] or problem
     return problems
 
 
-def _find_unlisted_neighbours(state: State, motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
+def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[int, str]]:
     """Give the lanes in which a disk may have met one that is not in the list of pairs."""
     if state.features.search or not state.features.finite:
         return
@@ -56,15 +64,23 @@ def _find_unlisted_neighbours(state: State, motion: Floats, _overlap: float) -> 
         yield lane, f"{_name_disk(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
 
 
-def _find_broken_bonds(state: State, _motion: Floats, _overlap: float) -> Iterator[tuple[int, str]]:
-    """Give the lanes in which bonds broke."""
-    broken = state.assembly.pairs.cemented & ~state.assembly.pairs.intact
+def broken_bonds(state: State) -> Integers:
+    """(L,) bonds that broke."""
+    pairs, lanes = state.assembly.pairs, state.features.lanes
+    if not (pairs.cemented ^ pairs.intact).any():
+        return np.zeros(lanes, dtype=np.int64)
+    return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
+
+
+def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, str]]:
+    """Give the lanes in which more bonds broke than may."""
+    broken = broken_bonds(state)
     if not broken.any():
         return
-    for lane in range(state.features.lanes):
-        count = int(np.count_nonzero(broken >> np.uint32(lane) & 1))
-        if count:
-            yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
+    bonds = np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0)
+    for lane in np.flatnonzero(broken > breakable * bonds).tolist():
+        count = broken[lane]
+        yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
 
 
 def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:

@@ -130,6 +130,7 @@ def prepare_recorder(
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
         closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(whole, pulse.stroke),
+        breakable=rule.most_broken_bonds,
     )
 
 

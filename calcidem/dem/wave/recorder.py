@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
-from calcidem.dem.wave.guards import problems_of
+from calcidem.dem.wave.guards import broken_bonds, problems_of
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 
@@ -40,6 +40,8 @@ class WaveRecord:
     closing_gaps
         Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts; zero
         in the finite regime, where they may touch.
+    broken_bonds
+        Bonds that broke until then.
     problem
         Empty, or why the run cannot be trusted.
     retry
@@ -55,6 +57,7 @@ class WaveRecord:
     steps: int
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
+    broken_bonds: int = 0
     problem: str = ""
     retry: str = ""
 
@@ -109,6 +112,8 @@ class Recorder:
         (L,) see `WaveRecord`.
     closing_gaps
         See `WaveRecord`.
+    breakable
+        See `guards.problems_of`.
     chunks
         (`SAMPLES_PER_CHUNK`, 2, L) shear force and velocity of each chunk so far.
     """
@@ -122,6 +127,7 @@ class Recorder:
     longest: float
     unbalanced_speed: Floats
     closing_gaps: float
+    breakable: float = 0.0
     chunks: list[Floats] = field(default_factory=list, init=False)
 
     @property
@@ -136,7 +142,7 @@ class Recorder:
         while len(records) < self.samples:
             check()
             self.chunks.append(self.record_chunk())
-            problems = problems_of(self.state, self.pulse.amplitude, overlap)
+            problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             for lane in sorted(set(range(self.samples)) - set(records)):
                 record = self.record_of(lane, problems[lane])
                 if record.problem or record.duration >= self.longest or stop_when(record):
@@ -176,5 +182,6 @@ class Recorder:
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
+            broken_bonds=int(broken_bonds(self.state)[lane]),
             problem=problem,
         )

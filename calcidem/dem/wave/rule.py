@@ -50,6 +50,8 @@ class WaveRule:
         Slowest velocity that is waited for, m/s.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
+    most_broken_bonds
+        Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
     unbalanced_force_ratio, most_settling_steps
         Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
     keep
@@ -71,6 +73,7 @@ class WaveRule:
     samples_per_period: int = 100
     slowest: float = 60.0
     listening_depth: float = 0.01
+    most_broken_bonds: float = 0.0
     unbalanced_force_ratio: float = 1.0e-6
     most_settling_steps: int = 2_000_000
     keep: tuple[str, ...] = ()
@@ -91,6 +94,7 @@ class WaveRule:
                 f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
+            ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
             ("step_fraction", 0.0 < self.step_fraction <= 1.0, "above 1 the scheme is unstable; choose 0.05 to 0.95"),
