@@ -30,7 +30,7 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("ranks", [2, 4])
+@pytest.mark.parametrize("ranks", [pytest.param(2, marks=pytest.mark.full), 4])
 def test_ranks_do_not_change_a_bit(workshop: "Workshop", expected: "Cells", ranks: int) -> None:
     """A campaign gives the same bits on 2 and on 4 ranks as in one process."""
     workshop.configure()

@@ -134,7 +134,7 @@ def test_a_lost_master_loses_nothing_acknowledged(
 
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=FULL)])
 def test_no_rank_outlives_mpirun(campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool) -> None:
     """When mpirun itself is killed all ranks are gone at once, and what they had told of is stored."""
     launch = campaign.start("--seconds", "0.1", ulfm=ulfm)

@@ -9,7 +9,7 @@ pytestmark = pytest.mark.mpi
 
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
-@pytest.mark.parametrize("ranks", [1, 2, 4])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.full), 4])
 def test_results_do_not_depend_on_the_number_of_ranks(
     campaign: "Campaign", expected: "Values", ranks: int, ulfm: bool
 ) -> None:

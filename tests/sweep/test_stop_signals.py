@@ -46,7 +46,7 @@ def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm:
 
 
 @pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.full)])
 def test_a_terminated_mpirun_ends_quickly(
     campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool
 ) -> None:
