@@ -16,7 +16,7 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure,
 from calcidem.analysis.figures.relations import law_text, symbol
 from calcidem.analysis.figures.samples import draw_preferential_paths
 from calcidem.analysis.figures.signals import received_peak_index
-from calcidem.analysis.figures.velocities import draw_histograms, draw_range
+from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
 from calcidem.storage.campaign import open_stored_campaign
 
 pytestmark = pytest.mark.slow
@@ -43,6 +43,15 @@ def test_every_figure_is_drawn_and_written(
     labels = {figure.get_supxlabel(), *(axes.get_xlabel() for axes in figure.axes)}
     scaled = [axes for axes in figure.axes if axes.axison and axes.get_xticks().size and not axes.images]
     assert not scaled or labels != {""}
+
+
+def test_a_reading_that_no_cell_has_is_left_out_of_the_comparison(analysis: CampaignAnalysis) -> None:
+    """Where no arrival could be read by one of the methods, the other two are drawn."""
+    cells = analysis.cells.assign(
+        vs_first_arrival=np.nan * analysis.vs, vs_peak=analysis.vs, vs_cross_correlation=analysis.vs
+    )
+    upper, lower = draw_methods(cells).axes
+    assert (len(upper.lines), len(lower.lines)) == (2, 2)
 
 
 def test_same_data_give_the_same_bytes(analysis: CampaignAnalysis) -> None:

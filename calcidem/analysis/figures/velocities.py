@@ -189,6 +189,8 @@ def draw_methods(cells: xr.Dataset) -> Figure:
         ratio = 100 * (values / reference - 1)
         for axes, numbers in ((upper, values), (lower, ratio)):
             known = np.isfinite(numbers).any(axis=0)
+            if not known.any():  # none of the cells could be read so
+                continue
             low, middle, high = np.nanquantile(numbers[:, known], [0.1, 0.5, 0.9], axis=0)
             axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
             axes.plot(content[known], middle, color=colour, marker=marker, markersize=4, label=label)

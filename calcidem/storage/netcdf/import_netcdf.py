@@ -37,7 +37,7 @@ from calcidem.storage.store import Store
 _LAYOUTS = (1, 2, FORMAT_VERSION)
 """That can be read; earlier ones have other names, here and in `calcidem.storage.netcdf.groups`."""
 
-_FORMER_NAMES = {"error_bound": "error_estimate"}
+_FORMER_QUANTITIES = {"error_bound": "error_estimate"}
 """Of quantities, in files of the layouts 1 and 2."""
 
 _SEEDS_IN_MEMORY = 500
@@ -191,7 +191,9 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         # Files of earlier versions lack the quantities that were added since.
-        present = {name: file.variables.get(name, file.variables.get(_FORMER_NAMES.get(name))) for name in _VALUE_NAMES}
+        present = {
+            name: file.variables.get(name, file.variables.get(_FORMER_QUANTITIES.get(name))) for name in _VALUE_NAMES
+        }
         columns = {
             name: _python_values(name, variable[rows]) for name, variable in present.items() if variable is not None
         }

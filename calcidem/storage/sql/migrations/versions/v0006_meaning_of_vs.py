@@ -17,7 +17,7 @@ NEW_COLUMNS = {
     "content_of_contacts": "not_negative",
     "static_speed": "positive",
 }
-_CONDITIONS = {"positive": "{0} > 0 AND {0} < 1e+300", "not_negative": "{0} >= 0 AND {0} < 1e+300"}
+_CHECKS_OF = {"positive": "{0} > 0 AND {0} < 1e+300", "not_negative": "{0} >= 0 AND {0} < 1e+300"}
 
 
 def upgrade() -> None:
@@ -26,5 +26,5 @@ def upgrade() -> None:
     # of the column keeps its name, which no database can change.
     op.execute("ALTER TABLE result RENAME COLUMN error_estimate TO error_bound")
     for name, kind in NEW_COLUMNS.items():
-        check = sa.CheckConstraint(_CONDITIONS[kind].format(name), name=op.f(f"ck_result_{name}_{kind}"))
+        check = sa.CheckConstraint(_CHECKS_OF[kind].format(name), name=op.f(f"ck_result_{name}_{kind}"))
         op.add_column("result", sa.Column(name, sa.Double(), check, nullable=True))
