@@ -5,18 +5,19 @@ from dataclasses import replace
 import naive
 import numpy as np
 import pytest
-from scenes import BONDED, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
+from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.leapfrog import Precision, State, run_in_place
-from calcidem.dem.engine.readout import energies
+from calcidem.dem.engine.readout import energies, overlaps, wall_overlaps
 from calcidem.dem.engine.scene import Regime, Scene, Wall
+from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Recording
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import driven_disks
-from calcidem.dem.wave.guards import broken_bonds, problems_of
+from calcidem.dem.wave.guards import broken_bonds, cheap_limit, problems_of
 from calcidem.dem.wave.rule import WaveRule
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
@@ -242,3 +243,14 @@ def test_a_share_of_broken_bonds_is_a_part(part: float) -> None:
     """Neither less than none nor more than all bonds can break."""
     with pytest.raises(ValueError, match="most_broken_bonds"):
         WaveRule(most_broken_bonds=part)
+
+
+def test_the_cheap_limit_of_the_step_is_below_the_dear_one_however_hard_contacts_are_pressed() -> None:
+    """It is a bound from below at rest, and with overlaps tens of times as large."""
+    for scene in (jumble(8, 20), jumble(8, 20, share_bonded=1.0, cement=replace(SOFT_CEMENT, linear_modulus=0.0))):
+        state = start(scene, features=BONDED if scene.bonds is not None else HERTZ)
+        for squeezed in (0.0, 1e-3, 0.05):
+            centres = np.column_stack([scene.x, scene.y])
+            state.motion.displacement[:, :2, 0] = squeezed * (centres.mean(axis=0) - centres)[state.assembly.order]
+            limit = critical_time_step(scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
+            assert cheap_limit(state)[0] < limit[0]
