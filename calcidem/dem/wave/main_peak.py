@@ -22,8 +22,9 @@ _TWIN = 0.05  # of the height of a top; step and regime change signals by a thir
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
 _BLUR = 0.14  # of the travel time that half the additional width of a peak may be ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
-_OVERLAP = 0.8  # periods between a swing and the peak that it runs into ...
-_OVERLAPPING = 1.7  # ... in records with fewer periods on the way
+_OVERLAP = 0.8  # periods between a swing and the peak that it runs into, or ...
+_BROAD_OVERLAP = 0.65  # ... of the width of a broader peak, where it is more ...
+_OVERLAPPING = 2.1  # ... in records with fewer periods on the way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +174,7 @@ def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) 
         doubt = PickFailure.UNSURE
     elif periods < _BLURRED and 0.5 * (width - 1.0) > _BLUR * periods:
         doubt = PickFailure.BROAD
-    elif behind_p and periods < _OVERLAPPING and index - trough < _OVERLAP * record.period:
+    elif behind_p and periods < _OVERLAPPING and index - trough < max(_OVERLAP, _BROAD_OVERLAP * width) * record.period:
         doubt = PickFailure.PRECURSOR
     return MainPeak(
         index=index,
