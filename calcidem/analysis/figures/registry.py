@@ -74,13 +74,16 @@ def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
     pick = analysis.campaign.config.get("pick", {})
     force = pick.get("signal") == "force"
     velocities = {name: float(cell[f"vs_{name}"]) for name in METHOD_STYLES}
+    distance = float(cell["distance"])
+    if math.isnan(distance):  # of a cell that took the whole width for the way of the wave
+        distance = analysis.campaign.packing(int(cell["packing_index"])).width
     return Arrival(
         seed=seed,
         content=content,
         time=signal.time,
         sent=signal.sent_velocity,
         received=signal.received_force if force else signal.received_velocity,
-        distance=analysis.campaign.packing(int(cell["packing_index"])).width,
+        distance=distance,
         velocities={name: value for name, value in velocities.items() if math.isfinite(value)},
         onset=float(pick.get("onset", _DEFAULT_ONSET)),
     )
