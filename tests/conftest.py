@@ -1,5 +1,6 @@
 """Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
 
+import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +19,8 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
+
+sys.path.append(str(Path(__file__).parent))  # marked_processes.py, which tests of several folders use
 
 SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from marked_processes import MarkedProcesses
 from typer.testing import CliRunner
 
 from calcidem.app.cli.main import build_application
@@ -63,8 +63,10 @@ class Finished:
 
 
 @dataclass
-class Workshop:
+class Workshop(MarkedProcesses):
     """An empty folder in which the real command is used."""
+
+    MARK = "WORKSHOP"
 
     folder: Path
     cache: Path
@@ -152,31 +154,10 @@ class Workshop:
             except sqlite3.OperationalError:
                 return 0  # it is being made
 
-    def processes(self, *variables: str) -> list[int]:
-        """Processes started from this workshop that still run, or those of them that have variables set like this."""
-        marks = {variable.encode() for variable in (f"WORKSHOP={self.folder}", *variables)}
-        found = []
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            try:
-                if marks <= set(path.read_bytes().split(b"\0")):
-                    found.append(int(path.parent.name))
-            except OSError:
-                continue  # it has ended meanwhile, or is not ours
-        return found
-
     def rank(self, number: int) -> int:
         """Process of a rank, not that of the starter that watches it."""
         (found,) = self.processes("CALCIDEM_COMMAND_DESCRIPTOR=3", f"OMPI_COMM_WORLD_RANK={number}")
         return found
-
-    def leaves_no_process(self) -> bool:
-        """Whether all processes are gone within 3 s; the kernel needs a moment to kill them."""
-        end = time.monotonic() + 3.0
-        while self.processes():
-            if time.monotonic() > end:
-                return False
-            time.sleep(0.02)
-        return True
 
 
 def _toml(value: object) -> str:
@@ -211,8 +192,7 @@ def workshop(tmp_path: Path, cache: Path) -> Iterator[Workshop]:
     """Give an empty folder; whatever still runs there is killed after the test."""
     place = Workshop(tmp_path, cache)
     yield place
-    for process in place.processes():
-        os.kill(process, signal.SIGKILL)
+    place.kill_all()
 
 
 @pytest.fixture

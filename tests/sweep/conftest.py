@@ -8,7 +8,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from marked_processes import MarkedProcesses
 
 from calcidem.app.campaign.launch import NO_LISTENER, starter_command
 from calcidem.sweep import Batch, BatchOutcome
@@ -122,8 +122,11 @@ class Launch:
         return {(int(seed), float(content)) for seed, content in cells}
 
 
-class Campaign:
+class Campaign(MarkedProcesses):
     """A sweep program and its database, to be started as often as a test likes."""
+
+    MARK = "CAMPAIGN_MARK"
+    GRACE = 2.0
 
     def __init__(self, folder: Path, mpirun: Path) -> None:
         self.folder = folder
@@ -161,27 +164,6 @@ class Campaign:
         """Start the program and wait for its end."""
         return self.start(*options, ranks=ranks, ulfm=ulfm).wait()
 
-    def processes(self) -> list[int]:
-        """Return the processes of this campaign that still run, by their environment."""
-        mark = f"CAMPAIGN_MARK={self.folder}".encode()
-        found = []
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            try:
-                if mark in path.read_bytes().split(b"\0"):
-                    found.append(int(path.parent.name))
-            except OSError:
-                continue  # it has ended meanwhile, or is not ours
-        return found
-
-    def leaves_no_process(self) -> bool:
-        """Tell whether all processes are gone within 2 s; the kernel needs a moment to kill them."""
-        end = time.monotonic() + 2.0
-        while self.processes():
-            if time.monotonic() > end:
-                return False
-            time.sleep(0.02)
-        return True
-
     def rows(self, query: str) -> list[tuple[Any, ...]]:
         """Return the answer of the database."""
         connection = sqlite3.connect(self.database)
@@ -212,8 +194,7 @@ def campaign(tmp_path: Path, mpirun: Path) -> Iterator[Campaign]:
     """Return a fresh campaign; whatever it leaves behind is killed after the test."""
     campaign = Campaign(tmp_path, mpirun)
     yield campaign
-    for process in campaign.processes():
-        os.kill(process, signal.SIGKILL)
+    campaign.kill_all()
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Faults on order in a small real campaign, and what becomes of it: used by the tests and by benchmarks/faults."""
 
 import os
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -15,6 +14,9 @@ from calcidem.app.campaign.retry import retry_cells
 from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[4]
+sys.path.append(str(CHECKOUT / "tests"))
+from marked_processes import MarkedProcesses  # noqa: E402 - a helper of the tests
+
 PROGRAM = Path(__file__).with_name("faulty_run.py")
 
 PATIENCE = 120.0
@@ -135,7 +137,7 @@ class RunEnd:
     seconds: float
 
 
-class Trial:
+class Trial(MarkedProcesses):
     """A small campaign in a folder of its own, run with the real command and the real mpirun.
 
     Parameters
@@ -147,6 +149,8 @@ class Trial:
     seeds
         How many.
     """
+
+    MARK = "FAULT_FOLDER"
 
     def __init__(self, folder: Path, cache: Path, seeds: int = SEEDS) -> None:
         self.folder = folder
@@ -237,32 +241,6 @@ class Trial:
             return str(connection.execute("PRAGMA integrity_check").fetchone()[0])
         finally:
             connection.close()
-
-    def processes(self) -> list[int]:
-        """Processes of this trial that still run."""
-        mark = f"FAULT_FOLDER={self.folder}".encode()
-        found = []
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            try:
-                if mark in path.read_bytes().split(b"\0"):
-                    found.append(int(path.parent.name))
-            except OSError:
-                continue  # it has ended meanwhile, or is not ours
-        return found
-
-    def leaves_no_process(self, patience: float = 3.0) -> bool:
-        """Whether all processes are gone within some seconds; the kernel needs a moment to kill them."""
-        end = time.monotonic() + patience
-        while self.processes():
-            if time.monotonic() > end:
-                return False
-            time.sleep(0.02)
-        return True
-
-    def kill_all(self) -> None:
-        """Kill whatever still runs."""
-        for process in self.processes():
-            os.kill(process, signal.SIGKILL)
 
 
 def reference(folder: Path, cache: Path) -> Cells:
