@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import bare_packing
+from scenes import LINEAR, SOFT, SOFT_CEMENT, bare_packing, pair_scene
 
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.wave.error_estimate import ErrorParts, error_bound, error_parts, slip_ratio
+from calcidem.dem.engine.scene import Bonds
+from calcidem.dem.engine.state import start
+from calcidem.dem.wave.error_estimate import ErrorParts, error_bound, error_parts, expected_error, slip_ratio
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.linearity import nonlinear_share
+from calcidem.dem.wave.pick import Signals
+from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WaveRule
 
@@ -165,3 +170,64 @@ def test_grains_without_friction_have_no_velocity_in_the_linear_regime() -> None
     smooth = replace(EXPERIMENT, sand=Sand(friction=0.0))
     assert error_bound(smooth, RECORD, FREQUENCY, TRAVEL_TIME) == np.inf
     assert error_bound(waves(smooth, regime="small"), RECORD, FREQUENCY, TRAVEL_TIME) < 0.05
+
+
+def received(stretch: float = 1.0) -> Signals:
+    """A pulse that arrives after the travel time, its width multiplied."""
+    time = np.arange(0.0, 6.0 / FREQUENCY, 1e-6)
+    pulse = Pulse(AMPLITUDE, FREQUENCY)
+    arrived = pulse.velocity(0.5 / FREQUENCY + (time - TRAVEL_TIME - 0.5 / FREQUENCY) / stretch)
+    return Signals(1e-6, pulse.velocity(time), arrived, PACKING.width, 0.0)
+
+
+def expected(share: float, stretch: float = 1.0, experiment: Experiment = EXACT) -> float:
+    """Error to expect if that share of the work is nonlinear."""
+    record = replace(RECORD, nonlinear_share=share)
+    return expected_error(experiment, record, received(stretch), FREQUENCY, TRAVEL_TIME)
+
+
+def test_a_changed_signal_moves_its_peak_as_far_as_is_expected() -> None:
+    """A change by a sine of the pulse's frequency moves the top of the pulse by 2 pi f e w^2, found on a grid."""
+    change = 2.2e-3  # as of a nonlinear share of a thousandth
+    time = np.linspace(-0.02, 0.02, 200_001) / FREQUENCY
+    angle = 2.0 * np.pi * FREQUENCY * time
+    top = time[np.argmax(0.5 * (1.0 + np.cos(angle)) + change * np.sin(angle))]
+    # Smoothing and the distance of the three values make the peak look a little wider than it is.
+    assert (expected(1e-3) - expected(0.0)) * TRAVEL_TIME == pytest.approx(top, rel=0.1)
+
+
+def test_a_flat_peak_lets_expect_a_larger_error() -> None:
+    """Twice as wide a peak moves four times as far, and a nonlinear share counts in proportion."""
+    narrow, wide = (expected(1e-3, stretch) - expected(0.0, stretch) for stretch in (1.0, 2.0))
+    assert wide == pytest.approx(4.0 * narrow, rel=0.1)
+    assert expected(3e-3) - expected(0.0) == pytest.approx(3.0 * narrow)
+
+
+def test_of_a_wave_without_nonlinearity_a_part_of_the_half_step_is_expected() -> None:
+    """Nothing but the step is left, and the expected error is below the bound."""
+    assert expected(0.0) == pytest.approx(0.3 * 0.5e-7 / TRAVEL_TIME)
+    assert expected(0.0) < error_bound(EXACT, RECORD, FREQUENCY, TRAVEL_TIME)
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_the_nonlinear_share_of_one_contact_is_that_of_hertz(lanes: int) -> None:
+    """Pressing by x changes the force by k x at constant stiffness; Hertz says h ((d + x)^1.5 - d^1.5)."""
+    scene = pair_scene(gap=-1e-6, sand=SOFT)
+    state = start(scene, features=replace(LINEAR, bonds=False, linear_group=False, lanes=lanes))
+    assert not nonlinear_share(state).any()  # nothing moves yet
+    pressed = 3e-7
+    state.motion.displacement[1, 0] = -pressed
+    stiffness = 1.5e-3  # of h = 1: 1.5 sqrt(d)
+    missed = (1e-6 + pressed) ** 1.5 - 1e-6**1.5 - stiffness * pressed
+    assert nonlinear_share(state) == pytest.approx(missed / (stiffness * pressed), rel=1e-6)
+    state.motion.displacement[1, 0] = 2e-6  # apart: no force is left, which constant stiffness takes for tension
+    missed = -(1e-6**1.5) + stiffness * 2e-6
+    assert nonlinear_share(state) == pytest.approx(missed / (stiffness * 2e-6), rel=1e-6)
+
+
+def test_cement_is_linear() -> None:
+    """A bonded contact has no share, however far its disks move."""
+    scene = pair_scene(gap=-1e-6, sand=SOFT, bonds=Bonds(np.array([[0, 1]]), SOFT_CEMENT))
+    state = start(scene, features=LINEAR)
+    state.motion.displacement[1] = [[1e-5], [1e-5], [1e-3]]
+    assert not nonlinear_share(state).any()

@@ -106,6 +106,7 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         time_step=record.time_step,
         stability_limit=record.stability_limit,
         steps=record.steps,
+        expected_error=measurement.expected_error,
         error_bound=measurement.error_bound,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),

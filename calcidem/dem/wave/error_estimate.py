@@ -1,8 +1,7 @@
-"""Numerical error that a velocity has to state, from its record and settings alone.
+"""Numerical error that a velocity has to state, from its record and settings alone: one to expect, and a bound.
 
-The form of each part is derived where it stands. Its factor was measured against converged runs of the same cells, so
-that it covers 95 % of those it was measured on; docs/accuracy.md has these measurements, and a check on cells that the
-factors had not seen.
+The form of each part is derived where it stands. Its factor was measured against converged runs of the same cells;
+docs/accuracy.md has these measurements, and a check on cells and packings that the factors had not seen.
 """
 
 from typing import NamedTuple
@@ -10,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.main_peak import prepare_signals
+from calcidem.dem.wave.pick import Signals
 from calcidem.dem.wave.recorder import WaveRecord
 
 _SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
@@ -21,9 +22,14 @@ _SINGLE_PRECISION = 1.0e-3
 _CHATTER = 7.5e-3  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 
+_USUAL_STEP = 0.3  # of half a step over the travel time
+_USUAL_CHANGE = 2.2  # change of the signal near its peak over `WaveRecord.nonlinear_share`
+_USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
+_NEAR = 16  # distance of the places that tell the width of a peak, as a part of the period
+
 
 class ErrorParts(NamedTuple):
-    """Parts of the relative error of a velocity, which have nothing to do with one another.
+    """Bounds of the parts of the relative error of a velocity, which have nothing to do with one another.
 
     Attributes
     ----------
@@ -67,10 +73,50 @@ def error_bound(
     return float(np.sqrt(sum(part * part for part in parts)))
 
 
+def expected_error(
+    experiment: Experiment,
+    record: WaveRecord,
+    signals: Signals,
+    frequency: float,
+    travel_time: float,
+    *,
+    noisy: bool = False,
+) -> float:
+    """Relative error to expect of a velocity: the order of its size, which ranks cells; Hz and s.
+
+    A change of a signal by the part e of its height, as fast as the pulse is, tilts it by ``2 pi f e`` and so moves a
+    peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. In the linear regime the change goes with `nonlinear_share`. To
+    this come a part of the half step of `ErrorParts`, and a part of what else the bound has.
+    """
+    parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
+    tilt = 2.0 * np.pi * frequency * _USUAL_CHANGE * record.nonlinear_share
+    others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
+    if experiment.wave.regime == "small":
+        others += parts.regime
+    step = _USUAL_STEP * 0.5 * record.time_step / travel_time
+    return float(step + tilt * _squared_width(experiment, signals, travel_time) / travel_time + _USUAL * others)
+
+
+def _squared_width(experiment: Experiment, signals: Signals, travel_time: float) -> float:
+    """Height over curvature of the received signal where it was read, s^2; at most the square of the sent period.
+
+    By three smoothed values a sixteenth of the period apart; where they are not as a peak's, it is that square.
+    """
+    prepared = prepare_signals(signals, experiment.pick)
+    interval = signals.sampling_interval
+    top, apart = round(prepared.sent_peak + travel_time / interval), max(1, int(prepared.period / _NEAR))
+    widest = (prepared.period * interval) * (prepared.period * interval)
+    if not apart <= top < len(prepared.smooth) - apart:
+        return widest
+    left, height, right = (float(prepared.smooth[top + shift]) for shift in (-apart, 0, apart))
+    bend = (2.0 * height - left - right) / (apart * interval) / (apart * interval)
+    return min(widest, height / bend) if height > 0.0 and bend > 0.0 else widest
+
+
 def error_parts(
     experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, *, noisy: bool
 ) -> ErrorParts:
-    """Parts of the estimated error of a velocity; ``noisy`` where noise hides the first arrival. Hz and s."""
+    """Bounds of the parts of the error of a velocity; ``noisy`` where noise hides the first arrival. Hz and s."""
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
     # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     shape = max(1.0, 1.0 / (frequency * travel_time))

@@ -8,7 +8,7 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import error_bound
+from calcidem.dem.wave.error_estimate import error_bound, expected_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
@@ -44,8 +44,8 @@ class Measurement:
         Shear-wave velocity by the experiment's method, m/s; None without a trusted pick.
     picks
         All readings, of the experiment's signal; None if the run was unstable.
-    error_bound
-        Of the relative error of ``vs``, see `error_estimate.error_bound`; None without ``vs``.
+    expected_error, error_bound
+        Relative error of ``vs`` to expect, and its bound, see `error_estimate`; None without ``vs``.
     frequency
         Excitation, Hz.
     distance
@@ -64,6 +64,7 @@ class Measurement:
     reason: str
     vs: float | None
     picks: Picks | None
+    expected_error: float | None
     error_bound: float | None
     frequency: float
     distance: float
@@ -152,19 +153,22 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
 
 def _interpret_record(
     experiment: Experiment, frequency: float, record: WaveRecord
-) -> tuple[Outcome, str, float | None, Picks | None, float | None]:
-    """Outcome, reason, vs, picks and error of a record; what cannot be trusted has a reason and never a number."""
+) -> tuple[Outcome, str, float | None, Picks | None, float | None, float | None]:
+    """Outcome, reason, vs, picks, expected error and its bound; what cannot be trusted has a reason, never a number."""
     if record.problem:
-        return Outcome.UNSTABLE, record.problem, None, None, None
-    picks = read_travel_times(signals_of(record, experiment), experiment.pick)
+        return Outcome.UNSTABLE, record.problem, *(None,) * 4
+    signals = signals_of(record, experiment)
+    picks = read_travel_times(signals, experiment.pick)
+    unread = None, picks, None, None
     reading = getattr(picks, experiment.method)
     if reading.velocity is None or reading.travel_time is None:
-        return Outcome.NO_ARRIVAL, str(reading.failure), None, picks, None
+        return Outcome.NO_ARRIVAL, str(reading.failure), *unread
     if reading.quality < experiment.least_quality:
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
-        return Outcome.NO_ARRIVAL, reason, None, picks, None
+        return Outcome.NO_ARRIVAL, reason, *unread
     noisy = picks.first_arrival.failure == PickFailure.NOISE
     bound = error_bound(experiment, record, frequency, reading.travel_time, noisy=noisy)
     if bound > _LARGEST_BOUND:
-        return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, None, picks, None
-    return Outcome.DONE, "", reading.velocity, picks, bound
+        return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, *unread
+    expected = expected_error(experiment, record, signals, frequency, reading.travel_time, noisy=noisy)
+    return Outcome.DONE, "", reading.velocity, picks, expected, bound
