@@ -164,6 +164,9 @@ def make_front(state: State) -> Front:
 def run_in_place(state: State, steps: int, recording: Recording) -> State:
     """Let the kernel change a state in place for ``steps`` steps, with new lists of pairs where they are needed."""
     done = 0
+    if state.features.search and steps > 0 and _left_reach(state):
+        # In the last step of an earlier call, which had no next step to renew its list for.
+        state = renew_neighbours(state)
     while done < steps:
         count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
         done += count
@@ -173,10 +176,23 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
     return state
 
 
+def _reach(state: State, front: Front) -> float:
+    """How far a disk may go from where the pairs were listed before they are listed anew, m."""
+    return (_REACH if front.levels == 1 else _REACH_TOGETHER) * state.skin
+
+
+def _left_reach(state: State) -> bool:
+    """Whether a disk or a wall has gone that far."""
+    moved = state.motion.displacement[:, XY] - state.origin
+    walls = state.assembly.walls.motion[:, NORMAL_PATH] - state.wall_origin
+    reach = _reach(state, make_front(state))
+    return bool((moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any())
+
+
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
     assembly, front = state.assembly, make_front(state)
-    reach = (_REACH if front.levels == 1 else _REACH_TOGETHER) * state.skin
+    reach = _reach(state, front)
     system = System(
         grains=assembly.grains,
         motion=Motion(*(_rows(array) for array in state.motion)),

@@ -77,11 +77,11 @@ def limits(scene: Extreme) -> Limits:
     damped = replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=scene.damping)
     predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
     undamped = replace(damped, damping=0.0)
-    fastest = _fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
+    fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
     return Limits(predicted, 2.0 / (fastest * np.sqrt(1.0 + scene.damping)))
 
 
-def _fastest_mode(state: State) -> float:
+def fastest_mode(state: State) -> float:
     """Largest angular frequency of a scene in the linear regime, rad/s."""
     root = np.sqrt(inertia_of(state))
     # Rotations are scaled so that the matrix is symmetric up to rounding.
