@@ -25,6 +25,11 @@ def tell_command(text: str) -> None:
             connection.sendall(f"{text}\n".encode())
 
 
+def command_listens() -> bool:
+    """Whether this process was started by a command that listens, and ends what is left when rank 0 has ended."""
+    return _connection() is not None
+
+
 def lost_according_to_command() -> dict[int, str]:
     """Ranks that are lost as the command now knows from their starters, with reasons, each told once; for rank 0."""
     connection = _connection()

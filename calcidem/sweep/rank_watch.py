@@ -6,8 +6,10 @@ import signal
 import socket
 import struct
 import time
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass
+from math import inf
 from typing import Self
 
 from calcidem.sweep.starter import GREETING
@@ -49,8 +51,8 @@ class _ReportedRank:
         Whether it has loaded its program, and whether it has found the others.
     silent
         Seconds since it was heard of.
-    ended
-        How it has ended, as the end of a sentence; empty while it lives.
+    ended, ended_after
+        How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then.
     told
         Whether rank 0 was told of its end.
     """
@@ -64,6 +66,7 @@ class _ReportedRank:
     joined: bool = False
     silent: float = 0.0
     ended: str = ""
+    ended_after: float = 0.0
     told: bool = False
 
     def __str__(self) -> str:
@@ -155,13 +158,33 @@ class RankWatch:
         dead = [rank for rank in self._ranks.values() if rank.ended]
         if not dead:
             return ""
-        first = min(dead, key=lambda rank: (rank.ended == _VANISHED, rank.number))
+        first = min(dead, key=lambda rank: (rank.ended_after, rank.ended == _VANISHED, rank.number))
         return f"{first} {first.ended}"
 
-    def hosts_without_an_end(self) -> list[str]:
-        """Hosts of which no rank has been seen to end, with the ranks of others all gone: they are lost."""
-        ended = {rank.host for rank in self._ranks.values() if rank.ended}
-        return sorted({rank.host for rank in self._ranks.values()} - ended)
+    def listen_to_the_end(self, seconds: float) -> None:
+        """Take in the last words of ranks whose launcher has ended, until all have ended or some seconds are over."""
+        until = self._seconds + seconds
+        while self._seconds < until and any(not rank.ended for rank in self._ranks.values()):
+            self.listen(0.1)
+
+    def ranks_left(self) -> dict[str, int]:
+        """Number of ranks on each host that is not lost, once all is over; empty if no host is lost, or all are.
+
+        Lost are the hosts whose ranks all were gone without a word before any other rank ended, or still are not seen
+        to have ended.
+        """
+        hosts: dict[str, list[_ReportedRank]] = defaultdict(list)
+        for _, rank in sorted(self._ranks.items()):  # so that rank 0 stays where it was
+            hosts[rank.host].append(rank)
+        worded = [rank.ended_after for rank in self._ranks.values() if rank.ended not in {"", _VANISHED}]
+        ends = {host: max(rank.ended_after or inf for rank in ranks) for host, ranks in hosts.items()}
+        first, last = min([*ends.values(), *worded]), max(ends.values())
+        lost = [
+            host
+            for host, ranks in hosts.items()
+            if ends[host] == inf or (ends[host] == first < last and all(rank.ended == _VANISHED for rank in ranks))
+        ]
+        return {host: len(ranks) for host, ranks in hosts.items() if host not in lost} if lost else {}
 
     def describe_silent_master(self) -> str:
         """What to tell the user when rank 0 has stopped to beat, once each time; empty if there is nothing to tell."""
@@ -290,10 +313,11 @@ class RankWatch:
         for rank in self._ranks.values():
             if not rank.ended and rank.silent > self._silence_timeout:
                 rank.ended = f"has not been heard of for {self._silence_timeout:g} s: its host or the network is down"
-            if rank.ended and self._death is None:
-                self._death = self._seconds
-            if rank.ended and rank.told != bool(rank.ended) and 0 in self._ranks:
-                rank.told = True
+            if not rank.ended or rank.told:
+                continue
+            rank.told, rank.ended_after = True, self._seconds
+            self._death = self._seconds if self._death is None else self._death
+            if 0 in self._ranks:
                 with suppress(OSError):
                     self._ranks[0].connection.send(f"lost {rank.number} {rank.ended}\n".encode())
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
-from calcidem.sweep.channel import tell_command
+from calcidem.sweep.channel import command_listens, tell_command
 from calcidem.sweep.environment import fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
@@ -140,8 +140,8 @@ class Session:
         self._flush(exit_code)
         self._ending = True
         if self.comm is not None and self.size > 1:
-            if sweep_end is not None and sweep_end.unresponsive_ranks:
-                self._abort_mpi(exit_code)
+            if sweep_end is not None and sweep_end.unresponsive_ranks and not command_listens():
+                self._abort_mpi(exit_code)  # a command ends those that are left, and more quietly
             own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
             from mpi4py import MPI  # noqa: PLC0415 - as above
 

@@ -7,7 +7,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
@@ -36,6 +37,9 @@ _POLL_INTERVAL = 0.2
 
 _TIME_TO_END = 5.0
 """Seconds that the launcher has for ending its ranks before it is killed."""
+
+_TIME_FOR_LAST_WORDS = 3.0
+"""Seconds in which it arrives how the ranks have ended."""
 
 _PATIENCE_OF_USERS = 10.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
@@ -99,46 +103,52 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
-        failure = ""
+        failure, begun = "", False
+        hosts: dict[str, int] = {}
         with _Relay() as relay:
             for restart in range(self.restarts + 1):
-                end = self._once(mpirun, relay)
+                end = self._once(mpirun, relay, hosts)
+                begun |= not end.failure_at_start
                 same_failure = bool(failure) and end.failure_at_start == failure
                 if not end.worth_a_restart or same_failure or restart == self.restarts:
                     break
-                failure = end.failure_at_start
+                failure, hosts = end.failure_at_start, end.hosts
                 if relay.wait_for_signal(_RESTART_PAUSE):
                     break
                 _say(f"Restart {restart + 1} of {self.restarts}: continuing with the cells that are left.")
-        return end.code
+        return EXIT_RESUMABLE if begun and end.failure_at_start else end.code
 
-    def _once(self, mpirun: str, relay: "_Relay", *, again: bool = True) -> "_LaunchEnd":
-        """Start the launcher, ``again`` if it fails by itself, and see to its end."""
+    def _once(self, mpirun: str, relay: "_Relay", hosts: dict[str, int], *, again: bool = True) -> "_LaunchEnd":
+        """Start the launcher, ``again`` if it fails by itself, and see to its end.
+
+        ``hosts`` are those to use, with their numbers of ranks, if some of the former start are lost; else it is empty.
+        """
         name = Path(mpirun).name
-        with RankWatch(self.ranks, self.start_timeout, self.silence_timeout) as watch:
-            process = self._start(mpirun, watch.address)
+        ranks = sum(hosts.values()) or self.ranks
+        with RankWatch(ranks, self.start_timeout, self.silence_timeout) as watch:
+            process = self._start(mpirun, watch.address, ranks, hosts)
             why = _attend(process, watch, relay)
             killed_at_start = watch.killed_at_start
-            while watch.listen(_POLL_INTERVAL):  # the last words of ranks that have ended with the launcher
-                pass
+            watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
             if watch.exit_code is not None:
                 # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
                 asked = watch.exit_reason not in {"", signal.SIGTERM.name}
                 return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and not asked)
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
                 _say(f"{name} failed before any rank began; it is being started once more.")
-                return self._once(mpirun, relay, again=False)
+                return self._once(mpirun, relay, hosts, again=False)
             why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
             if watch.begun:
                 _say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
-                return _LaunchEnd(EXIT_RESUMABLE, worth_a_restart=not relay.asked)
+                left = watch.ranks_left()
+                return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and sum(left.values()) != 1, hosts=left)
             if relay.asked:
                 _say("Ended at a signal before the ranks had begun; the same command begins anew.")
                 return _LaunchEnd(EXIT_RESUMABLE)
             _say(f"The run did not begin ({why}); nothing was computed.")
             return _LaunchEnd(EXIT_ERROR, worth_a_restart=killed_at_start, failure_at_start=why)
 
-    def _start(self, mpirun: str, address: str) -> "subprocess.Popen[bytes]":
+    def _start(self, mpirun: str, address: str, ranks: int, hosts: dict[str, int]) -> "subprocess.Popen[bytes]":
         """Start the launcher, in a group of its own: Ctrl-C reaches this process alone, which passes it on."""
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {starter.COMMAND_VARIABLE: address}
         if sys.stdout.isatty():
@@ -146,7 +156,8 @@ class Launch:
         forwarded = [name for name in _FORWARDED_VARIABLES if name in environment]
         return subprocess.Popen(  # noqa: S603 - our own program
             [
-                *(mpirun, *launcher_options(mpirun, self.ranks, forwarded)),
+                *(mpirun, *launcher_options(mpirun, ranks, forwarded)),
+                *(["--host", ",".join(f"{host}:{slots}" for host, slots in hosts.items())] if hosts else []),
                 *starter_command(),
                 *(sys.executable, "-m", "calcidem", *self.arguments),
             ],
@@ -169,11 +180,14 @@ class _LaunchEnd:
         Whether another start may do better.
     failure_at_start
         Why the ranks did not even begin, empty if they did.
+    hosts
+        Those that are left, with their numbers of ranks, if others are lost; else empty.
     """
 
     code: int
     worth_a_restart: bool = False
     failure_at_start: str = ""
+    hosts: dict[str, int] = field(default_factory=dict)
 
 
 def _say(text: str) -> None:
@@ -207,8 +221,13 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
     try:
         process.wait(_TIME_TO_END)
     except subprocess.TimeoutExpired:
+        tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
+        children = [int(child) for task in tasks for child in task.read_text(encoding="ascii").split()]
         process.kill()
         process.wait()
+        for child in children:  # its connections to hosts that don't answer
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
 
 
 def starter_command() -> list[str]:
