@@ -22,8 +22,8 @@ _SINGLE_PRECISION = 1.0e-3
 _CHATTER = 7.5e-3  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 
-_USUAL_STEP = 0.3  # of half a step over the travel time
-_USUAL_CHANGE = 2.2  # change of the signal near its peak over `WaveRecord.nonlinear_share`
+_USUAL_STEP = 1.5e-4  # over step / limit
+_USUAL_CHANGE = 1.8  # change of the signal near its peak over `WaveRecord.nonlinear_share`
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _NEAR = 16  # distance of the places that tell the width of a peak, as a part of the period
 
@@ -86,14 +86,14 @@ def expected_error(
 
     A change of a signal by the part e of its height, as fast as the pulse is, tilts it by ``2 pi f e`` and so moves a
     peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. In the linear regime the change goes with `nonlinear_share`. To
-    this come a part of the half step of `ErrorParts`, and a part of what else the bound has.
+    this come an error of first order in the step over its limit, and a part of what else the bound has.
     """
     parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
     tilt = 2.0 * np.pi * frequency * _USUAL_CHANGE * record.nonlinear_share
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
-    step = _USUAL_STEP * 0.5 * record.time_step / travel_time
+    step = _USUAL_STEP * record.time_step / record.stability_limit
     return float(step + tilt * _squared_width(experiment, signals, travel_time) / travel_time + _USUAL * others)
 
 

@@ -79,8 +79,8 @@ class CellError:
         Relative, of the travel time of the first arrival, signed; None unless both have one.
     signal_error
         See `signal_distance`.
-    bound
-        Of the relative error, as the cell itself states it.
+    expected, bound
+        Relative error that the cell itself expects, and its bound.
     """
 
     setting: str
@@ -91,6 +91,7 @@ class CellError:
     vs_error: float | None
     arrival_error: float | None
     signal_error: float
+    expected: float | None
     bound: float | None
 
 
@@ -188,6 +189,7 @@ def cell_error(
         vs_error=relative_deviation(found.vs, exact.vs),
         arrival_error=relative_deviation(_first_arrival(found), _first_arrival(exact)),
         signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
+        expected=found.expected_error,
         bound=found.error_bound,
     )
 
