@@ -30,6 +30,7 @@ its rows are skipped and keep what was measured last.
 | what is checked | source of what is expected | measured error | tolerance | why it is that large |
 |---|---|---|---|---|
 """
+_OPEN = "not measured yet"
 _TAIL = """
 ## What this does not show
 
@@ -46,7 +47,7 @@ def measured_row(one: Check, kept: dict[str, str], missing: list[str]) -> tuple[
     if one.program in missing:
         reason = f"skipped: {one.program} is not installed, see docs/performance.md"
         print(f"{'':8s} {one.name}: {reason}; the table keeps what it has", flush=True)
-        return kept.get(one.name, row_of(one, "not measured yet")), True
+        return kept.get(one.name, row_of(one, _OPEN)), True
     error = one.measure()
     passes = error <= one.tolerance
     print(f"{error:8.1e} {one.name}{'' if passes else f': FAILS, tolerance {one.tolerance:.0e}'}", flush=True)
@@ -69,18 +70,17 @@ def rows_of(page: str) -> dict[str, str]:
 def main() -> int:
     """Measure, print, write."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--out", type=Path, help="page to write; needs all rows, so not together with --only")
-    options.add_argument("--only", default="", help="measure rows whose name has this text")
+    options.add_argument("--out", type=Path, help="page to write")
+    options.add_argument("--only", default="", help="measure rows whose name has this text; a page keeps the others")
     chosen = options.parse_args()
-    if chosen.out and chosen.only:
-        options.error("--out takes all rows: leave --only out")
-    checks = [one for one in all_checks() if chosen.only.lower() in one.name.lower()]
+    checks = all_checks()
     kept = rows_of(chosen.out.read_text(encoding="utf-8")) if chosen.out and chosen.out.exists() else {}
     missing = missing_programs()
-    made = [measured_row(one, kept, missing) for one in checks]
+    made = {one.name: measured_row(one, kept, missing) for one in checks if chosen.only.lower() in one.name.lower()}
     if chosen.out:
-        chosen.out.write_text(_HEAD + "\n".join(row for row, _ in made) + "\n" + _TAIL, encoding="utf-8")
-    failed = sum(not passes for _, passes in made)
+        lines = [made[one.name][0] if one.name in made else kept.get(one.name, row_of(one, _OPEN)) for one in checks]
+        chosen.out.write_text(_HEAD + "\n".join(lines) + "\n" + _TAIL, encoding="utf-8")
+    failed = sum(not passes for _, passes in made.values())
     print(f"{len(made)} rows, {failed} failed")
     return 1 if failed else 0
 
