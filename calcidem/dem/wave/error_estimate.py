@@ -22,8 +22,9 @@ _SINGLE_PRECISION = 1.0e-3
 _CHATTER = 7.5e-3  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 
-_USUAL_STEP = 1.5e-4  # over step / limit
-_USUAL_CHANGE = 1.8  # change of the signal near its peak over `WaveRecord.nonlinear_share`
+_USUAL_STEP = 6.0e-5  # over step / limit
+_USUAL_CHANGE = 1.7  # change of the signal near its peak over `WaveRecord.nonlinear_share`
+_USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _NEAR = 16  # distance of the places that tell the width of a peak, as a part of the period
 
@@ -85,32 +86,39 @@ def expected_error(
     """Relative error to expect of a velocity: the order of its size, which ranks cells; Hz and s.
 
     A change of a signal by the part e of its height, as fast as the pulse is, tilts it by ``2 pi f e`` and so moves a
-    peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. In the linear regime the change goes with `nonlinear_share`. To
-    this come an error of first order in the step over its limit, and a part of what else the bound has.
+    peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with `nonlinear_share` in the linear regime, and
+    with how rough the signal is, since another step makes another chatter. To this come an error of first order in the
+    step over its limit, and a part of what else the bound has.
     """
     parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
-    tilt = 2.0 * np.pi * frequency * _USUAL_CHANGE * record.nonlinear_share
+    squared_width, roughness = _shape_of_peak(experiment, signals, travel_time)
+    change = _USUAL_CHANGE * record.nonlinear_share + _USUAL_ROUGHNESS * roughness
+    shift = 2.0 * np.pi * frequency * change * squared_width / travel_time
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
-    return float(step + tilt * _squared_width(experiment, signals, travel_time) / travel_time + _USUAL * others)
+    return float(step + shift + _USUAL * others)
 
 
-def _squared_width(experiment: Experiment, signals: Signals, travel_time: float) -> float:
-    """Height over curvature of the received signal where it was read, s^2; at most the square of the sent period.
+def _shape_of_peak(experiment: Experiment, signals: Signals, travel_time: float) -> tuple[float, float]:
+    """Height over curvature of the received signal where it was read, s^2, and rms of its roughness over that height.
 
-    By three smoothed values a sixteenth of the period apart; where they are not as a peak's, it is that square.
+    The curvature is that of three smoothed values a sixteenth of the sent period apart, and the result at most the
+    square of that period; where they are not as a peak's, it is that square. Roughness is what smoothing takes away.
     """
     prepared = prepare_signals(signals, experiment.pick)
     interval = signals.sampling_interval
     top, apart = round(prepared.sent_peak + travel_time / interval), max(1, int(prepared.period / _NEAR))
     widest = (prepared.period * interval) * (prepared.period * interval)
     if not apart <= top < len(prepared.smooth) - apart:
-        return widest
+        return widest, 0.0
     left, height, right = (float(prepared.smooth[top + shift]) for shift in (-apart, 0, apart))
     bend = (2.0 * height - left - right) / (apart * interval) / (apart * interval)
-    return min(widest, height / bend) if height > 0.0 and bend > 0.0 else widest
+    if height <= 0.0 or bend <= 0.0:
+        return widest, 0.0
+    end = top + int(prepared.period)
+    return min(widest, height / bend), float(np.std(prepared.received[:end] - prepared.smooth[:end])) / height
 
 
 def error_parts(
