@@ -18,6 +18,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.rule import WaveRule
 
@@ -31,7 +32,7 @@ RANGES = {
     "contrast": (0.0, 6.0),
     "damping": (0.0, 1.0),
     "amplitude": (-9.0, 1.0),
-    "frequency": (-1.5, 0.3),
+    "frequency": (-1.0, 0.0),
     "size_ratio": (-0.5, 1.3),
     "content": (0.0, 1.0),
     "confinement": (0.0, 8.0),
@@ -44,7 +45,7 @@ PLAUSIBLE = {
     "contrast": (0.0, 4.5),
     "damping": (0.0, 0.5),
     "amplitude": (-7.5, -4.5),
-    "frequency": (-1.0, -0.45),
+    "frequency": (-0.75, -0.2),
     "size_ratio": (-0.5, 0.5),
     "content": (0.0, 0.5),
     "confinement": (3.3, 5.3),
@@ -53,6 +54,8 @@ PLAUSIBLE = {
 }
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
+_PICK = PickRule(precursor=1.0, horizon=1.5, signal_to_noise=1.0)
+"""The boxes are short against the wave: what is judged is whether the reading hangs on the step, not what it is of."""
 _POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
@@ -182,7 +185,7 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
         transmitter_half_width=4.0 * _RADIUS,
         receiver_half_width=6.0 * _RADIUS,
         boundary_thickness=2.0 * _RADIUS,
-        listening_depth=3.5 * _RADIUS,
+        listening_depth=0.29 * packing.width,
         slowest=2.0 * _RADIUS * cut_off,
     )
     return Experiment(
@@ -191,6 +194,7 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
         cement=cement,
         cement_rule=CementRule(p_diameter=width, c_diameter=width, threshold=100.0),
         wave=wave,
+        pick=_PICK,
         root_seed=extreme.seed,
         frequencies=((0.0, 100.0), (frequency, frequency)),
     )
