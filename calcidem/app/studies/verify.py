@@ -32,7 +32,7 @@ The same cell on the same packing differed between processors by up to 1e-10 whi
 chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
 """
 
-_SHARES = ("quality_peak", "quality_first_arrival", "quality_cross_correlation", "error_bound")
+_SHARES = ("quality_peak", "quality_first_arrival", "quality_cross_correlation", "expected_error", "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
 
@@ -165,7 +165,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*DECIDED_BY_PHYSICS, "error_bound"):
+    for name in (*DECIDED_BY_PHYSICS, "expected_error", "error_bound"):
         one, other = getattr(stored, name), getattr(computed, name)
         if one is None or other is None:
             if one is not other:

@@ -49,6 +49,9 @@ transmitter_half_width = 0.01
 receiver_half_width = 0.012
 boundary_thickness = 0.012
 listening_depth = 0.006
+[wave.frequency]
+content = [0.0, 0.66]
+frequency = [12e3, 24e3]
 """
 
 OF_ONE_CELL = "WHERE cell_id IN (SELECT id FROM cell WHERE seed = 1 AND content = 0.66)"
