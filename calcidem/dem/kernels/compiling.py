@@ -21,7 +21,7 @@ def seconds_compiling() -> float:
     return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
-_SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 """Identity of the kernel's source code."""
 
 
@@ -38,7 +38,7 @@ def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa:
 
     def decorate(function: Function) -> Function:
         if options.get("cache"):
-            function.__qualname__ += f"_{_SOURCES[:16]}"
+            function.__qualname__ += f"_{SOURCES[:16]}"
         compiled: Function = njit(_nrt=False, **options)(function)  # type: ignore[call-overload]
         return compiled
 
