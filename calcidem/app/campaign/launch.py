@@ -115,7 +115,7 @@ class Launch:
                 failure, hosts = end.failure_at_start, end.hosts
                 if relay.wait_for_signal(_RESTART_PAUSE):
                     break
-                _say(f"Restart {restart + 1} of {self.restarts}: continuing with the cells that are left.")
+                _say(f"Restart {restart + 1} of {self.restarts}.")
         return EXIT_RESUMABLE if begun and end.failure_at_start else end.code
 
     def _once(self, mpirun: str, relay: "_Relay", hosts: dict[str, int], *, again: bool = True) -> "_LaunchEnd":
@@ -137,6 +137,8 @@ class Launch:
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
                 _say(f"{name} failed before any rank began; it is being started once more.")
                 return self._once(mpirun, relay, hosts, again=False)
+            if process.returncode < 0:
+                why = why or f"{name} was killed by {signal.Signals(-process.returncode).name}"
             why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
             if watch.begun:
                 _say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")

@@ -1,6 +1,7 @@
 """Faults on order in a small real campaign, and what becomes of it: used by the tests and by benchmarks/faults."""
 
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -11,12 +12,14 @@ from pathlib import Path
 
 from calcidem.app.campaign.launch import find_mpirun
 from calcidem.app.campaign.retry import retry_cells
+from calcidem.app.config.reader import load_configuration
 from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[4]
 sys.path.append(str(CHECKOUT / "tests"))
 from marked_processes import MarkedProcesses  # noqa: E402 - a helper of the tests
 
+SMALL_PACKING = CHECKOUT / "tests" / "assets" / "small_packing.npz"
 PROGRAM = Path(__file__).with_name("faulty_run.py")
 
 PATIENCE = 120.0
@@ -191,11 +194,11 @@ class Trial(MarkedProcesses):
                 command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
             )
 
-    def wait(self, process: subprocess.Popen[str]) -> RunEnd:
+    def wait(self, process: subprocess.Popen[str], patience: float = PATIENCE) -> RunEnd:
         """Wait for a run to end; one that hangs is killed and has the exit code -9."""
         begin = time.monotonic()
         try:
-            process.wait(PATIENCE)
+            process.wait(patience)
         except subprocess.TimeoutExpired:
             self.kill_all()
             process.wait()
@@ -243,9 +246,11 @@ class Trial(MarkedProcesses):
             connection.close()
 
 
-def reference(folder: Path, cache: Path) -> Cells:
-    """What an undisturbed run gives."""
-    trial = Trial(folder, cache)
+def reference(folder: Path, cache: Path, seeds: int = SEEDS) -> Cells:
+    """What an undisturbed run gives; the packing is put into the cache for all trials."""
+    trial = Trial(folder, cache, seeds)
+    packing_hash = load_configuration(folder / "c.toml").packing_hash
+    shutil.copy(SMALL_PACKING, cache / f"packing-{packing_hash[:32]}.npz")
     ended = trial.run()
     if ended.code != 0:
         raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")
