@@ -39,7 +39,7 @@ FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
 """Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
 
 _LATER_KEYS = ("transmitter", "most_broken_bonds")
-"""Keys that campaigns did not have at first: hashes and stored configurations have them only where it is not the default."""
+"""Keys that campaigns did not have at first: hashes and stored configurations have them where they are no defaults."""
 
 
 @dataclass(frozen=True, slots=True)
