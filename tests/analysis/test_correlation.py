@@ -64,6 +64,7 @@ def test_within_is_the_partial_correlation_given_content() -> None:
     assert pair(found, "pearson_low") == pytest.approx(float(low))
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_promised(within_binomial: Callable[[int, int, float], bool]) -> None:
     """Of 300 tables with a true correlation of 0.6 at every content, 95 % have it in their interval."""
     hits = 0

@@ -42,6 +42,7 @@ def described(**variables: str) -> WorkerRecord:
     return WorkerRecord(**json.loads(done.stdout))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings name processors of x86-64")
 def test_settings_of_the_libraries_are_seen() -> None:
     """The names are those that LLVM, OpenBLAS and numpy go by, whatever made them choose; the rest stays."""

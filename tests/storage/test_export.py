@@ -184,6 +184,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
         assert file["signals/received_force"].filters()["zlib"]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The ioos_sos checker")
 def test_cf_checker(exported: Path) -> None:
     """The IOOS compliance checker finds no error against CF 1.11."""

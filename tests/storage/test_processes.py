@@ -56,6 +56,7 @@ def acknowledged(lines: list[str]) -> set[CellKey]:
     return {CellKey(int(seed), float(content)) for seed, content in pairs}
 
 
+@pytest.mark.slow
 def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWriter) -> None:
     """SIGKILL at random moments loses no acknowledged row, and the next writer takes over at once."""
     moments = random.Random(5)
@@ -81,6 +82,7 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
     assert said
 
 
+@pytest.mark.slow
 def test_readers_never_block_the_writer(database: Path, start_writer: StartWriter) -> None:
     """Readers in a loop see whole rows, cause no error on either side, and the log stays small."""
     process = start_writer()
@@ -120,6 +122,7 @@ def test_second_master_is_refused_while_the_first_lives(database: Path, start_wr
         assert f"process {first.pid}" in str(grant.taken_over_from)
 
 
+@pytest.mark.slow
 def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_writer: StartWriter) -> None:
     """A lease held on another machine is respected until it has been silent for five minutes."""
     process = start_writer()
@@ -141,6 +144,7 @@ def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_
                 assert "elsewhere" in str(store.acquire_lease().taken_over_from)
 
 
+@pytest.mark.slow
 def test_orderly_end_leaves_one_file(database: Path, start_writer: StartWriter) -> None:
     """After an orderly end neither lock nor log is left beside the database."""
     process = start_writer()
