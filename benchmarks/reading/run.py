@@ -23,7 +23,7 @@ from calcidem.dem.wave.pulse import Pulse
 
 RANGES = tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name != "common")
-METHODS = ("vs", "peak", "first_arrival", "cross_correlation")
+METHODS = ("peak", "first_arrival", "cross_correlation")
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def read_all(seed: int, count: int) -> tuple[list[Known], dict[str, Floats]]:
     for index, signal in enumerate(known):
         picks = read_travel_times(signal.signals)
         for name in METHODS:
-            reading = picks.peak if name == "vs" else getattr(picks, name)
+            reading = getattr(picks, name)
             if reading.travel_time is not None:
                 errors[name][index] = reading.travel_time / signal.delay - 1.0
     return known, errors

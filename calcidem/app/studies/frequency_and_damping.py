@@ -11,9 +11,8 @@ import xarray as xr
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.arrival import read_travel_times
 from calcidem.dem.wave.experiment import Experiment, Method
-from calcidem.dem.wave.measurement import Measurement, measure, signals_of
+from calcidem.dem.wave.measurement import Measurement, interpret_record, measure, signals_of
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.campaign import open_stored_campaign
@@ -120,11 +119,8 @@ def damping_study(
             if record.problem:
                 received[row, column] = np.nan
                 continue
-            signals = signals_of(record, damped)
-            received[row, column] = np.interp(time[row], record.times, signals.received)
-            peak = read_travel_times(signals, damped.pick).peak
-            if peak.velocity is not None and peak.quality >= damped.least_quality:
-                velocity[row, column] = peak.velocity
+            received[row, column] = np.interp(time[row], record.times, signals_of(record, damped).received)
+            velocity[row, column] = _velocity(damped, "peak", damped.frequency(content), record)
     study = xr.Dataset(
         {"received": (("content", "damping", "sample"), received), "vs_peak": (("content", "damping"), velocity)},
         coords={"content": list(contents), "damping": list(factors), "time": (("content", "sample"), time)},
@@ -137,22 +133,21 @@ def damping_study(
 
 def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
     """Give what could be trusted of a measurement: vs by each method in m/s, and the received frequency in Hz."""
-    found: dict[str, float] = {}
-    if measurement.picks is None:
-        return found
-    for method in _METHODS:
-        reading = getattr(measurement.picks, method)
-        if reading.velocity is not None and reading.quality >= experiment.least_quality:
-            found[f"vs_{method}"] = reading.velocity
-    peak, record = measurement.picks.peak, measurement.record
-    if peak.travel_time is not None and "vs_peak" in found:
+    record, frequency = measurement.record, measurement.frequency
+    found = {f"vs_{method}": _velocity(experiment, method, frequency, record) for method in _METHODS}
+    if np.isfinite(found["vs_peak"]):
         found["received_frequency"] = pulse_frequency(
             signals_of(record, experiment).received,
             record.sampling_interval,
-            peak.travel_time + 0.5 / measurement.frequency - record.start_time,
-            reach=0.1 / measurement.frequency,
+            measurement.distance / found["vs_peak"] + 0.5 / frequency - record.start_time,
+            reach=0.1 / frequency,
         )
     return found
+
+
+def _velocity(experiment: Experiment, method: Method, frequency: float, record: WaveRecord) -> float:
+    """Give what a campaign that reads by this method would store, m/s; NaN where it would store a reason."""
+    return interpret_record(replace(experiment, method=method), frequency, record)[2] or np.nan
 
 
 def pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:

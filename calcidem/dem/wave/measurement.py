@@ -117,7 +117,7 @@ def measure(
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     given = frequency, experiment.distance
     return tuple(
-        Measurement(seed, content, *_interpret_record(experiment, frequency, record), *given, cement, record, seconds)
+        Measurement(seed, content, *interpret_record(experiment, frequency, record), *given, cement, record, seconds)
         for seed, cement, record in zip(seeds, placed, records, strict=True)
     )
 
@@ -151,7 +151,7 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     return Signals(record.sampling_interval, record.sent, record.force, experiment.distance, floor)
 
 
-def _interpret_record(
+def interpret_record(
     experiment: Experiment, frequency: float, record: WaveRecord
 ) -> tuple[Outcome, str, float | None, Picks | None, float | None, float | None]:
     """Outcome, reason, vs, picks, expected error and its bound; what cannot be trusted has a reason, never a number."""
