@@ -208,11 +208,11 @@ def compile_kernels(configuration: Configuration, packing: Packing) -> None:
     for content in sorted({min(contents), max(contents)}):
         if experiment.installation != "preserve":
             hasty = replace(experiment, wave=replace(experiment.wave, most_settling_steps=1))
-            run_first_chunk(hasty, content, seed, lanes)
-        run_first_chunk(replace(experiment, installation="preserve"), content, seed, lanes)
+            _run_first_chunk(hasty, content, seed, lanes)
+        _run_first_chunk(replace(experiment, installation="preserve"), content, seed, lanes)
 
 
-def run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
+def _run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
     """Measure one sample until the kernel has run once."""
     calls = 0
 
