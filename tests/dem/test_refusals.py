@@ -67,7 +67,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: start(disk(), velocity=np.full((1, 2), NAN)), "velocity", "NaN", "finite"),
     (lambda: start(disk(), spin=np.zeros(2)), "spin", "(2,)", "(1,)"),
     (lambda: start(pair_scene(), preload=Preload(TWO, np.zeros(2))), "preload.pairs", "(1, 2)", "(2, 2)"),
-    (lambda: start(disk(), preload=Preload(TWO, ONE)), "preload.pairs", "[0, 1]", "0 to 0"),
+    (lambda: start(disk(), preload=Preload(TWO, ONE)), "preload.pairs", "0 to 1", "0 to 0"),
     (lambda: Features(lanes=0), "lanes", "0", "1 to 32"),
     (lambda: Features(linear=True), "linear", "True", "switch"),
     (lambda: Features(finite=False, search=True), "search", "True", "finite = True"),

@@ -144,11 +144,11 @@ def assemble(
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
     # A sample that has blown up has no neighbours worth listing, and must not harm the others.
     samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
-    near = near_pairs(centres[order][:, :, samples], radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
+    present = centres[order][:, :, samples]
+    near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
     listed = np.unique(np.concatenate([pair_keys(near, scene.count), cemented]))
     moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
-    faced = [_near_walls(scene, reference, centres[order, :, s], radius + skin, moved[:, s]) for s in samples]
-    facing = np.unique(np.concatenate([np.zeros((0, 2), dtype=np.int64), *faced]), axis=0)
+    facing = _near_walls(scene, reference, present, radius + skin, moved[:, samples])
     return Assembly(
         order=order,
         grains=_assemble_grains(scene, order, dtype),
@@ -272,18 +272,19 @@ def _breaking_limits(strength: Floats) -> Floats:
 
 
 def _near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
-    """Disks nearer to a wall than their ``reach``: (V, 2) disk and wall.
+    """Disks nearer to a wall than their ``reach`` (N,), in any sample of ``centres`` (N, 2, K): (V, 2) disk and wall.
 
     Which of several walls of one side a disk faces is fixed by its reference position.
     """
     found = [np.zeros((0, 2), dtype=np.int64)]
     for index, wall in enumerate(scene.walls):
         along = wall.along(reference[:, 0], reference[:, 1])
-        facing = (along >= wall.span[0]) & (along < wall.span[1])
-        near = wall.distance(centres[:, 0], centres[:, 1]) - moved[index] < reach
-        disks = np.flatnonzero(facing & near)
+        facing = np.flatnonzero((along >= wall.span[0]) & (along < wall.span[1]))
+        gap = wall.distance(centres[facing, 0], centres[facing, 1]) - moved[index]
+        disks = facing[(gap < reach[facing, None]).any(axis=1)]
         found.append(np.column_stack([disks, np.full(len(disks), index)]))
-    return np.concatenate(found)
+    both = np.concatenate(found)
+    return both[np.lexsort((both[:, 1], both[:, 0]))]
 
 
 def _assemble_wall_pairs(

@@ -56,8 +56,9 @@ def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Flo
     given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
     wanted = f"give shape ({len(forces)}, 2), as many as forces"
     require(given.shape == (len(forces), 2), "preload.pairs", given.shape, wanted)
-    inside = not given.size or (given.min() >= 0 and given.max() < scene.count)
-    require(bool(inside), "preload.pairs", given.tolist(), f"use indices 0 to {scene.count - 1}")
+    first, last = (int(given.min()), int(given.max())) if given.size else (0, 0)
+    inside = first >= 0 and last < scene.count
+    require(inside, "preload.pairs", f"{first} to {last}", f"use indices 0 to {scene.count - 1}")
     # Swapping the two ends turns both n and the relative motion, so the number stays the same.
     keys = pair_keys(np.argsort(assembly.order)[given.astype(np.int64)], scene.count)
     listed = pair_keys(listed_pairs(assembly), scene.count)
