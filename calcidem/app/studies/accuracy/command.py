@@ -17,9 +17,12 @@ from calcidem.app.studies.accuracy.report import accuracy_page, accuracy_tables,
 from calcidem.app.studies.accuracy.scatter import SCATTER_SEEDS, quick_campaign, scatter_rows
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.campaign import StoredCampaign
+
+_CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,9 +191,11 @@ def _measure_everything(task: Task, progress: Callable[[str], None]) -> Findings
     study = run_study(experiment, contents, seeds, lanes=lanes, progress=progress)
     orders = []
     for content, velocity in _slowest_velocities(study).items():
-        for damped in (True, False):
-            progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}")
-            orders.append(measure_convergence(experiment, content, seeds, velocity, damped=damped, lanes=lanes))
+        for damped, regime in _CONVERGENCE_CASES:
+            progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
+            orders.append(
+                measure_convergence(experiment, content, seeds, velocity, damped=damped, regime=regime, lanes=lanes)
+            )
     velocities = task.stored
     if velocities is None:
         progress("scatter of the samples")

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, reference_experiment, with_wave
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
@@ -97,7 +98,7 @@ class CellError:
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
-    """How the signal of a content converges, in the linear regime, medians over its cells.
+    """How the signal of a content converges, medians over its cells.
 
     Attributes
     ----------
@@ -105,6 +106,8 @@ class Convergence:
         Percent.
     damped
         With the experiment's local damping, or without any.
+    regime
+        ``linear``, or another in which contacts keep a history.
     changes
         Change of the signal by each halving of the step: normalised L2, at the times of the largest step's samples.
     orders
@@ -113,6 +116,7 @@ class Convergence:
 
     content: float
     damped: bool
+    regime: Regime
     changes: tuple[float, ...]
     orders: tuple[float, ...]
 
@@ -226,12 +230,21 @@ def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
 
 
 def measure_convergence(
-    experiment: Experiment, content: float, seeds: Sequence[int], velocity: float, *, damped: bool, lanes: int = 8
+    experiment: Experiment,
+    content: float,
+    seeds: Sequence[int],
+    velocity: float,
+    *,
+    damped: bool,
+    regime: Regime = "linear",
+    lanes: int = 8,
 ) -> Convergence:
     """Measure the order at one content.
 
     Local damping pushes against the sign of the velocity half a step before, and that sign turns over at some instant
-    within a step: an error of first order. The rest of the scheme is of second order, which shows without damping.
+    within a step: an error of first order. So is the increment of a shear force in a contact that sticks while its
+    stiffness changes, as in the small and finite regimes. The rest is of second order, which shows in the linear regime
+    without damping.
 
     Parameters
     ----------
@@ -239,14 +252,14 @@ def measure_convergence(
         What to measure.
     velocity
         Shear-wave velocity, m/s; records end when a wave of two thirds of it has been heard.
-    damped
+    damped, regime
         See `Convergence`.
     lanes
         Width of the kernel.
     """
     even = with_wave(
         experiment,
-        regime="linear",
+        regime=regime,
         precision="float64",
         samples_per_period=REFERENCE_SAMPLES,
         slowest=velocity / 1.5,
@@ -257,7 +270,7 @@ def measure_convergence(
     runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in CONVERGENCE_STEPS]
     changes = np.median([_signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
     orders = np.log2(changes[:-1] / changes[1:])
-    return Convergence(content, damped, tuple(changes.tolist()), tuple(orders.tolist()))
+    return Convergence(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
 def _signal_changes(records: Sequence[WaveRecord]) -> Floats:

@@ -167,13 +167,14 @@ def _convergence_table(rows: Sequence[Convergence]) -> list[str]:
         return []
     halvings = [f"{2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:]]
     lines = [
-        f"| content % | local damping | signal, {' | '.join(halvings)} | order | order |",
-        "|---|---|" + "---|" * (len(halvings) + 2),
+        f"| content % | regime | local damping | signal, {' | '.join(halvings)} | order | order |",
+        "|---|---|---|" + "---|" * (len(halvings) + 2),
     ]
     for row in rows:
         changes = " | ".join(f"{change:.1e}" for change in row.changes)
         orders = " | ".join(f"{order:.2f}" for order in row.orders)
-        lines.append(f"| {row.content:g} | {'as configured' if row.damped else 'none'} | {changes} | {orders} |")
+        damping = "as configured" if row.damped else "none"
+        lines.append(f"| {row.content:g} | {row.regime} | {damping} | {changes} | {orders} |")
     return lines
 
 
