@@ -68,7 +68,7 @@ def draw_signal(seed: int, index: int) -> Known:
         """Pulse of height 1 that a wave of this travel time brings."""
         passed = _chain(f, late, drawn["grains"]) * _widening(f, frequency, width) * _tail(f, frequency, tail)
         received = np.fft.irfft(spectrum * passed, 16 * count)[:count]
-        return received / np.abs(received).max()
+        return np.asarray(received / np.abs(received).max())
 
     shear = pulse(delay, drawn["width"], drawn["tail"])
     clean = shear + drawn["p_height"] * pulse(delay / drawn["p_ratio"], drawn["width"] * drawn["p_width"], 0.0)
@@ -90,19 +90,19 @@ def _chain(f: Floats, delay: float, grains: float) -> Floats:
     """Transfer function of a chain of grains, with a little loss: ``sin(q d / 2) = omega d / (2 V)``."""
     half = np.pi * f * delay / grains * (1.0 - 0.003j)
     step = 2.0 * np.arcsin(half)
-    return np.exp(-1j * (step.real - 1j * np.abs(step.imag)) * grains)
+    return np.asarray(np.exp(-1j * (step.real - 1j * np.abs(step.imag)) * grains))
 
 
 def _widening(f: Floats, frequency: float, width: float) -> Floats:
     """Transfer function of a Gaussian that makes a pulse wider by a factor about its middle."""
     # A pulse 1 - cos has a variance of (1 / 12 - 1 / (2 pi^2)) / f^2.
     variance = (1.0 / 12.0 - 0.5 / np.pi**2) * max(0.0, width**2 - 1.0) / frequency**2
-    return np.exp(-0.5 * variance * (2.0 * np.pi * f) ** 2)
+    return np.asarray(np.exp(-0.5 * variance * (2.0 * np.pi * f) ** 2))
 
 
 def _tail(f: Floats, frequency: float, share: float) -> Floats:
     """Transfer function of an impulse and of a tail ``exp(-f t / 2) / sqrt(t)`` behind it, by shares."""
-    return (1.0 - share) + share / np.sqrt(1.0 + 4j * np.pi * f / frequency)
+    return np.asarray((1.0 - share) + share / np.sqrt(1.0 + 4j * np.pi * f / frequency))
 
 
 def _is_readable(clean: Floats, signals: Signals, delay: float, noise: float) -> bool:

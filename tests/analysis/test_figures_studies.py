@@ -34,7 +34,7 @@ def studies(experiment: Experiment) -> dict[str, xr.Dataset]:
     own = experiment.frequency(0.66)
     return {
         "frequency": frequency_study(experiment, contents=(0.66,), frequencies=(own, 1.5 * own), seeds=SEEDS),
-        "damping": damping_study(experiment, contents=(0.66,), factors=(0.1, experiment.wave.damping)),
+        "damping": damping_study(experiment, contents=(0.66,), factors=(0.1, experiment.wave.damping), periods=9.0),
     }
 
 

@@ -82,7 +82,7 @@ def damping_study(
     contents: Sequence[float] = (0.11, 0.66),
     factors: Sequence[float] = _DAMPING_FACTORS,
     seed: int = 1,
-    periods: float = 5.0,
+    periods: float = 6.0,
     check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
     """Measure one sample of each content with several local damping factors (Fig. 7 of the paper).

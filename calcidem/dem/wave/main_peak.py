@@ -15,16 +15,16 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
-_QUIET = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
+_PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
 _BEHIND_P = 0.5  # of the largest value; the first peak as high as this behind a P wave of opposite sign is the S wave
 _TROUGH = 1.6  # over the height of a peak; what goes deeper behind it is no part of the same pulse
 _TWIN = 0.05  # of the height of a top; step and regime change signals by a third of that (docs/accuracy.md)
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
 _BLUR = 0.14  # of the travel time that half the additional width of a peak may be ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
-_OVERLAP = 0.8  # periods between a swing and the peak that it runs into, or ...
-_BROAD_OVERLAP = 0.65  # ... of the width of a broader peak, where it is more ...
-_OVERLAPPING = 2.1  # ... in records with fewer periods on the way
+_SWING_REACH = 0.8  # periods between a swing and the peak that it runs into, or ...
+_BROAD_REACH = 0.65  # ... of the width of a broader peak, where it is more ...
+_RUNNING_INTO = 2.1  # ... in records with fewer periods on the way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +165,7 @@ def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) 
     if (
         prominence < rule.prominence * height
         or width < rule.width
-        or height * min(1.0, _QUIET * periods) <= rule.signal_to_noise * noise
+        or height * min(1.0, _PERIODS_FOR_NOISE * periods) <= rule.signal_to_noise * noise
     ):
         return None
     precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
@@ -174,7 +174,11 @@ def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) 
         doubt = PickFailure.UNSURE
     elif periods < _BLURRED and 0.5 * (width - 1.0) > _BLUR * periods:
         doubt = PickFailure.BROAD
-    elif behind_p and periods < _OVERLAPPING and index - trough < max(_OVERLAP, _BROAD_OVERLAP * width) * record.period:
+    elif (
+        behind_p
+        and periods < _RUNNING_INTO
+        and index - trough < max(_SWING_REACH, _BROAD_REACH * width) * record.period
+    ):
         doubt = PickFailure.PRECURSOR
     return MainPeak(
         index=index,
