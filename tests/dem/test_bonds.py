@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scenes import BONDED, GROUPED, RADIUS, SOFT, SOFT_CEMENT, pair_scene
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Bonds, Installation, Preload
-from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.engine.state import advance, start
 
 PAIRS = np.array([[0, 1]])
 BARE = replace(SOFT_CEMENT, linear_modulus=0.0)

@@ -3,8 +3,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import GROUPED, SOFT_CEMENT, jumble, throw
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
 
 STEPS = 200

@@ -7,7 +7,7 @@ import pytest
 
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import SAFETY
+from calcidem.dem.engine.step_control import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing

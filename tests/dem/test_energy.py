@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scenes import ACCOUNT, RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import State, advance, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 
 
@@ -22,30 +23,24 @@ def imbalances(scene: Scene, features: Features, step: float, duration: float) -
     return last.imbalance - first.imbalance, turned
 
 
-def order_of_balance(scene: Scene, features: Features) -> tuple[float, float]:
-    """Observed order in the step, and the relative imbalance at the smallest step."""
+def worst_balance(scene: Scene, features: Features) -> float:
+    """Imbalance over 300 steps of 0.4 of the limit, or eight times as many that are finer, over what is turned over."""
     step = 0.4 * float(start(scene, features=features).critical_time_step[0])
-    duration = 300.0 * step
-    coarse, _ = imbalances(scene, features, step, duration)
-    fine, turned = imbalances(scene, features, step / 8.0, duration)
-    return float(np.log(abs(coarse / fine)) / np.log(8.0)), abs(fine) / turned
+    runs = [imbalances(scene, features, part * step, 300.0 * step) for part in (1.0, 0.125)]
+    return max(abs(change) / turned for change, turned in runs)
 
 
 def test_energy_balances_in_a_heap_with_friction_damping_and_moving_walls() -> None:
-    """Work of walls, held disks and loads is what is stored and lost, the better the smaller the step."""
+    """Work of walls, held disks and loads is what is stored and lost, where the step resolves impacts."""
     scene = jumble(3, 16, damping=0.2, load=np.tile([0.3, -0.5, 1e-4], (16, 1)), held=np.arange(16) == 5)
-    order, rest = order_of_balance(scene, ACCOUNT)
-    assert order > 0.9  # turning normals in the shear increment, and the first touch of Hertz contacts: first order
-    assert rest < 1e-3
+    assert worst_balance(scene, ACCOUNT) < 1e-4
 
 
-def test_energy_balances_with_bonds_to_second_order() -> None:
-    """In a bonded heap without sliding contacts the imbalance falls with the square of the step."""
+def test_energy_balances_with_bonds_to_rounding() -> None:
+    """In a bonded heap without sliding contacts all springs are linear, and the leapfrog keeps their energy."""
     scene = jumble(4, 16, share_bonded=1.0, walls=False, cement=replace(SOFT_CEMENT, linear_modulus=0.0))
     features = Features(finite=False, bonds=True, slip=False, rescaling=False, account=True)
-    order, rest = order_of_balance(scene, features)
-    assert order > 1.8
-    assert rest < 1e-3
+    assert worst_balance(scene, features) < 1e-12
 
 
 def pressed_pair(rescaling: bool) -> State:

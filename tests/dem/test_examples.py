@@ -27,4 +27,4 @@ def test_the_scene_of_the_documentation_runs() -> None:
     exec(program.group(1), names)  # noqa: S102 - the documentation's own program
     state = names["state"]
     assert state.position().shape == (2, 2)  # type: ignore[attr-defined]
-    assert state.steps == 500  # type: ignore[attr-defined]
+    assert state.steps == 2000  # type: ignore[attr-defined]

@@ -5,8 +5,9 @@ import pytest
 from scenes import GROUPED, jumble, throw
 
 import calcidem.dem.engine.state as state_module
+from calcidem.dem.engine.leapfrog import Precision, State
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.engine.state import Precision, State, advance, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers
 
@@ -111,7 +112,9 @@ def test_speeds_too_small_for_normal_numbers_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("together", [2, 4, 7])
-@pytest.mark.parametrize("features", [EIGHT, replace(EIGHT, finite=False, search=False)])
+@pytest.mark.parametrize(
+    "features", [EIGHT, pytest.param(replace(EIGHT, finite=False, search=False), marks=pytest.mark.full)]
+)
 def test_steps_in_flight_together_change_no_bit(
     features: Features, together: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scenes import LINEAR, RADIUS, SOFT, hexagonal
 
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scenes import LINEAR, RADIUS, SOFT_CEMENT, pair_scene
 
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Bonds
-from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
 
 PAIR = Bonds(np.array([[0, 1]]), SOFT_CEMENT)

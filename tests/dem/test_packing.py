@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scenes import HERTZ
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.engine.state import State, start
+from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import (
     FLOOR,

@@ -6,8 +6,9 @@ from scenes import GROUPED, LINEAR, RADIUS, SOFT, SOFT_CEMENT, hexagonal
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
-from calcidem.dem.engine.state import State, advance, no_recording, run_kernel, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats
 

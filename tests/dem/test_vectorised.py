@@ -10,8 +10,9 @@ import pytest
 from llvmlite import binding
 
 from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Regime, Scene
-from calcidem.dem.engine.state import State, choose_features, start
+from calcidem.dem.engine.state import choose_features, start
 
 LANES = 8
 HOST = binding.get_host_cpu_features()

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scenes import HERTZ, LINEAR, RADIUS, SOFT, jumble
 
+from calcidem.dem.engine.leapfrog import State, no_recording, run_in_place, run_kernel
 from calcidem.dem.engine.readout import net_forces, wall_reactions
 from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import State, advance, no_recording, run_in_place, run_kernel, start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, Recording
 
@@ -22,7 +23,11 @@ def disk_between(friction: float, **options: object) -> Scene:
     return Scene(np.zeros(1), np.array([RADIUS]), np.array([RADIUS]), SOFT, walls=walls, **options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("features", [HERTZ, replace(HERTZ, slip=False), LINEAR], ids=["slip", "no slip", "linear"])
+@pytest.mark.parametrize(
+    "features",
+    [HERTZ, pytest.param(replace(HERTZ, slip=False), marks=pytest.mark.full), LINEAR],
+    ids=["slip", "no slip", "linear"],
+)
 def test_a_smooth_wall_never_pulls(features: Features) -> None:
     """A wall without friction has no shear force, whether slip is checked or left out."""
     state = advance(start(disk_between(0.0), features=features), 50)
