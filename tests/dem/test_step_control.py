@@ -18,7 +18,7 @@ GRAVITY = 9.81
 
 
 def collide(speed: float, **options: float) -> tuple[State, float]:
-    """Two disks that just touch run at each other: their state after the impact, and the largest energy over the first."""
+    """Two disks that just touch run at each other: the state after it, and the largest energy over the first."""
     state = start(pair_scene(sand=Sand()), features=HERTZ, velocity=np.array([[speed, 0.0], [-speed, 0.0]]), **options)
     first = energies(state).kinetic
     largest = 0.0
@@ -74,7 +74,7 @@ def test_a_servo_lid_comes_to_rest_on_disks_that_just_touch() -> None:
 
 
 def test_the_step_shrinks_before_a_falling_disk_arrives() -> None:
-    """A disk is dropped on another: the step is chosen in free flight, gets smaller, and the fall is that of Galilei."""
+    """A disk is dropped on another: the step gets smaller in flight, and the fall is that of Galilei."""
     gap = 5.0 * RADIUS
     scene = Scene(
         np.zeros(2),
@@ -95,7 +95,7 @@ def test_the_step_shrinks_before_a_falling_disk_arrives() -> None:
 
 
 def test_a_changed_step_costs_no_energy() -> None:
-    """A step that is halved in the middle of an impact leaves restitution at 1; shear and account go on as they were."""
+    """A step that is halved in the middle of an impact leaves restitution at 1."""
     velocity = np.array([[1.0, 0.0], [-1.0, 0.0]])
     state = advance(start(pair_scene(sand=Sand()), features=HERTZ, velocity=velocity), 10)
     state = advance(change_step(state, look_ahead(state), 0.5 * state.time_step), 60)
@@ -220,7 +220,7 @@ def test_the_limit_is_a_bound_where_cement_spans_gaps() -> None:
 
 @pytest.mark.parametrize("rescaling", [True, False])
 def test_mode_1_forgets_the_shear_force_of_a_contact_that_vibrates(rescaling: bool) -> None:
-    """A stuck contact whose overlap falls from d to e in each cycle keeps sqrt(e / d) of it each time; mode 0 keeps all."""
+    """A stuck contact whose overlap falls from d to e in each cycle keeps sqrt(e / d) of it; mode 0 keeps all."""
     depth, swing, cycles, stroke = 1e-6, 0.1, 5, 50
     sand = Sand(SOFT.shear_modulus, friction=20.0)
     scene = pair_scene(gap=-depth, sand=sand, held=np.ones(2, dtype=bool), rescaling=rescaling)
