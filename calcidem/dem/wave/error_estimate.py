@@ -26,7 +26,7 @@ _USUAL_STEP = 6.0e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over `WaveRecord.nonlinear_share`
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
-_NEAR = 16  # distance of the places that tell the width of a peak, as a part of the period
+_PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
 
 
 class ErrorParts(NamedTuple):
@@ -109,7 +109,7 @@ def _shape_of_peak(experiment: Experiment, signals: Signals, travel_time: float)
     """
     prepared = prepare_signals(signals, experiment.pick)
     interval = signals.sampling_interval
-    top, apart = round(prepared.sent_peak + travel_time / interval), max(1, int(prepared.period / _NEAR))
+    top, apart = round(prepared.sent_peak + travel_time / interval), max(1, int(prepared.period / _PART_OF_PERIOD))
     widest = (prepared.period * interval) * (prepared.period * interval)
     if not apart <= top < len(prepared.smooth) - apart:
         return widest, 0.0
