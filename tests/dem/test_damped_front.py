@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scenes import LINEAR, RADIUS, SOFT
 
+from calcidem.dem.engine.leapfrog import no_recording, run_kernel
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.engine.state import no_recording, run_kernel, start
+from calcidem.dem.engine.state import start
 
 SPACING = 2.0 * RADIUS * (1.0 - 1e-3)
 WIDTH = 12.0 * SPACING  # of the front: a chain is slower than the continuum by (a / width)^2 / 24 or so

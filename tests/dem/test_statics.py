@@ -7,8 +7,9 @@ import pytest
 from naive import Twin, add_pair, make_twin
 from scenes import LINEAR, RADIUS, SOFT, SOFT_CEMENT, hexagonal
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.engine.state import State, start
+from calcidem.dem.engine.state import start
 from calcidem.dem.engine.statics import shear_modulus
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing
