@@ -66,6 +66,19 @@ def test_a_lost_worker_costs_nothing_but_time(
     assert campaign.leaves_no_process()
 
 
+def test_a_silent_worker_is_given_up_without_a_time_limit(
+    campaign: "Campaign", expected: "Values", tmp_path: Path
+) -> None:
+    """What the batches so far took tells when a stopped worker has been waited for long enough."""
+    once = tmp_path / "once"
+    launch = campaign.run("--fault", "stop", "--once", str(once), "--seconds", "0.02", "--silence-floor", "2")
+    assert once.exists()
+    assert launch.exit_code == 0, launch.errors
+    assert "no answer within 2 s" in launch.errors
+    assert campaign.values() == expected
+    assert campaign.leaves_no_process()
+
+
 @pytest.mark.parametrize("moment", ["start", "end"])
 def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
     campaign: "Campaign", expected: "Values", tmp_path: Path, moment: str

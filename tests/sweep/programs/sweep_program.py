@@ -119,6 +119,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--moment", choices=("start", "end"), default="start", help="when it does it")
     parser.add_argument("--once", type=Path, help="do it only if this file can be created")
     parser.add_argument("--time-limit", type=float)
+    parser.add_argument("--silence-floor", type=float, default=300.0, help="patience with a worker without a limit")
     parser.add_argument("--die", default="", help="what the master does around a commit: kill-before, ...")
     parser.add_argument("--die-at", type=int, default=3, help="around which commit")
     parser.add_argument("--blob", type=int, default=0, help="bytes that each result carries in addition")
@@ -175,7 +176,12 @@ def main() -> None:
             batches,
             Work(options),
             sink,
-            options=SweepOptions(time_limit=options.time_limit, watchdog_margin=0.5, hurry_grace=1.0),
+            options=SweepOptions(
+                time_limit=options.time_limit,
+                watchdog_margin=0.5,
+                hurry_grace=1.0,
+                silence_floor=options.silence_floor,
+            ),
             progress=LineProgress(Console(stderr=True), shortest=0.5),
             stop_request=session.stop_request,
         )
