@@ -17,7 +17,7 @@ from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
 
-HEADER = "| content % | mean, m/s | sd, m/s | by P | by clusters | by both together |"
+HEADER = "| content % | P x clusters | mean, m/s | sd, m/s | by P | by clusters | by both together |"
 
 
 def cross_patterns(experiment: Experiment, seed: int) -> CementOrdering:
@@ -28,6 +28,15 @@ def cross_patterns(experiment: Experiment, seed: int) -> CementOrdering:
         return own
     other = experiment.ordering(first)
     return replace(own, p_rank=other.p_rank, p_content=other.p_content)
+
+
+def complete_part(table: np.ndarray) -> np.ndarray:
+    """Table without the rows and columns that have gaps, samples without velocity; those with most gaps go first."""
+    while (gaps := ~np.isfinite(table)).any():
+        rows, columns = gaps.sum(axis=1), gaps.sum(axis=0)
+        along = int(columns.max() > rows.max())
+        table = np.delete(table, (rows, columns)[along].argmax(), axis=along)
+    return table
 
 
 def main() -> None:
@@ -41,14 +50,21 @@ def main() -> None:
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
     ordering = partial(cross_patterns, experiment)
     numbers = range(1, options.seeds + 1)
-    print(HEADER, "|---|---|---|---|---|---|", sep="\n", flush=True)
+    print(HEADER, "|---|---|---|---|---|---|---|", sep="\n", flush=True)
     for content in options.contents:
         seeds = [1000 * p + c for p in numbers for c in numbers]
         cells = measure_all(experiment, content, seeds, ordering=ordering)
         table = np.array([cell.vs for cell in cells], dtype=float).reshape(len(numbers), -1)
-        parts = variance_parts(table)
+        complete = complete_part(table)
+        parts = variance_parts(complete)
         shares = [f"{deviation:.1f}" for deviation in parts.deviations]
-        row = [f"{content:g}", f"{parts.mean:.0f}", f"{parts.total**0.5:.1f}", *shares]
+        row = [
+            f"{content:g}",
+            f"{complete.shape[0]} x {complete.shape[1]}",
+            f"{parts.mean:.0f}",
+            f"{parts.total**0.5:.1f}",
+            *shares,
+        ]
         print(f"| {' | '.join(row)} |", flush=True)
 
 
