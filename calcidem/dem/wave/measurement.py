@@ -15,6 +15,7 @@ from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 
 _LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
+_WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _INEXACT = "the numerical error may be above 5 %: lower amplitude, or choose regime = 'finite'"
 _NOISY = "the numerical error may be above 5 %: noise moves the peak; lower amplitude or the frequency"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
@@ -167,8 +168,9 @@ def interpret_record(
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         return Outcome.NO_ARRIVAL, reason, *unread
     noisy = picks.first_arrival.failure == PickFailure.NOISE
+    expected = expected_error(experiment, record, signals, frequency, reading.travel_time, noisy=noisy)
     bound = error_bound(experiment, record, frequency, reading.travel_time, noisy=noisy)
+    bound = max(bound, _WORST_OF_HUNDRED * expected)
     if bound > _LARGEST_BOUND:
         return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, *unread
-    expected = expected_error(experiment, record, signals, frequency, reading.travel_time, noisy=noisy)
     return Outcome.DONE, "", reading.velocity, picks, expected, bound
