@@ -25,14 +25,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("database")
     with open_stored_campaign(parser.parse_args().database) as campaign:
-        distance = campaign.packing().width
         velocities: defaultdict[tuple[float, str], list[float]] = defaultdict(list)
         for cell in campaign.select(status="done", with_arrays=True):
             if cell.signal is None or cell.vs is None or cell.key.content == 0.0:
                 continue
             velocities[cell.key.content, "the campaign's"].append(cell.vs)
             for rule, moment in readings(cell.signal).items():
-                velocities[cell.key.content, rule].append(distance / moment)
+                velocities[cell.key.content, rule].append(cell.distance / moment)
     print("| content % | rule | mean, m/s | sd, m/s | skewness | kurtosis | p of Jarque-Bera |")
     print("|---|---|---|---|---|---|---|")
     for (content, rule), found in sorted(velocities.items()):
