@@ -105,7 +105,8 @@ def rolling_row(drive: Floats, courant: float, heard: int) -> Floats:
     # s_0'' = (k_s / m) [(1 - q) s_1 - (1 + q) s_0] - u_0''
     slide = -second * moved / (second + (1.0 + q) - (1.0 - q) * p)
     heard_moved = slide * p ** (heard - 1) * (p - 1.0) / second
-    return np.fft.ifft(heard_moved * (1.0 - 1.0 / z)).real[: len(drive)] * growth ** np.arange(len(drive))
+    velocity = np.fft.ifft(heard_moved * (1.0 - 1.0 / z)).real[: len(drive)]
+    return np.asarray(velocity * growth ** np.arange(len(drive)))
 
 
 @pytest.mark.parametrize("heard", [1, 4, 15])
