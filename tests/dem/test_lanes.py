@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import GROUPED, jumble, throw
 
-import calcidem.dem.engine.state as state_module
+from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import Precision, State
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import advance, start
@@ -121,12 +121,12 @@ def test_steps_in_flight_together_change_no_bit(
     """Steps that run through the disks one behind the other give the bits of one step after the other."""
     scene = scene_of()
     velocities = {lane: thrown(scene, lane) for lane in range(WIDTH)}
-    monkeypatch.setattr(state_module, "SMALLEST_BLOCK", 3)  # several blocks even in a small heap
-    monkeypatch.setattr(state_module, "STEPS_TOGETHER", 1)
+    monkeypatch.setattr(leapfrog, "SMALLEST_BLOCK", 3)  # several blocks even in a small heap
+    monkeypatch.setattr(leapfrog, "STEPS_TOGETHER", 1)
     one_by_one = run(scene, velocities, features)
-    monkeypatch.setattr(state_module, "STEPS_TOGETHER", together)
+    monkeypatch.setattr(leapfrog, "STEPS_TOGETHER", together)
     in_flight = run(scene, velocities, features)
-    assert state_module.make_front(in_flight).levels == together
-    assert 3 * state_module.make_front(in_flight).block <= scene.count
+    assert leapfrog.make_front(in_flight).levels == together
+    assert 3 * leapfrog.make_front(in_flight).block <= scene.count
     for lane in range(WIDTH):
         assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)

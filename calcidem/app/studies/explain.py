@@ -118,7 +118,7 @@ def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
     found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
-    return [*found, _local_damping(experiment), _driven_disks(experiment)]
+    return [*found, _local_damping(experiment), _wall_or_disks(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -180,7 +180,7 @@ def _local_damping(experiment: Experiment) -> Alternative:
     return Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
 
 
-def _driven_disks(experiment: Experiment) -> Alternative:
+def _wall_or_disks(experiment: Experiment) -> Alternative:
     """Disks that the pulse drives, instead of a wall that rubs along them."""
     wall = experiment.wave.transmitter == "wall"
     why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"

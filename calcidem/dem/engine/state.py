@@ -24,7 +24,7 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
-STEPS_PER_CONTACT = 25.0
+_STEPS_PER_CONTACT = 25.0
 """Of the default step in a Hertz contact: energy comes back to 5e-4, to 1e-3 at the limit (20 steps)."""
 
 
@@ -65,7 +65,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     spin: Floats | None = None,
     preload: Preload | None = None,
     skin_fraction: float | None = None,
-    steps_per_contact: float = STEPS_PER_CONTACT,
+    steps_per_contact: float = _STEPS_PER_CONTACT,
 ) -> State:
     """State of a scene at time zero.
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.portable import length, three_halves
-from calcidem.dem.engine.state import State
 from calcidem.dem.kernels.layout import (
     FIRST_ARM,
     MOMENT,
