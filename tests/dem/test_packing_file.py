@@ -1,13 +1,17 @@
 """Packings from and to CSV files."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.sample.packing import LID, Packing, PackingRule, make_packing
+from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.sample import packing as packing_module
+from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingRule, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv, read_disks, write_packing_csv
 
 RULE = PackingRule(width=0.02, height=0.03)
@@ -46,6 +50,51 @@ def test_files_keep_every_bit_and_may_have_more(packing: Packing, tmp_path: Path
     for read, given in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
         np.testing.assert_array_equal(read, given)
     assert numbers[0] == 3
+
+
+def just_touching(folder: Path) -> tuple[Path, PackingRule]:
+    """Disks of a hexagonal lattice that overlap by rounding alone, and a box as wide as they are."""
+    radius, columns, rows = 1.25e-3, 5, 6
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    x = radius * (2.0 * column + row % 2 + 1.0)
+    y = radius * (1.0 + np.sqrt(3.0) * row)
+    file = folder / "lattice.csv"
+    table = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, radius)])
+    np.savetxt(file, table, delimiter=",", header="x,y,radius", comments="", fmt="%.17g")
+    return file, replace(RULE, width=radius * (2.0 * columns + 1.0), most_steps=10_000)
+
+
+def test_disks_that_just_touch_come_to_rest_soon(tmp_path: Path) -> None:
+    """Without an overlap to choose a step by they bear the lid after some thousand steps, moved by some overlaps."""
+    file, rule = just_touching(tmp_path)
+    x, y, *_ = read_disks(file)
+    packed = packing_from_csv(file, SAND, rule)
+    assert packed.report.unbalanced_ratio < rule.unbalanced_force_ratio
+    for wall in (LID - 1, LID):
+        assert packed.report.wall_stress[wall] == pytest.approx(rule.stress, rel=1e-3)
+    assert packed.report.steps < 5_000
+    assert np.hypot(packed.x - x, packed.y - y).max() < 30.0 * packed.report.largest_overlap
+
+
+def test_a_packing_that_blows_up_or_comes_no_nearer_to_rest_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More steps are advised only while the disks still settle; what ends a run is told with a cure for packings."""
+    file, rule = just_touching(tmp_path)
+    with pytest.raises(PackingError, match=r"10400 steps .* more steps will not help"):
+        packing_from_csv(file, SAND, replace(rule, unbalanced_force_ratio=1e-18))
+    # The lid closes at its largest speed, so only time is lacking.
+    with pytest.raises(PackingError, match=r"10400 steps .* of 1e\+09 Pa; raise most_steps"):
+        packing_from_csv(file, SAND, replace(rule, stress=1e9))
+
+    def blow_up(*_: object) -> State:
+        raise UnstableRunError("after 400 steps disk 3 moves at 1e9 m/s: choose a smaller time_step")
+
+    monkeypatch.setattr(packing_module, "advance", blow_up)
+    with pytest.raises(
+        PackingError, match="rest, after 400 steps disk 3 moves at 1e9 m/s: lower stress, raise damping"
+    ):
+        packing_from_csv(file, SAND, rule)
 
 
 def changed(line: int, text: str) -> Callable[[list[str]], list[str]]:

@@ -94,6 +94,19 @@ def test_the_step_shrinks_before_a_falling_disk_arrives() -> None:
     assert state.time[0] == pytest.approx(2.0 * np.sqrt(2.0 * gap / GRAVITY), rel=1e-2)
 
 
+def test_a_disk_that_starts_at_rest_far_above_the_floor_is_looked_at_before_it_arrives() -> None:
+    """Released where nothing is listed yet, under 170 g, it gives its energy back: the fall is foreseen at rest."""
+    scene = column(gravity=(0.0, -170.0 * GRAVITY))
+    scene = replace(scene, y=scene.y + 0.3 * RADIUS * np.arange(1.0, 4.0))
+    state = start(scene, features=ACCOUNT)
+    turned = 0.0
+    for _ in range(40):
+        state = advance(state, 25)
+        now = energies(state)
+        turned = max(turned, now.kinetic, now.elastic)
+    assert abs(now.imbalance) < 2e-3 * turned
+
+
 def test_a_changed_step_costs_no_energy() -> None:
     """A step that is halved in the middle of an impact leaves restitution at 1."""
     velocity = np.array([[1.0, 0.0], [-1.0, 0.0]])

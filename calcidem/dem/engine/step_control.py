@@ -52,7 +52,10 @@ def _impact_limits(state: State, now: Instant) -> tuple[Floats, Floats]:
     with np.errstate(divide="ignore"):
         limits = limits / (SAFETY * state.control.per_contact)
         if state.features.search:
-            limits = np.minimum(limits, _CROSSED * state.skin / fastest)
+            # What a load that nothing bears gives within the step counts, too.
+            load = state.assembly.grains.load.astype(float)[:, :, None]
+            pull = np.minimum(_accelerations(state, load), _accelerations(state, now.force)).max(axis=0)
+            limits = np.minimum(limits, _time_across(_CROSSED * state.skin, fastest, pull))
     return limits, fastest
 
 
@@ -109,21 +112,32 @@ def _watch_stability(state: State, now: Instant) -> StepControl:
 
 def _steps_to_look(state: State, now: Instant, limits: Floats, fastest: Floats) -> int:
     """Steps in which speeds and overlaps cannot change much, nor anything be met that is not listed."""
-    motion = fastest * state.time_step
+    step, pull = state.time_step, _accelerations(state, now.force).max(axis=0)
     busy = (limits < np.inf).any()
     touching = now.overlap[now.overlap > 0.0]
     steps = [_BUSY_LOOK if busy else _QUIET_LOOK]
     if not busy and len(touching):
-        steps.append(max(_BUSY_LOOK, _steps_across(_STEADY * float(touching.mean()), motion)))
+        steps.append(max(_BUSY_LOOK, _steps_in(_time_across(_STEADY * float(touching.mean()), fastest, 0.0), step)))
     if state.features.search:
-        steps.append(_steps_across(_UNSEEN * state.skin, motion))
+        # A disk at rest that nothing holds falls until the next look.
+        steps.append(_steps_in(_time_across(_UNSEEN * state.skin, fastest, pull), step))
     return max(1, min(steps))
 
 
-def _steps_across(length: float, motion: Floats) -> int:
-    """Steps in which something that moves by ``motion`` (L,) in a step goes no further than a length."""
-    fastest = float(motion.max())
-    return int(min(length / fastest, _QUIET_LOOK)) if fastest > 0.0 else _QUIET_LOOK
+def _steps_in(time: Floats, step: Floats) -> int:
+    """Whole steps in the shortest of the times (L,), s."""
+    return int(min(float((time / step).min()), _QUIET_LOOK))
+
+
+def _time_across(way: float, speed: Floats, acceleration: Floats | float) -> Floats:
+    """Time (L,) in which nothing gets further than a way (m), s: ``way = v t + a t^2 / 2``."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(2.0 * way / (speed + np.sqrt(speed * speed + 2.0 * way * acceleration)))
+
+
+def _accelerations(state: State, force: Floats) -> Floats:
+    """Accelerations (N, L) that forces (N, 3, L) give to the disks, m/s^2."""
+    return np.asarray(length(force[:, X], force[:, Y]) * state.assembly.grains.inverse_mass.astype(float)[:, None])
 
 
 def _watch_energy(state: State, now: Instant, control: StepControl) -> StepControl:
@@ -176,8 +190,8 @@ def _refuse_step(state: State, now: Instant, limits: Floats) -> None:
             disk = int(np.argmax(bounds[:, lane]))
         raise UnstableRunError(
             f"time_step = {state.time_step[lane]:.3g} s: after {state.steps} steps the limit is "
-            f"{state.critical_time_step[lane]:.3g} s, set by {_describe_disk(state, disk)}: start with a smaller one, or "
-            "without, and it follows the limit"
+            f"{state.critical_time_step[lane]:.3g} s, set by {_describe_disk(state, disk)}: start with a smaller one, "
+            "or without, and it follows the limit"
         )
 
 
@@ -193,9 +207,9 @@ def refuse_blow_up(state: State) -> None:
     size[:, ROTATION] = np.where(size[:, ROTATION] < np.inf, 0.0, np.inf)
     disk, component, lane = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
     raise UnstableRunError(
-        f"after {state.steps} steps {_describe_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, more "
-        f"than a tenth of a radius in a step of {state.time_step[lane]:.3g} s: the run has blown up; choose a smaller "
-        "time_step"
+        f"after {state.steps} steps {_describe_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, "
+        f"more than a tenth of a radius in a step of {state.time_step[lane]:.3g} s: the run has blown up; "
+        "choose a smaller time_step"
     )
 
 

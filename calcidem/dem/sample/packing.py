@@ -17,7 +17,7 @@ from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.engine.step_control import step_limit
+from calcidem.dem.engine.step_control import UnstableRunError, step_limit
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
@@ -27,6 +27,7 @@ _STEP_FRACTION = 0.8  # of the limit at the present overlaps
 _IMPACT_STEPS = 4.0  # enough for impacts that damping is to end
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
 _FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
+_NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
 
 
@@ -299,17 +300,28 @@ def relax(
     The step follows the stability limit at the present overlaps; for disks from elsewhere (``own``), which may hardly
     touch, it also follows their impacts. While the box is being filled it is enough that the disks have moved apart
     again: a loose gas of disks has no balance to wait for.
+
+    Raises
+    ------
+    PackingError
+        If it does not, or blows up.
     """
     state = start(scene, preload=preload, steps_per_contact=_IMPACT_STEPS if own else 0.0)
+    ratios: list[float] = []
     while True:
         check()
-        state = advance(replace(state, time_step=_STEP_FRACTION * step_limit(state)), _RELAXATION_CHUNK)
+        try:
+            state = advance(replace(state, time_step=_STEP_FRACTION * step_limit(state)), _RELAXATION_CHUNK)
+        except UnstableRunError as error:
+            cure = "lower stress, raise damping, or move the disks apart if they are your own"
+            raise PackingError(f"while the disks came to rest, {str(error).rsplit(': ', 1)[0]}: {cure}") from error
         cost.steps += _RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
-        if not np.isfinite(ratio) or cost.steps > rule.most_steps:
+        ratios.append(ratio)
+        if cost.steps > rule.most_steps:
+            cure = "raise most_steps, damping or porosity" if filling else _cure_of_unrest(state, rule, ratios)
             raise PackingError(
-                f"the packing is not at rest after {cost.steps} steps (unbalanced-force ratio {ratio:.2g}): "
-                "raise most_steps, damping or unbalanced_force_ratio"
+                f"the packing is not at rest after {cost.steps} steps (unbalanced-force ratio {ratio:.2g}): {cure}"
             )
         if filling:
             if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < _FILLING_OVERLAP * scene.radius.min():
@@ -319,6 +331,16 @@ def relax(
             and abs(_lid_stress(state, rule) / rule.stress - 1.0) < _STRESS_TOLERANCE
         ):
             return state
+
+
+def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
+    """What helps disks that had these unbalanced-force ratios: more steps only where they still come nearer."""
+    half, stress = len(ratios) // 2, _lid_stress(state, rule)
+    if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
+        return f"the lid bears {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
+    if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
+        return "raise damping or unbalanced_force_ratio; more steps will not help, since it comes no nearer"
+    return "raise most_steps, damping or unbalanced_force_ratio"
 
 
 def _lid_stress(state: State, rule: PackingRule) -> float:
@@ -333,10 +355,12 @@ def _preload_of(state: State) -> Preload:
 
 
 def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
-    """Packing and report of a state at rest."""
+    """Packing and report of a state at rest; a `PackingError` where no disk touches another."""
     height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
     position = state.position()
     contacts = contact_forces(state)
+    if not len(contacts.pairs):
+        raise PackingError(f"no two disks touch under the lid: make the box narrower than width = {rule.width:g} m")
     backbone = _coordination_without_rattlers(contacts.pairs, state)
     reactions = wall_reactions(state)[:, 0]
     lengths = np.array([height, height, rule.width, rule.width])

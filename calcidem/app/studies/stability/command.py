@@ -8,9 +8,10 @@ from pathlib import Path
 from calcidem.analysis.figures.style import save
 from calcidem.app.studies.stability.endurance import Endurance, endurance
 from calcidem.app.studies.stability.limits import Detection, Limits, detections, limits
+from calcidem.app.studies.stability.own_scenes import draw_own_scenes
 from calcidem.app.studies.stability.report import draw_maps, random_scene_tables, stability_tables
 from calcidem.app.studies.stability.scenes import BOXES, Extreme, draw_scenes
-from calcidem.app.studies.stability.verdict import Judgement, judge_scene, packing_map, walks
+from calcidem.app.studies.stability.verdict import Judgement, judge_own_scene, judge_scene, packing_map, walks
 
 _CONTRASTS = (1.0, 1e2, 1e4, 1e6)
 _FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
@@ -79,12 +80,12 @@ def random_scenes(
     say: Callable[[str], None],
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Judgement, ...]:
-    """Judge scenes drawn at random from each of the `scenes.BOXES`.
+    """Judge scenes drawn at random from each of the `scenes.BOXES`, and scenes of one's own of all kinds.
 
     Parameters
     ----------
     count
-        Of the scenes of each box.
+        Of the scenes of each box, and of one's own.
     draw
         Seed of the draw; another one draws other scenes.
     json
@@ -99,6 +100,8 @@ def random_scenes(
             found[box].append(judge_scene(scene))
             if len(found[box]) % _PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
+    for own in draw_own_scenes(count, draw):
+        found.setdefault(own.kind, []).append(judge_own_scene(own))
     data = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
     say(to_json.dumps(data, indent=1) if json else random_scene_tables(found))
     return tuple(judgement for row in found.values() for judgement in row)

@@ -49,8 +49,8 @@ def _verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> list
 
 
 def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
-    """Give the verdicts of each box, the errors of the velocities, and every scene that was wrong."""
-    lines = [*_verdict_table("box", found), "", "| box | velocities | error, median | worst |", "|---|---|---|---|"]
+    """Give the verdicts of each box or kind, the errors, and every scene that was wrong."""
+    lines = [*_verdict_table("box", found), "", "| box | compared | error, median | worst |", "|---|---|---|---|"]
     for box, row in found.items():
         errors = [abs(judgement.error) for judgement in row if judgement.error is not None]
         if errors:

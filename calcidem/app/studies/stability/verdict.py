@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from calcidem.app.studies.accuracy.reference import signal_distance
+from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene, error_of_run
 from calcidem.app.studies.stability.scenes import (
     CONTENTS,
     FRICTIONS,
@@ -19,6 +20,7 @@ from calcidem.app.studies.stability.scenes import (
     small_packing,
 )
 from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 
@@ -69,10 +71,10 @@ class Judgement:
     vs
         Velocity, m/s; None if there is none.
     error
-        Its true relative error; None if it is not known.
+        Its true relative error, or that of `own_scenes.error_of_run`; None if it is not known.
     """
 
-    scene: Extreme | Packed
+    scene: Extreme | Packed | OwnScene
     verdict: StabilityVerdict
     reason: str = ""
     vs: float | None = None
@@ -92,6 +94,18 @@ def judge_scene(scene: Extreme) -> Judgement:
 def judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
     """Do the same on a real packing."""
     return _judge_experiment(scene, lambda: (experiment, scene.content))
+
+
+def judge_own_scene(scene: OwnScene) -> Judgement:
+    """Run a scene of one's own and hold its error against the tolerance."""
+    try:
+        error = error_of_run(scene)
+    except ValueError as refusal:
+        return Judgement(scene, StabilityVerdict.REFUSED, str(refusal))
+    except UnstableRunError as end:
+        return Judgement(scene, StabilityVerdict.DETECTED, str(end))
+    right = error <= OWN_TOLERANCE
+    return Judgement(scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, error=error)
 
 
 def _judge_experiment(scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]]) -> Judgement:
