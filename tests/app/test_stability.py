@@ -6,6 +6,7 @@ import pytest
 
 from calcidem.app.studies.stability.endurance import energy_drift
 from calcidem.app.studies.stability.limits import force_step, limits
+from calcidem.app.studies.stability.own_scenes import OWN_KINDS, draw_own_scenes
 from calcidem.app.studies.stability.scenes import (
     Extreme,
     Packed,
@@ -15,7 +16,7 @@ from calcidem.app.studies.stability.scenes import (
     experiment_of_scene,
     small_packing,
 )
-from calcidem.app.studies.stability.verdict import StabilityVerdict, judge_packing, judge_scene
+from calcidem.app.studies.stability.verdict import StabilityVerdict, judge_own_scene, judge_packing, judge_scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.scene import wave_scene
@@ -44,6 +45,20 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
     judgements = [judge_scene(scene) for scene in draw_scenes(40, seed=3, box="plausible")]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15
+
+
+@pytest.mark.parametrize("scenes", [SCENES // 16, pytest.param(SCENES, marks=pytest.mark.full)])
+def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
+    """Impacts, disks that just touch, gravity and bonds across gaps end right to 1 %, or with an error that says so."""
+    judgements = [judge_own_scene(scene) for scene in draw_own_scenes(scenes, seed=1)]
+    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
+    count = Counter(
+        judgement.scene.kind  # type: ignore[union-attr]
+        for judgement in judgements
+        if judgement.verdict == StabilityVerdict.STABLE
+    )
+    assert all(count[kind] >= scenes // len(OWN_KINDS) // 2 for kind in OWN_KINDS), count
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
