@@ -31,9 +31,9 @@ _HEARTBEAT_TIMEOUT = 120.0
 
 _VANISHED = "is gone without a word: it was killed together with its starter, or its host is down"
 
-_SIGNAL_CURES = {
-    signal.SIGKILL: "the system does so when memory runs out: use fewer ranks on each host",
-    signal.SIGSEGV: "try `calcidem doctor` on that host",
+_SIGNAL_CURES = {  # by name: Windows, which imports this, too, has no SIGKILL
+    "SIGKILL": "the system does so when memory runs out: use fewer ranks on each host",
+    "SIGSEGV": "try `calcidem doctor` on that host",
 }
 
 
@@ -300,8 +300,8 @@ class RankWatch:
         """Put into words how a rank has ended."""
         how, cure = f"ended with exit code {code}", ""
         if code < 0:
-            how = f"was killed by {signal.Signals(-code).name}"
-            cure = _SIGNAL_CURES.get(signal.Signals(-code), "")
+            name = signal.Signals(-code).name
+            how, cure = f"was killed by {name}", _SIGNAL_CURES.get(name, "")
             self.killed_at_start |= not rank.joined
         stage = "" if rank.joined else " while it started"
         if not rank.joined and code >= 0:

@@ -8,7 +8,7 @@ from typing import Any, Generic
 from mpi4py import MPI
 
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.channel import lost_according_to_command
+from calcidem.sweep.channel import command_listens, lost_according_to_command
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
@@ -29,6 +29,9 @@ _WATCHDOG_INTERVAL = 0.25
 
 _KILL_PATIENCE = 1.0
 """Seconds within which a killed process must be gone."""
+
+_LAST_WORD = 0.5
+"""Seconds that the command has to say how a process ended that is gone: its starter knows, others only see it."""
 
 
 @dataclass(slots=True)
@@ -100,6 +103,7 @@ class WorkerPool(Generic[CellT]):
         self._watch = ProcessWatch()
         self._known_failed: frozenset[int] = frozenset()
         self._given_up: set[int] = set()
+        self._first_missed: dict[int, float] = {}
         self.expected = set(range(comm.Get_size())) - {MASTER}
         """Ranks not lost so far, whether they have reported yet or not."""
 
@@ -150,14 +154,17 @@ class WorkerPool(Generic[CellT]):
         """Return the ranks that are lost, each with the reason; they stay in the pool until `remove`."""
         told = lost_according_to_command()
         reasons = {rank: reason for rank, reason in told.items() if rank in self.expected}
-        reasons = dict.fromkeys(self._watch.find_ended(), "its process ended") | reasons
         failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed
             acknowledge_failures(self._comm)
-        for rank in failed & self.expected:
-            reasons.setdefault(rank, "MPI reports that its process failed")
+        silent = dict.fromkeys(failed & self.expected, "MPI reports that its process failed")
+        silent |= dict.fromkeys(self._watch.find_ended(), "its process ended")
         now = time.monotonic()
+        patience = _LAST_WORD if command_listens() else 0.0
+        for rank, reason in silent.items():
+            if now - self._first_missed.setdefault(rank, now) >= patience:
+                reasons.setdefault(rank, reason)
         if now >= self._next_watchdog:
             self._next_watchdog = now + _WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
