@@ -32,10 +32,16 @@ def test_it_was_computed_with_the_preset() -> None:
 
 @pytest.mark.parametrize(("content", "printed"), [(content, row.mean) for content, row in published_study().velocities])
 def test_every_mean_is_near_the_published_one(content: float, printed: float) -> None:
-    """All 16 means of Table 3 are met within 10 %, and few samples have two tops, of which chance would pick one."""
+    """All 16 means of Table 3 are met within 10 %."""
     vs = calcidem.load_paper_campaign().vs.sel(content=content)
-    assert int(vs.notnull().sum()) >= 0.97 * published_study().seeds
     assert float(vs.mean()) == pytest.approx(printed, rel=0.10)
+
+
+def test_few_samples_cannot_be_read() -> None:
+    """At most 2 % have no velocity, and nowhere more than a tenth, which would bend the statistics of a content."""
+    read = calcidem.load_paper_campaign().vs.notnull()
+    assert float(read.mean()) >= 0.98
+    assert float(read.mean("seed").min()) >= 0.90
 
 
 def test_scatter_grows_with_content_and_falls_again() -> None:
