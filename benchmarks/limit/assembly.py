@@ -62,7 +62,7 @@ def assembly_of(state: State) -> str:
 
 def captured_arguments(state: State) -> tuple[Any, ...]:
     """Return the arguments `run_kernel` gives to the kernel for no steps at all."""
-    import calcidem.dem.engine.state as module  # noqa: PLC0415 - its global name is replaced for one call
+    import calcidem.dem.engine.leapfrog as module  # noqa: PLC0415 - its global name is replaced for one call
 
     caught: list[tuple[Any, ...]] = []
 

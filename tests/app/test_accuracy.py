@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.command import parse_target
@@ -26,6 +27,7 @@ pytestmark = pytest.mark.slow
 
 CONTENTS = (0.34, 0.45, 0.55, 0.66)
 SEEDS = tuple(range(1, 9))
+_FEW = 8  # cells of the sentinel: of so few one or two may miss by chance
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +54,15 @@ def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
 
 
 def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
-    """In at least 95 % of the cells the true error is below the bound, which is not absurdly large."""
+    """The true error is below the bound in 95 % of the cells, as far as so many can say; the bound is not too large."""
     cells = [cell for cell in study.cells if cell.vs_error is not None and cell.bound is not None]
     errors = np.array([abs(cell.vs_error or 0.0) for cell in cells])
     bounds = np.array([cell.bound for cell in cells])
     assert len(cells) >= 0.78 * len(study.cells)
-    assert np.mean(errors <= bounds) >= 0.95
+    # Settings measure the same cells, so misses in one come with those in the others: chance counts the cells once.
+    drawn = len({(cell.seed, cell.content) for cell in cells})
+    allowed = 0.05 if drawn > _FEW else binom.ppf(0.99, drawn, 0.05) / drawn
+    assert np.mean(errors > bounds) <= allowed
     # The real box has 1 %. This one is a third as wide, so that a step or a sample weighs three times as much.
     assert np.median(bounds) < 0.03
 
@@ -148,7 +153,8 @@ def test_the_signal_converges_to_second_order_without_damping(experiment: Experi
 
 def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
     """Constant stiffness is good to 1 % at 1 mm/s; at 10 cm/s it gives no velocity, and the sample itself another."""
-    rows = amplitude_rows(experiment, [2.55], SEEDS, [1e-3, 1e-1], regimes=["linear"])
+    short = replace(experiment, frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))  # waves, on so short a way
+    rows = amplitude_rows(short, [0.66], SEEDS, [1e-3, 1e-1], regimes=["linear"])
     found = {(row.amplitude, row.regime): row for row in rows}
     assert (found[1e-3, "linear"].median or 1.0) < 0.01
     assert found[1e-3, "finite"].worst == 0.0

@@ -20,14 +20,18 @@ wave_stiffness_factor = 13.0
 [pattern]
 cluster_area = 3.6e-6
 [wave]
-receiver_half_width = 0.01
+transmitter_half_width = 0.01
+receiver_half_width = 0.012
 listening_depth = 0.006
-boundary_thickness = 0.01
+boundary_thickness = 0.012
+[wave.frequency]
+content = [0.0, 0.66]
+frequency = [12e3, 24e3]
 """
 
 PLAN = """
 configuration = "base.toml"
-contents = [2.55]
+contents = [0.66]
 seeds = 8
 [[variant]]
 choice = "modulus"

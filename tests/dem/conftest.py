@@ -3,4 +3,9 @@
 import sys
 from pathlib import Path
 
+from hypothesis import settings
+
 sys.path.insert(0, str(Path(__file__).parent))  # naive.py and scenes.py, the helpers beside the tests
+
+settings.register_profile("untimed", deadline=None)  # how long an example takes is no property of the program
+settings.load_profile("untimed")
