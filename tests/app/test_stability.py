@@ -49,7 +49,7 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
 
 @pytest.mark.parametrize("scenes", [SCENES // 16, pytest.param(SCENES, marks=pytest.mark.full)])
 def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
-    """Impacts, disks that just touch, gravity and bonds across gaps end right to 1 %, or with an error that says so."""
+    """Impacts, disks that just touch, gravity and bonds across gaps end right to 2 %, or with an error that says so."""
     judgements = [judge_own_scene(scene) for scene in draw_own_scenes(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(
