@@ -63,7 +63,8 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop"
 
 def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
     """`run` reports packing, velocities and paths; `status` and `export` find what it stored."""
-    workshop.configure(seeds=2, contents=(0.0, 2.55))
+    short = "transmitter_half_width = 0.01\n[wave.frequency]\ncontent = [0.0, 0.66]\nfrequency = [17e3, 17e3]"
+    workshop.configure(seeds=2, contents=(0.1, 0.66), wave=short)
     database = workshop.folder / "elsewhere" / "mine.db"
     done = workshop.run("run", "c.toml", "--db", str(database), "--output", "out")
     assert done.code == 0, done.errors
@@ -73,8 +74,8 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
     assert "\x1b" not in done.output, "no colours and no bar without a terminal"
     with xr.open_dataset(database.with_suffix(".nc")) as exported, calcidem.open_campaign(database) as campaign:
         assert exported["vs"].equals(campaign.vs())
-        cemented, bare = campaign.vs().sel(content=2.55), campaign.vs().sel(content=0.0)
-        assert (cemented > bare).all(), "cement stiffens"
+        strong, weak = campaign.vs().sel(content=0.66), campaign.vs().sel(content=0.1)
+        assert (strong > weak).all(), "cement stiffens"
     status = workshop.run("status", str(database))
     assert status.code == 0, status.errors
     assert "2 seeds x 2 contents" in status.output

@@ -125,8 +125,8 @@ def _steps_to_look(state: State, now: Instant, limits: Floats, fastest: Floats) 
 
 
 def _steps_in(time: Floats, step: Floats) -> int:
-    """Whole steps in the shortest of the times (L,), s."""
-    return int(min(float((time / step).min()), _QUIET_LOOK))
+    """Whole steps in the shortest of the times (L,), s; none where a lane has blown up."""
+    return int(min(float(np.nan_to_num(time / step).min()), _QUIET_LOOK))
 
 
 def _time_across(way: float, speed: Floats, acceleration: Floats | float) -> Floats:
