@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import (
     FITTABLE,
     calibrate,
@@ -20,7 +20,10 @@ from calcidem.dem.sample.packing import Packing
 pytestmark = pytest.mark.slow
 
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
-CONTENTS = (0.2, 5.0)
+CONTENTS = (0.1, 9.0)
+SHORT_WAVES = Excitation(FrequencyTable(CONTENTS, (17e3, 120e3)))
+"""So short for this box that nearly all cells are read, whatever the parameters: means are over the same seeds."""
+
 SEEDS = tuple(range(1, 9))
 
 
@@ -34,6 +37,7 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     configuration: Configuration, small_packing: Packing
 ) -> None:
     """From a start that is 20 % off, two parameters come back within the deviation that the fit states."""
+    configuration = replace(configuration, excitation=SHORT_WAVES)
     truth = {name: start_value(configuration, small_packing, name) for name in (STIFFNESS, MODULUS)}
     means, _ = mean_velocities(configuration, small_packing, CONTENTS, SEEDS)
     targets = dict(zip(CONTENTS, means.tolist(), strict=True))
