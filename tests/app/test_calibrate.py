@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
 CONTENTS = (0.1, 9.0)
 SHORT_WAVES = Excitation(FrequencyTable(CONTENTS, (17e3, 120e3)))
-"""So short for this box that nearly all cells are read, whatever the parameters: means are over the same seeds."""
+"""So short for this box that most cells are read (7 and 6 of 8): the fit needs means over the same seeds."""
 
 SEEDS = tuple(range(1, 9))
 
