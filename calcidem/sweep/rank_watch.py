@@ -51,8 +51,9 @@ class _ReportedRank:
         Whether it has loaded its program, and whether it has found the others.
     silent
         Seconds since it was heard of.
-    ended, ended_after
-        How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then.
+    ended, ended_after, ended_well
+        How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
+        exit code was 0.
     told
         Whether rank 0 was told of its end.
     """
@@ -67,6 +68,7 @@ class _ReportedRank:
     silent: float = 0.0
     ended: str = ""
     ended_after: float = 0.0
+    ended_well: bool = False
     told: bool = False
 
     def __str__(self) -> str:
@@ -154,11 +156,11 @@ class RankWatch:
         return bool(events)
 
     def describe_first_death(self) -> str:
-        """How the first rank ended that did not end as it should; empty if none did."""
+        """How the first rank ended that did not end as it should, or else the first; empty if none did."""
         dead = [rank for rank in self._ranks.values() if rank.ended]
         if not dead:
             return ""
-        first = min(dead, key=lambda rank: (rank.ended_after, rank.ended == _VANISHED, rank.number))
+        first = min(dead, key=lambda rank: (rank.ended_well, rank.ended_after, rank.ended == _VANISHED, rank.number))
         return f"{first} {first.ended}"
 
     def listen_to_the_end(self, seconds: float) -> None:
@@ -306,6 +308,7 @@ class RankWatch:
         stage = "" if rank.joined else " while it started"
         if not rank.joined and code >= 0:
             cure = "`calcidem doctor` on that host says what it lacks"
+        rank.ended_well = code == 0
         rank.ended = how + stage + (f": {last}" if last else "") + (f" ({cure})" if cure else "")
 
     def _note_deaths(self) -> None:

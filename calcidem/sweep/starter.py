@@ -37,6 +37,9 @@ _TIME_TO_COUNT = 60.0
 _TIME_TO_CONNECT = 5.0
 """Seconds for each of the command's addresses."""
 
+_TIME_TO_HANG_UP = 2.0
+"""Seconds in which the command acknowledges the last words of a rank."""
+
 _LAST_LINE = 300
 """Characters of a rank's last line that are passed on."""
 
@@ -93,6 +96,7 @@ class _Starter:
         lines = self._tail.decode(errors="replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         self._say(f"ended {code} {last[:_LAST_LINE]}")
+        self._hang_up()
         return code
 
     def _connect(self) -> socket.socket:
@@ -177,6 +181,16 @@ class _Starter:
         except BlockingIOError:
             return True
         return False
+
+    def _hang_up(self) -> None:
+        """Let the command hear the last words: to close with something unread would throw away what is under way."""
+        try:
+            self._connection.shutdown(socket.SHUT_WR)
+            self._connection.settimeout(_TIME_TO_HANG_UP)
+            while self._connection.recv(1 << 16):
+                pass
+        except OSError:
+            return  # the command is gone, or too slow
 
     def _say(self, text: str) -> None:
         try:

@@ -38,7 +38,7 @@ def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm:
     launch.signal(signal.SIGUSR2)
     launch.wait()
     assert (launch.exit_code, launch.noted_exit_code) == (75, 75), launch.errors
-    assert time.monotonic() - start < 2.0
+    assert time.monotonic() - start < 4.0  # of the 5 s of a batch
     assert campaign.values() == {}
     assert campaign.leaves_no_process()
     assert campaign.run(ulfm=ulfm).exit_code == 0
