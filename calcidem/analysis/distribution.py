@@ -10,7 +10,6 @@ from scipy import stats
 
 from calcidem.analysis.intervals import (
     Interval,
-    bootstrap_interval,
     mean,
     mean_interval,
     ordered_prediction_interval,
@@ -58,10 +57,10 @@ class Distribution:
         Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution).
     normality
         Jarque-Bera test, Eq. 5.
-    mean_interval, mean_interval_bootstrap
-        Confidence interval of the mean by Student's t, and without assuming normality.
-    standard_deviation_interval, standard_deviation_interval_bootstrap
-        Confidence interval of the standard deviation by chi-square, and without assuming normality.
+    mean_interval
+        Confidence interval of the mean by Student's t.
+    standard_deviation_interval
+        Confidence interval of the standard deviation, see `intervals.standard_deviation_interval`.
     prediction_interval, prediction_interval_ordered
         Interval for one new sample if values are normal, and from the ordered values without assuming it.
     normal_fit
@@ -75,9 +74,7 @@ class Distribution:
     kurtosis: float
     normality: NormalityTest
     mean_interval: Interval
-    mean_interval_bootstrap: Interval
     standard_deviation_interval: Interval
-    standard_deviation_interval_bootstrap: Interval
     prediction_interval: Interval
     prediction_interval_ordered: Interval
     normal_fit: NormalFit
@@ -135,9 +132,7 @@ def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
         kurtosis=kurtosis(sample),
         normality=jarque_bera(sample),
         mean_interval=mean_interval(sample, level),
-        mean_interval_bootstrap=bootstrap_interval(sample, mean, level),
         standard_deviation_interval=standard_deviation_interval(sample, level),
-        standard_deviation_interval_bootstrap=bootstrap_interval(sample, standard_deviation, level),
         prediction_interval=prediction_interval(sample, level),
         prediction_interval_ordered=ordered_prediction_interval(sample, level),
         normal_fit=NormalFit(centre, deviation, distance),

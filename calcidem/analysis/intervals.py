@@ -7,7 +7,6 @@ error: the interval then has no width.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,11 +40,8 @@ class Interval:
         return self.low <= value <= self.high
 
 
-_LARGEST_BOOTSTRAP = 5000
-"""Above it resampling would need gigabytes; the large-sample interval is the same to a few hundredths of its width."""
-
-_SMALLEST_BOOTSTRAP = 3
-"""Below this, resampling has too few different results to say anything."""
+_FEWEST_FOR_KURTOSIS = 8
+"""Below this a sample says too little about its kurtosis to correct an interval for it."""
 
 UNDEFINED = Interval(math.nan, math.nan)
 
@@ -69,10 +65,11 @@ def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
 
 
 def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the standard deviation by chi-square.
+    """Give the confidence interval of the standard deviation: by chi-square below 8 values, by Bonett from there on.
 
-    It is exact for normal values only and, unlike that of the mean, does not become right for large n when
-    the kurtosis differs from 3; compare it with `bootstrap_interval`.
+    Chi-square is exact for normal values and misses more often the more the kurtosis exceeds 3, however large n is.
+    Bonett's interval is corrected for the sample's kurtosis. A percentile or BCa bootstrap of a few values covers far
+    less than it promises: 57 % instead of 95 % of four normal values.
 
     Parameters
     ----------
@@ -80,71 +77,28 @@ def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95
         Sample, shape (n,).
     level
         Confidence level between 0 and 1.
+
+    Notes
+    -----
+    Bonett (2006), doi:10.1016/j.csda.2004.10.003.
     """
     n = values.size
     if n <= 1:
         return UNDEFINED
-    scaled = float(standard_deviation(values)) * math.sqrt(n - 1)
-    tail = (1 - level) / 2
-    low = scaled / math.sqrt(float(stats.chi2.ppf(1 - tail, n - 1)))
-    high = scaled / math.sqrt(float(stats.chi2.ppf(tail, n - 1)))
-    return Interval(low, high)
-
-
-def bootstrap_interval(
-    values: NDArray[np.float64],
-    statistic: Callable[..., NDArray[np.float64]],
-    level: float = 0.95,
-    replicates: int = 9999,
-) -> Interval:
-    """Give the bias-corrected and accelerated bootstrap interval, which assumes no distribution.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,); undefined below three values.
-    statistic
-        Function of (array, axis=...), `mean` or `standard_deviation`.
-    level
-        Confidence level between 0 and 1.
-    replicates
-        Number of resamples.
-
-    Notes
-    -----
-    Efron (1987), doi:10.1080/01621459.1987.10478410, as `scipy.stats.bootstrap` computes it.
-    """
-    if values.size < _SMALLEST_BOOTSTRAP:
-        return UNDEFINED
-    if np.ptp(values) == 0:
-        constant = float(statistic(values, axis=-1))
-        return Interval(constant, constant)
-    if values.size > _LARGEST_BOOTSTRAP:
-        return _large_sample_interval(values, statistic, level)
-    result = stats.bootstrap(
-        (values,),
-        statistic,
-        vectorized=True,
-        confidence_level=level,
-        n_resamples=replicates,
-        method="BCa",
-        rng=np.random.default_rng(BOOTSTRAP_SEED),
-    )
-    return Interval(float(result.confidence_interval.low), float(result.confidence_interval.high))
-
-
-def _large_sample_interval(
-    values: NDArray[np.float64], statistic: Callable[..., NDArray[np.float64]], level: float
-) -> Interval:
-    """Give the limit of the bootstrap interval for large samples, from the influence of each value.
-
-    Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 21. Like the bootstrap it does not assume a
-    normal sample.
-    """
-    estimate, from_mean = float(statistic(values, axis=-1)), values - values.mean()
-    influence = from_mean if statistic is mean else (from_mean**2 - estimate**2) / (2 * estimate)
-    half_width = float(stats.norm.ppf((1 + level) / 2) * influence.std() / np.sqrt(values.size))
-    return Interval(estimate - half_width, estimate + half_width)
+    deviation = float(standard_deviation(values))
+    if deviation == 0:
+        return Interval(0.0, 0.0)
+    if n < _FEWEST_FOR_KURTOSIS:
+        tail = (1 - level) / 2
+        low, high = np.sqrt((n - 1) / stats.chi2.ppf([1 - tail, tail], n - 1))
+        return Interval(deviation * float(low), deviation * float(high))
+    quantile = float(stats.norm.ppf((1 + level) / 2))
+    trimmed = stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
+    kurtosis = n * np.sum((values - trimmed) ** 4) / ((n - 1) * deviation**2) ** 2
+    correction = n / (n - quantile)
+    error = correction * math.sqrt(max(kurtosis - (n - 3) / n, 0.0) / (n - 1))
+    low, high = np.sqrt(correction * np.exp([-quantile * error, quantile * error]))
+    return Interval(deviation * float(low), deviation * float(high))
 
 
 def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:

@@ -43,7 +43,7 @@ def print_means(rows: list[Row]) -> None:
         print(f"\n| {title}, % | mean, m/s (95 %) | published | difference | sd, m/s (95 %) | published | ratio |")
         print("|---|---|---|---|---|---|---|")
         for content, vs, printed in chosen:
-            mean, scatter = vs.mean_interval, vs.standard_deviation_interval_bootstrap
+            mean, scatter = vs.mean_interval, vs.standard_deviation_interval
             print(
                 f"| {content:g} | {vs.mean:.0f} ({mean.low:.0f} to {mean.high:.0f}) | {printed.mean:.0f} "
                 f"| {100 * (vs.mean / printed.mean - 1):+.1f} % "

@@ -34,7 +34,7 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
                 with_bounds(vs.mean, vs.mean_interval),
                 decimal(row.mean),
                 f"{decimal(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
-                with_bounds(vs.standard_deviation, vs.standard_deviation_interval_bootstrap),
+                with_bounds(vs.standard_deviation, vs.standard_deviation_interval),
                 decimal(row.standard_deviation),
                 _normal(None if math.isnan(p_value) else p_value >= _SIGNIFICANCE),
                 _normal(row.normal),
