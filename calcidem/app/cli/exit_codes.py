@@ -1,42 +1,77 @@
-"""Errors that are the user's to cure: told in one message without a traceback, with the exit code they mean."""
+"""How an error ends a command: one message without a traceback, and the exit code that says whose it is to cure."""
 
+import errno
+import sys
+import traceback
+
+from calcidem.app.cli.terminal import log_error, printable
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.dem.sample.packing import PackingError
+from calcidem.dem.sample.packing_file import PackingFileError
 from calcidem.storage.errors import (
-    CampaignMismatchError,
-    ForeignDatabaseError,
-    NewerSchemaError,
-    OlderSchemaError,
+    DiskError,
+    InvalidRecordError,
+    LeaseHeldError,
+    LeaseLostError,
     StoreError,
-    StoreUnavailableError,
-    UnknownCampaignError,
-    UnknownCellError,
+    StoreLockedError,
 )
 from calcidem.sweep import EXIT_ERROR, LaunchError
 
 _EXIT_BAD_INPUT = 2
-"""Bad configuration or arguments."""
+"""Bad configuration, arguments or files."""
 
 EXIT_ROUNDING = 3
 """`calcidem verify`: what is stored is what is computed, but for rounding."""
 
-USER_ERRORS = (ConfigurationError, LaunchError, PackingError, StoreError, OSError)
+_BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSError)
 
-_BAD_INPUT = (
-    CampaignMismatchError,
-    ConfigurationError,
-    FileExistsError,
-    FileNotFoundError,
-    ForeignDatabaseError,
-    LaunchError,
-    NewerSchemaError,
-    OlderSchemaError,
-    StoreUnavailableError,
-    UnknownCampaignError,
-    UnknownCellError,
-)
+_CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError)
+"""Errors of the store that no other input would cure."""
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+_CURE_OF_ERRNO = {
+    errno.ENOENT: "check the name; a folder for results has to exist",
+    errno.EEXIST: "give another name, or remove what is there",
+    errno.EISDIR: "give the name of a file",
+    errno.ENOTDIR: "a part of the name is no folder; check it",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EACCES: "give one that you may use, or change its permissions",
+    errno.EPERM: "give one that you may use, or change its permissions",
+    errno.EROFS: "give one in a folder that can be written",
+} | dict.fromkeys(_FULL, "free some space, or give a place that has some")
 
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
-    return _EXIT_BAD_INPUT if isinstance(error, _BAD_INPUT) else EXIT_ERROR
+    if isinstance(error, OSError):
+        return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR
+    is_input = isinstance(error, _BAD_INPUT) and not isinstance(error, _CIRCUMSTANCES) and type(error) is not StoreError
+    return _EXIT_BAD_INPUT if is_input else EXIT_ERROR
+
+
+def tell_error(error: Exception) -> int:
+    """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
+    if isinstance(error, (*_BAD_INPUT, PackingError)):
+        text = _sentence(error) if isinstance(error, OSError) else str(error)
+    else:
+        text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"
+        path = log_error(error)
+        text += (
+            f"\nPlease report it with the log {path}; what was stored before is safe."
+            if path
+            else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
+        )
+    sys.stderr.write(printable(f"Error: {text}\n"))
+    return exit_code_of(error)
+
+
+def _sentence(error: OSError) -> str:
+    """Name of the file, what is wrong with it, and what helps; other words of Python's as they are."""
+    if error.errno is None or error.strerror is None:
+        return str(error)
+    named = "" if error.filename is None else f"{error.filename}: "
+    return f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; " + _CURE_OF_ERRNO.get(
+        error.errno, "check the name and the disk"
+    )

@@ -10,6 +10,8 @@ from importlib.resources import files
 
 import typer
 
+from calcidem.app.cli.terminal import print_any_text, printable, strange_argument
+
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 COMMANDS = (
@@ -23,21 +25,21 @@ _COMPLETION_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 
 
 def main() -> None:
-    """Entry point: run a command, and tell errors that are the user's to cure in one message."""
+    """Entry point: run a command, and tell an error in one message."""
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     warnings.formatwarning = _format_warning
     typed = " ".join(os.environ.get(variable, "") for variable in _COMPLETION_VARIABLES)
-    application = build_application(sys.argv[1:] or typed.split()[1:])
+    print_any_text()
+    if wrong := strange_argument(sys.argv[1:]):
+        sys.stderr.write(f"Error: {wrong}\n")
+        sys.exit(2)
     try:
-        application()
-    except Exception as error:
-        from calcidem.app.cli.exit_codes import USER_ERRORS, exit_code_of  # noqa: PLC0415 - loads numerical libraries
+        build_application(sys.argv[1:] or typed.split()[1:])()
+    except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message
+        from calcidem.app.cli.exit_codes import tell_error  # noqa: PLC0415 - loads numerical libraries
 
-        if not isinstance(error, USER_ERRORS):
-            raise
-        sys.stderr.write(f"Error: {error}\n")
-        sys.exit(exit_code_of(error))
+        sys.exit(tell_error(error))
 
 
 def build_application(arguments: Sequence[str]) -> typer.Typer:
@@ -80,8 +82,8 @@ def _format_warning(
 ) -> str:
     """One line for what is meant for users, and where it comes from for all other warnings."""
     if issubclass(category, FutureWarning):
-        return f"Warning: {message}\n"
-    return f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else "")
+        return printable(f"Warning: {message}\n")
+    return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
 
 
 if __name__ == "__main__":

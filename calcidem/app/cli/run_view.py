@@ -1,10 +1,9 @@
 """What a person reads of a run."""
 
-import sys
-
 from calcidem.app.campaign.run import CampaignRun
-from calcidem.app.cli.exit_codes import USER_ERRORS, exit_code_of
+from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
+from calcidem.app.cli.terminal import printable
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
@@ -20,7 +19,7 @@ class TerminalView:
 
     def say(self, text: str) -> None:
         """Write a line as it is."""
-        self.console.print(text, markup=False, soft_wrap=True)
+        self.console.print(printable(text), markup=False, soft_wrap=True)
 
     def progress(self) -> Progress:
         """Bar or lines that follow the cells."""
@@ -48,8 +47,5 @@ class TerminalView:
             self.say(f"Report:   {page}")
 
     def refuse(self, error: Exception) -> int:
-        """Tell an error that is the user's to cure, and give the exit code it means; raise any other."""
-        if not isinstance(error, USER_ERRORS):
-            raise error
-        sys.stderr.write(f"Error: {error}\n")
-        return exit_code_of(error)
+        """Tell an error, and give the exit code it means."""
+        return tell_error(error)
