@@ -1,10 +1,14 @@
 """The same bits on every processor: hashes of the real scene on faked ones, and what that costs against an older checkout.
 
-    python benchmarks/bits/run.py [--scene paper] [--against CHECKOUT] [--rounds 7] [--json FILE]
+    python benchmarks/bits/run.py [--scene paper] [--json FILE]
+    python benchmarks/bits/run.py --verify quick.db paper.nc [--cells 20]
+    python benchmarks/bits/run.py --against CHECKOUT [--rounds 7] [--json FILE]
+    python benchmarks/bits/run.py --on "AVX2, Zen" -- ./run-tests.sh --fast
 
 The scene is the paper's packing of 4,663 disks, made anew on every processor, then cemented and crossed by waves in the
-linear and the finite regime, in one lane and in eight. With ``--against`` only the cost is measured: CPU seconds of a step
-of this checkout and the other one, in turns, on this computer as it is.
+linear and the finite regime, in one lane and in eight. ``--verify`` lets `calcidem verify` compute cells of databases
+again, and of files that `calcidem import` makes databases of, on every processor. ``--against`` measures the cost: CPU
+seconds of a step of this checkout and the other one, in turns, on this computer as it is. ``--on`` runs a command.
 """
 
 import argparse
@@ -21,9 +25,10 @@ ROOT = HERE.parents[1]
 PROGRAM = ROOT / "tests" / "dem" / "bits" / "program.py"
 sys.path.insert(0, str(PROGRAM.parent))
 
-from processors import environment, playable
+from processors import PROCESSORS, environment, playable
 
 KINDS = ("packing", "step", "cement", "signal", "Vs")
+COMMAND = [sys.executable, "-c", "from calcidem.app.cli.main import main; main()"]
 CASES = (
     *("linear 8 0 8", "linear 8 2.55 2", "linear 1 0 8", "linear 1 2.55 2"),
     *("finite 8 0 8", "finite 8 2.55 2", "finite 1 0 8", "finite 1 2.55 2"),
@@ -52,6 +57,27 @@ def show_hashes(scene: str) -> dict[str, dict[str, str]]:
             first = found[processor][names[0]][:6] if len(names) == 1 else "same"
             cells.append(f"{first} {same}/{len(names)}")
         print("|", processor, "|", " | ".join(cells), "|", flush=True)
+    return found
+
+
+def show_verdicts(files: list[str], cells: int) -> dict[str, dict[str, list[str | int]]]:
+    """Print what ``verify`` says of the same cells of each database, with its exit code."""
+    found: dict[str, dict[str, list[str | int]]] = {}
+    print("| processor |", " | ".join(Path(file).name for file in files), "|\n|---|", "---|" * len(files), sep="")
+    for processor in playable():
+        found[processor] = {}
+        for file in files:
+            with tempfile.TemporaryDirectory() as folder:
+                database, variables = file, environment(processor)
+                if file.endswith(".nc"):
+                    database = str(Path(folder, "imported.db"))
+                    command = [*COMMAND, "import", file, "--db", database]
+                    subprocess.run(command, env=variables, stdout=subprocess.DEVNULL, check=True)
+                command = [*COMMAND, "verify", database, "--cells", str(cells), "--choice", "1"]
+                done = subprocess.run(command, env=variables, stdout=subprocess.PIPE, text=True, check=False)
+            found[processor][file] = [done.stdout.splitlines()[-1] if done.stdout else "", done.returncode]
+        told = " | ".join(f"{text} Exit code {code}." for text, code in found[processor].values())
+        print("|", processor, "|", told, "|", flush=True)
     return found
 
 
@@ -112,8 +138,18 @@ def main() -> None:
     parser.add_argument("--against", type=Path)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--verify", nargs="+")
+    parser.add_argument("--cells", type=int, default=20)
+    parser.add_argument("--on", choices=list(PROCESSORS))
+    parser.add_argument("command", nargs="*")
     options = parser.parse_args()
-    found = show_hashes(options.scene) if options.against is None else show_cost(options.against, options.rounds)
+    if options.on:
+        os.execvpe(options.command[0], options.command, environment(options.on))  # noqa: S606 - the user's own command
+    found: object
+    if options.verify:
+        found = show_verdicts(options.verify, options.cells)
+    else:
+        found = show_hashes(options.scene) if options.against is None else show_cost(options.against, options.rounds)
     if options.json:
         options.json.write_text(json.dumps(found, indent=2) + "\n")
 
