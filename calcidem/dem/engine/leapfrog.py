@@ -143,14 +143,17 @@ class State:
         return result
 
 
+def _steps_together(features: Features) -> int:
+    """Steps in flight; a servo answers to the forces of the step before, and an account is summed up in their order."""
+    return 1 if features.servo or features.account else STEPS_TOGETHER
+
+
 def make_front(state: State) -> Front:
     """Empty scratch for the steps in flight, see `layout.Front`."""
-    features, assembly = state.features, state.assembly
-    # A servo answers to the forces of the step before, and an account is summed up in the order of the steps.
-    together = 1 if features.servo or features.account else STEPS_TOGETHER
+    assembly, together = state.assembly, _steps_together(state.features)
     block = max(SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
     slot_bits = (2 * block - 1).bit_length()
-    walls, lanes, dtype = len(state.scene.walls), features.lanes, state.motion.velocity.dtype
+    walls, lanes, dtype = len(state.scene.walls), state.features.lanes, state.motion.velocity.dtype
     return Front(
         levels=together,
         block=block,
@@ -176,32 +179,31 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
     return state
 
 
-def _reach(state: State, front: Front) -> float:
+def _reach(state: State) -> float:
     """How far a disk may go from where the pairs were listed before they are listed anew, m."""
-    return (_REACH if front.levels == 1 else _REACH_TOGETHER) * state.skin
+    return (_REACH if _steps_together(state.features) == 1 else _REACH_TOGETHER) * state.skin
 
 
 def _left_reach(state: State) -> bool:
     """Whether a disk or a wall has gone that far."""
     moved = state.motion.displacement[:, XY] - state.origin
     walls = state.assembly.walls.motion[:, NORMAL_PATH] - state.wall_origin
-    reach = _reach(state, make_front(state))
+    reach = _reach(state)
     return bool((moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any())
 
 
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Let the kernel change a state in place; return the steps it did."""
-    assembly, front = state.assembly, make_front(state)
-    reach = _reach(state, front)
+    assembly = state.assembly
     system = System(
         grains=assembly.grains,
         motion=Motion(*(_rows(array) for array in state.motion)),
         pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
         wall_pairs=assembly.wall_pairs,
         walls=assembly.walls,
-        front=front,
+        front=make_front(state),
         recording=recording,
-        watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=reach, account=state.account),
+        watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=_reach(state), account=state.account),
     )
     time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
     return advance_steps(state.features, steps, time_step, system)
@@ -253,10 +255,15 @@ def look_ahead(state: State) -> State:
     """
     ahead = duplicate(state)
     if state.steps == 0:
-        ahead.motion.velocity[...] = 0.0
-        ahead.assembly.walls.motion[:, SPEEDS] = 0.0
+        _halt(ahead)
     run_kernel(ahead, 1, no_recording(state))
     return ahead
+
+
+def _halt(state: State) -> None:
+    """Bring disks and walls to rest, in place."""
+    state.motion.velocity[...] = 0.0
+    state.assembly.walls.motion[:, SPEEDS] = 0.0
 
 
 def start_leapfrog(state: State) -> State:
@@ -268,8 +275,7 @@ def start_leapfrog(state: State) -> State:
     current = duplicate(state)
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
-    probe.motion.velocity[...] = 0.0
-    probe.assembly.walls.motion[:, SPEEDS] = 0.0
+    _halt(probe)
     run_kernel(probe, 1, no_recording(state))
     kick = probe.motion.velocity / 2.0
     if state.features.damping:

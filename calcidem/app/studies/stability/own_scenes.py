@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from calcidem.app.studies.stability.limits import fastest_mode
+from calcidem.app.studies.stability.scenes import draw_quantities
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import energies, unbalanced_ratio, wall_reactions
@@ -36,7 +36,7 @@ _OWN_RANGES = {
     "push": (-1.0, 4.0),
 }
 """Lower and upper end of every quantity of `OwnScene`; powers of ten but for the step fraction and friction."""
-_PLAIN = ("step_fraction", "friction")
+_PLAIN = {"step_fraction", "friction"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +81,9 @@ class OwnScene:
 
 def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
     """Latin hypercube over all quantities, with kinds taking turns; a third of the scenes keep a given step."""
-    sample = qmc.scale(
-        qmc.LatinHypercube(len(_OWN_RANGES), rng=seed).random(count), *np.array(list(_OWN_RANGES.values())).T
-    )
     kinds = tuple(OWN_KINDS)
     scenes = []
-    for number, row in enumerate(sample):
-        values = {
-            name: float(value if name in _PLAIN else 10.0**value) for name, value in zip(_OWN_RANGES, row, strict=True)
-        }
+    for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
         turn = number // len(kinds)
         scenes.append(OwnScene(kinds[number % len(kinds)], **values, fixed=not turn % 3, seed=number))
     return tuple(scenes)

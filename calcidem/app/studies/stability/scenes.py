@@ -5,6 +5,7 @@ disks with friction is isostatic at three contacts a disk, one without friction 
 which of the two is come near.
 """
 
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -145,15 +146,21 @@ class Packed:
 
 def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
     """Latin hypercube over all quantities of one of the `BOXES`, with regimes taking turns."""
-    ranges = BOXES[box]
+    return tuple(
+        Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
+        for number, values in enumerate(draw_quantities(BOXES[box], _POWERS, count, seed))
+    )
+
+
+def draw_quantities(
+    ranges: Mapping[str, tuple[float, float]], powers: Container[str], count: int, seed: int
+) -> list[dict[str, Any]]:
+    """Latin hypercube over the ranges of quantities, which are powers of ten for some: the values of each scene."""
     sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
-    scenes = []
-    for number, row in enumerate(sample):
-        values: dict[str, Any] = {
-            name: float(10.0**value if name in _POWERS else value) for name, value in zip(ranges, row, strict=True)
-        }
-        scenes.append(Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number))
-    return tuple(scenes)
+    return [
+        {name: float(10.0**value if name in powers else value) for name, value in zip(ranges, row, strict=True)}
+        for row in sample
+    ]
 
 
 def experiment_of_scene(extreme: Extreme) -> Experiment:
