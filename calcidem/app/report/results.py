@@ -44,7 +44,8 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
     ]
     return Table(
         "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
-        "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for kurtosis. The range of new samples holds for normal velocities. p is that of "
+        "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for "
+        "kurtosis. The range of new samples holds for normal velocities. p is that of "
         "the Jarque-Bera test simulated for this number of samples. Cells not computed yet and cells that gave "
         "no velocity are counted apart; neither is in the other columns. Marked rows have one or the other.",
         (
