@@ -64,9 +64,11 @@ def draw_signal(seed: int, index: int) -> Known:
     spectrum = np.fft.rfft(sent)
     f = np.fft.rfftfreq(16 * count, interval)
 
+    ring = _ringing(f / frequency, sent, drawn["ringing"], drawn["resonance"], drawn["sharpness"])
+
     def pulse(late: float, width: float, tail: float) -> Floats:
         """Pulse of height 1 that a wave of this travel time brings."""
-        passed = _chain(f, late, drawn["grains"]) * _widening(f, frequency, width) * _tail(f, frequency, tail)
+        passed = _chain(f, late, drawn["grains"]) * _widening(f, frequency, width) * _tail(f, frequency, tail) * ring
         received = np.fft.irfft(spectrum * passed, 16 * count)[:count]
         return np.asarray(received / np.abs(received).max())
 
@@ -103,6 +105,19 @@ def _widening(f: Floats, frequency: float, width: float) -> Floats:
 def _tail(f: Floats, frequency: float, share: float) -> Floats:
     """Transfer function of an impulse and of a tail ``exp(-f t / 2) / sqrt(t)`` behind it, by shares."""
     return np.asarray((1.0 - share) + share / np.sqrt(1.0 + 4j * np.pi * f / frequency))
+
+
+def _ringing(x: Floats, sent: Floats, share: float, resonance: float, sharpness: float) -> Floats:
+    """Transfer function of a resonance passed twice, at frequencies over the sent one; the first top stays in place."""
+    if not share:
+        return np.ones(1)
+    over = x / resonance
+    through = 1j * over / sharpness / (1.0 - over**2 + 1j * over / sharpness)
+    passed = 1.0 - share + share * through**2
+    rung = np.fft.irfft(np.fft.rfft(sent) * passed, len(sent))
+    first = int(np.flatnonzero((rung[1:-1] > rung[:-2]) & (rung[1:-1] >= rung[2:]) & (rung[1:-1] > 0.1 * rung.max()))[0])
+    late = first + 1 - int(np.argmax(sent))
+    return np.asarray(passed * np.exp(2j * np.pi * np.arange(len(x)) / len(sent) * late))
 
 
 def _is_readable(clean: Floats, signals: Signals, delay: float, noise: float) -> bool:
