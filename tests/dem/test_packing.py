@@ -18,6 +18,7 @@ from calcidem.dem.sample.packing import (
     Packing,
     PackingError,
     PackingRule,
+    PackingStage,
     box_walls,
     draw_radii,
     make_packing,
@@ -111,8 +112,13 @@ def test_shear_forces_of_a_packing_obey_the_friction_of_its_preparation(small: P
 
 
 def test_the_same_generator_makes_the_same_packing(small: Packing) -> None:
-    """Positions, radii and forces are the same bits."""
-    again = make_packing(SMALL, SAND, generator())
+    """Positions, radii and forces are the same bits, also if somebody watches; what is told of it only ever rises."""
+    told: list[PackingStage] = []
+    again = make_packing(SMALL, SAND, generator(), watch=told.append)
+    assert [stage.expansion_step for stage in told] == sorted(stage.expansion_step for stage in told)
+    assert {stage.expansion_step for stage in told} == set(range(1, SMALL.expansion_steps + 2))
+    assert [stage.fraction for stage in told] == sorted(stage.fraction for stage in told)
+    assert (told[0].fraction, told[-1].fraction) == (0.0, 1.0)
     for name in ("x", "y", "radius"):
         np.testing.assert_array_equal(getattr(again, name), getattr(small, name))
     np.testing.assert_array_equal(again.preload.shear, small.preload.shear)

@@ -14,7 +14,7 @@ import numpy as np
 from calcidem.app.config.presets import preset_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
-from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, make_packing
+from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, PackingStage, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import DamagedStoreError
@@ -43,7 +43,11 @@ def cache_folder() -> Path:
 
 
 def provide_packing(
-    configuration: Configuration, store: Store | None, tell: Tell, check: Callable[[], None] = lambda: None
+    configuration: Configuration,
+    store: Store | None,
+    tell: Tell,
+    check: Callable[[], None] = lambda: None,
+    watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """The packing of a campaign: of its database, of calcidem itself, or of the cache; made only if none has it.
 
@@ -59,6 +63,8 @@ def provide_packing(
         Takes sentences for the user.
     check
         Called every fraction of a second while it is made; may raise to end that.
+    watch
+        Told as often how far that is.
 
     Raises
     ------
@@ -69,7 +75,7 @@ def provide_packing(
     """
     record = store.load_packing() if store is not None else None
     if store is None or record is None:
-        return _find_packing(configuration, tell, check)
+        return _find_packing(configuration, tell, check, watch)
     try:
         packing = stored_packing(record)
     except DamagedStoreError as error:
@@ -77,14 +83,16 @@ def provide_packing(
     else:
         tell("Packing: taken from the database.")
         return packing
-    packing = _find_packing(configuration, tell, check)
+    packing = _find_packing(configuration, tell, check, watch)
     found = packing_record(packing, index=record.index, packing_hash=configuration.packing_hash)
     store.save_packing(found, replace_state=True)
     tell("Packing: it is the same, and its state in the database has been replaced.")
     return packing
 
 
-def _find_packing(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Packing:
+def _find_packing(
+    configuration: Configuration, tell: Tell, check: Callable[[], None], watch: Callable[[PackingStage], None]
+) -> Packing:
     """The packing that comes with calcidem or is in the cache, or else a new one; see `provide_packing`."""
     archive = preset_packing(configuration.packing_hash)
     if archive is not None:
@@ -98,11 +106,11 @@ def _find_packing(configuration: Configuration, tell: Tell, check: Callable[[], 
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
-        packing = _packing_of_own_disks(configuration, check)
+        packing = _packing_of_own_disks(configuration, check, watch)
     else:
         tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
         generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
-        packing = make_packing(configuration.packing, configuration.sand, generator, check)
+        packing = make_packing(configuration.packing, configuration.sand, generator, check, watch)
     _write_cache(path, packing, tell)
     return packing
 
@@ -129,13 +137,15 @@ def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
         tell(f"Packing: not kept in the cache {path.parent} ({error.strerror}); {cure}.")
 
 
-def _packing_of_own_disks(configuration: Configuration, check: Callable[[], None]) -> Packing:
+def _packing_of_own_disks(
+    configuration: Configuration, check: Callable[[], None], watch: Callable[[PackingStage], None]
+) -> Packing:
     """Make the packing of the disks in the configuration's file, unless that was changed meanwhile."""
     draw = configuration.packing_draw
     path = Path(str(draw.file))
     if sha256(path.read_bytes()).hexdigest() != draw.file_sha256:
         raise PackingFileError(f"{path} was changed while the campaign began; run the command again")
-    return packing_from_csv(path, configuration.sand, configuration.packing, check)
+    return packing_from_csv(path, configuration.sand, configuration.packing, check, watch)
 
 
 def packing_to_bytes(packing: Packing) -> bytes:

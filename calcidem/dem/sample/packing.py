@@ -5,6 +5,7 @@ The radii grow step by step to the porosity that is wanted, then the lid takes u
 doi:10.1680/geot.1979.29.1.47) with local damping.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -175,16 +176,47 @@ class Packing:
         return digest.hexdigest()
 
 
+@dataclass(frozen=True, slots=True)
+class PackingStage:
+    """How far the making of a packing is.
+
+    Attributes
+    ----------
+    expansion_step, expansion_steps
+        Radius step that is being taken, from 1, and their number; one more than it while the lid presses.
+    steps
+        Time steps so far.
+    unbalanced_ratio, target_ratio
+        Unbalanced-force ratio, and the one at which the packing is at rest.
+    fraction
+        Part of the work that may be done: while the lid presses, by the logarithm of the smallest ratio so far.
+    """
+
+    expansion_step: int
+    expansion_steps: int
+    steps: int
+    unbalanced_ratio: float
+    target_ratio: float
+    fraction: float
+
+
 @dataclass(slots=True)
 class Cost:
-    """Steps and wall time so far."""
+    """Steps and wall time so far, and the radius step; whoever watches is told of it all after every chunk."""
 
     steps: int = 0
     began: float = field(default_factory=perf_counter)
+    watch: Callable[[PackingStage], None] = lambda _: None
+    expansion_step: int = 0
+    expansion_steps: int = 0
 
 
 def make_packing(
-    rule: PackingRule, sand: Sand, generator: np.random.Generator, check: Callable[[], None] = lambda: None
+    rule: PackingRule,
+    sand: Sand,
+    generator: np.random.Generator,
+    check: Callable[[], None] = lambda: None,
+    watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
 
@@ -198,23 +230,27 @@ def make_packing(
         Source of sizes and positions.
     check
         Called every fraction of a second; may raise to end the work.
+    watch
+        Told as often how far the work is.
 
     Raises
     ------
     PackingError
         If it does not come to rest in ``rule.most_steps`` steps.
     """
-    cost = Cost()
+    cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
     radius = draw_radii(rule, generator)
     slippery = replace(sand, friction=rule.friction_preparation)
     loose = _loosest_factor(rule, radius)
     x, y = place_apart(rule, radius * loose, generator)
     preload: Preload | None = None
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
+        cost.expansion_step += 1
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
         state = relax(scene, preload, rule, cost, check, filling=True)
         x, y = state.position().T
         preload = _preload_of(state)
+    cost.expansion_step += 1
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
     state = relax(scene, preload, rule, cost, check)
@@ -318,6 +354,7 @@ def relax(
         cost.steps += _RELAXATION_CHUNK
         ratio = unbalanced_ratio(state)
         ratios.append(ratio)
+        cost.watch(_stage_of(cost, rule, ratios))
         if cost.steps > rule.most_steps:
             cure = "raise most_steps, damping or porosity" if filling else _cure_of_unrest(state, rule, ratios)
             raise PackingError(
@@ -331,6 +368,20 @@ def relax(
             and abs(_lid_stress(state, rule) / rule.stress - 1.0) < _STRESS_TOLERANCE
         ):
             return state
+
+
+def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
+    """How far a packing is that had these unbalanced-force ratios in its present stage."""
+    lowest = min(max(min(ratios), rule.unbalanced_force_ratio), _FILLING_RATIO)
+    pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
+    expansion = 0.5 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
+    if cost.expansion_step <= cost.expansion_steps:
+        fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
+    else:
+        fraction = expansion + (1.0 - expansion) * pressed
+    return PackingStage(
+        cost.expansion_step, cost.expansion_steps, cost.steps, ratios[-1], rule.unbalanced_force_ratio, fraction
+    )
 
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:

@@ -11,7 +11,16 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import Cost, Packing, PackingError, PackingRule, box_walls, packing_at_rest, relax
+from calcidem.dem.sample.packing import (
+    Cost,
+    Packing,
+    PackingError,
+    PackingRule,
+    PackingStage,
+    box_walls,
+    packing_at_rest,
+    relax,
+)
 
 _CSV_COLUMNS = ("x", "y", "radius")
 _LARGEST_OVERLAP = 0.1
@@ -31,7 +40,13 @@ def write_packing_csv(packing: Packing, file: Path) -> None:
         writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
 
 
-def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[[], None] = lambda: None) -> Packing:
+def packing_from_csv(
+    file: Path,
+    sand: Sand,
+    rule: PackingRule,
+    check: Callable[[], None] = lambda: None,
+    watch: Callable[[PackingStage], None] = lambda _: None,
+) -> Packing:
     """Make a packing of the disks in a file.
 
     The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
@@ -49,6 +64,8 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[
         Its width, stress, damping and unbalanced-force ratio count; sizes and porosity are the file's business.
     check
         Called every fraction of a second; may raise to end the work.
+    watch
+        Told as often how far the work is.
 
     Raises
     ------
@@ -62,7 +79,7 @@ def packing_from_csv(file: Path, sand: Sand, rule: PackingRule, check: Callable[
     boxed = replace(rule, height=height)
     slippery = replace(sand, friction=rule.friction_preparation)
     walls = box_walls(rule.width, height, rule.stress * rule.width)
-    cost = Cost()
+    cost = Cost(watch=watch, expansion_step=1)
     scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
     return packing_at_rest(relax(scene, None, boxed, cost, check, own=True), boxed, cost)
 
