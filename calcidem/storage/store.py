@@ -18,10 +18,12 @@ from calcidem.storage.records import (
     CellKey,
     CellResult,
     CellStatus,
+    PackedResult,
     PackingRecord,
     RunRecord,
     Signal,
     canonical_content,
+    checked_seed,
 )
 
 RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
@@ -53,7 +55,7 @@ class Selection:
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         if self.seeds is not None:
-            object.__setattr__(self, "seeds", tuple(sorted({int(seed) for seed in self.seeds})))
+            object.__setattr__(self, "seeds", tuple(sorted({checked_seed(seed) for seed in self.seeds})))
         if self.contents is not None:
             object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
         if self.statuses is not None:
@@ -252,7 +254,7 @@ class Store(ABC):
         """
 
     @abstractmethod
-    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
+    def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
         """Store outcomes in one transaction (rules 4 and 5).
 
         Returns
@@ -389,8 +391,8 @@ class Store(ABC):
         Returns
         -------
         dict of str to (cells,) array
-            Object arrays for texts (None where missing), float64 for numbers (NaN where missing), in the units of the
-            quantities.
+            Object arrays for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where
+            missing), in the units of the quantities.
 
         Raises
         ------

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
+from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 
@@ -33,7 +34,7 @@ class StoreSink:
         """Workers that each cell has taken down so far."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
-    def store(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]], /) -> None:
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
         """Write the outcomes in one transaction."""
         results = [result for outcome in outcomes for result in self._results(outcome)]
         self._store.record_results(results)
@@ -45,13 +46,13 @@ class StoreSink:
         """Count a lost attempt for each cell."""
         self._counts |= self._store.record_lost([CellKey(*cell) for cell in batch.cells], reason)
 
-    def _results(self, outcome: BatchOutcome[Cell, CellResult]) -> list[CellResult]:
+    def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())
         if outcome.failure is not None:
             status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
-            found = [CellResult(key, status, reason, seconds=seconds) for key in keys]
+            found = [pack_result(CellResult(key, status, reason, seconds=seconds)) for key in keys]
         place = outcome.place
         return [
             replace(

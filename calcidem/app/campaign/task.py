@@ -24,7 +24,16 @@ from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.pick import Reading
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.static_speed import static_speed
-from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, GraphSummary, Signal
+from calcidem.storage.records import (
+    CellKey,
+    CellResult,
+    CellStatus,
+    CementPattern,
+    GraphSummary,
+    PackedResult,
+    Signal,
+)
+from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, Compute
 
 _SEEDS_REMEMBERED = 64
@@ -39,8 +48,8 @@ _ALMOST_NOTHING = ContactWeights(hertz=1.0, bond=1e-7)
 
 def cell_computation(
     configuration: Configuration, packing: Packing, alongside: Callable[[], None] = lambda: None
-) -> Compute[Cell, CellResult]:
-    """The computation of a batch, for `calcidem.sweep.run_sweep`.
+) -> Compute[Cell, PackedResult]:
+    """The computation of a batch up to the bytes that are stored, for `calcidem.sweep.run_sweep`.
 
     Parameters
     ----------
@@ -60,7 +69,7 @@ def cell_computation(
         configuration.wave.receiver_half_width,
     )
 
-    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[CellResult]:
+    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
         def check() -> None:
             deadline_check()
             alongside()
@@ -74,7 +83,7 @@ def cell_computation(
                 replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
-        return tuple(with_graph(result, graph) for result in results)
+        return tuple(pack_result(with_graph(result, graph)) for result in results)
 
     return compute
 

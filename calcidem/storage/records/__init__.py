@@ -6,6 +6,7 @@ NaN; what happened to a cell is its `CellStatus`.
 
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord, WorkerRecord
 from calcidem.storage.records.cell import (
+    LARGEST_SEED,
     NOT_PLANNED,
     STATUS_CODES,
     STORED_STATUSES,
@@ -14,12 +15,15 @@ from calcidem.storage.records.cell import (
     CellKey,
     CellResult,
     CellStatus,
+    PackedResult,
     canonical_content,
+    checked_seed,
 )
 from calcidem.storage.records.sample import C_CONTACT, P_CONTACT, CementPattern, GraphSummary, PathFeatures, Signal
 
 __all__ = [
     "C_CONTACT",
+    "LARGEST_SEED",
     "NOT_PLANNED",
     "P_CONTACT",
     "STATUS_CODES",
@@ -32,10 +36,12 @@ __all__ = [
     "CellStatus",
     "CementPattern",
     "GraphSummary",
+    "PackedResult",
     "PackingRecord",
     "PathFeatures",
     "RunRecord",
     "Signal",
     "WorkerRecord",
     "canonical_content",
+    "checked_seed",
 ]

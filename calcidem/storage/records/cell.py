@@ -7,11 +7,15 @@ A missing number is None in a record and NULL in the database, never NaN; what h
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
+from typing import Any
 
 from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
 
 _CONTENT_DECIMALS = 9
+
+LARGEST_SEED = 2**63 - 1
+"""What SQLite, PostgreSQL and NetCDF's int64 hold, exactly."""
 
 
 class CellStatus(StrEnum):
@@ -55,6 +59,20 @@ def canonical_content(content: float) -> float:
     return rounded
 
 
+def checked_seed(seed: int) -> int:
+    """Return a seed as Python's own integer.
+
+    Raises
+    ------
+    ValueError
+        Unless it is a whole number of 0 to `LARGEST_SEED`.
+    """
+    if isinstance(seed, float) or not 0 <= seed <= LARGEST_SEED:
+        shown = seed if abs(seed) < 10**20 else "beyond that"
+        raise ValueError(f"seed is {shown}; give a whole number of 0 to 2^63 - 1.")
+    return int(seed)
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class CellKey:
     """Identity of a cell within its campaign.
@@ -62,7 +80,7 @@ class CellKey:
     Attributes
     ----------
     seed : int
-        Number of the random cement pattern, 0 or more.
+        Number of the random cement pattern, 0 to `LARGEST_SEED`.
     content : float
         Calcite content [% of sand mass]; stored as `canonical_content` of what is given.
     """
@@ -72,9 +90,7 @@ class CellKey:
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
-        if self.seed < 0:
-            raise ValueError(f"CellKey.seed is {self.seed}; give an integer of 0 or more.")
-        object.__setattr__(self, "seed", int(self.seed))
+        object.__setattr__(self, "seed", checked_seed(self.seed))
         object.__setattr__(self, "content", canonical_content(self.content))
 
 
@@ -212,6 +228,33 @@ class CellResult:
             raise ValueError(f"CellResult.vs is {self.vs} but the status is {self.status}; only a done cell has a vs.")
         if not self.reason:
             raise ValueError(f"CellResult.reason is empty but the status is {self.status}; say why in a sentence.")
+
+
+@dataclass(frozen=True, slots=True)
+class PackedResult:
+    """Outcome of one cell as the columns of its rows, arrays compressed (`calcidem.storage.sql.rows.pack_result`).
+
+    A worker makes it, so that the bytes that travel are those that are stored: the one process that stores the outcomes
+    of all workers has no time to compress them.
+
+    Attributes
+    ----------
+    key : CellKey
+    status : CellStatus
+    attempt : int
+    rank, host : int or None, str or None
+        As in `CellResult`; like there, whoever stores the outcome may replace these three.
+    columns : dict of str to dict
+        Columns by the name of their table, for each table that gets a row; those that name the cell, the attempt
+        and its place are added when it is stored.
+    """
+
+    key: CellKey
+    status: CellStatus
+    attempt: int
+    rank: int | None
+    host: str | None
+    columns: dict[str, dict[str, Any]]
 
 
 POSITIVE_COLUMNS = (

@@ -1,7 +1,6 @@
 """Translation between database rows and frozen records, both ways."""
 
 from dataclasses import asdict, fields
-from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Row
@@ -12,6 +11,7 @@ from calcidem.storage.records import (
     CellResult,
     CementPattern,
     GraphSummary,
+    PackedResult,
     PackingRecord,
     PathFeatures,
     RunRecord,
@@ -74,53 +74,36 @@ def result_from_row(
     )
 
 
-def result_values(cell_id: int, result: CellResult) -> dict[str, Any]:
-    """Columns of a `ResultRow`."""
-    return {"cell_id": cell_id} | {name: getattr(result, name) for name in RESULT_FIELDS}
-
-
-def attempt_values(cell_id: int, result: CellResult, run_id: int | None, recorded: datetime) -> dict[str, Any]:
-    """Columns of the `AttemptRow` that ended with a result."""
-    return {
-        "cell_id": cell_id,
-        "number": result.attempt,
-        "run_id": run_id,
-        "outcome": result.status.value,
-        "recorded": recorded,
-        "forgiven": False,
-    } | {name: getattr(result, name) for name in ATTEMPT_FIELDS}
-
-
-def path_values(cell_id: int, features: PathFeatures) -> dict[str, Any]:
-    """Columns of a `PathRow`."""
-    values = {name: getattr(features, name) for name in PATH_FIELDS}
-    return values | {"cell_id": cell_id, "path": list(features.path)}
-
-
-def graph_values(cell_id: int, graph: GraphSummary) -> dict[str, Any]:
-    """Columns of a `GraphRow`."""
-    return {"cell_id": cell_id} | {name: getattr(graph, name) for name in GRAPH_FIELDS}
-
-
-def signal_values(cell_id: int, signal: Signal) -> dict[str, Any]:
-    """Columns of a `SignalRow`."""
-    samples = pack_arrays({name: getattr(signal, name) for name in _SIGNAL_ARRAYS})
-    times = {"sampling_interval": signal.sampling_interval, "start_time": signal.start_time}
-    return {"cell_id": cell_id, **times, "samples": samples}
+def pack_result(result: CellResult | PackedResult) -> PackedResult:
+    """Turn an outcome into the columns of its rows, with its arrays compressed; a packed one is returned as it is."""
+    if isinstance(result, PackedResult):
+        return result
+    columns: dict[str, dict[str, Any]] = {
+        AttemptRow.__tablename__: {"outcome": result.status.value, "reason": result.reason, "seconds": result.seconds},
+        ResultRow.__tablename__: {name: getattr(result, name) for name in RESULT_FIELDS if name != "attempt"},
+    }
+    if result.features is not None:
+        path = {name: getattr(result.features, name) for name in PATH_FIELDS}
+        columns[PathRow.__tablename__] = path | {"path": list(result.features.path)}
+    if result.graph is not None:
+        columns[GraphRow.__tablename__] = {name: getattr(result.graph, name) for name in GRAPH_FIELDS}
+    if (signal := result.signal) is not None:
+        samples = pack_arrays({name: getattr(signal, name) for name in _SIGNAL_ARRAYS})
+        times = {"sampling_interval": signal.sampling_interval, "start_time": signal.start_time}
+        columns[SignalRow.__tablename__] = times | {"samples": samples}
+    if result.cement is not None:
+        pattern = pack_arrays({name: getattr(result.cement, name) for name in _CEMENT_ARRAYS})
+        columns[CementRow.__tablename__] = {"pattern": pattern}
+    return PackedResult(result.key, result.status, result.attempt, result.rank, result.host, columns)
 
 
 def signal_from_row(row: SignalRow) -> Signal:
-    """Inverse of `signal_values`."""
+    """Build signals from their row; see `pack_result`."""
     return Signal(row.sampling_interval, row.start_time, **unpack_arrays(row.samples))
 
 
-def cement_values(cell_id: int, cement: CementPattern) -> dict[str, Any]:
-    """Columns of a `CementRow`."""
-    return {"cell_id": cell_id, "pattern": pack_arrays({name: getattr(cement, name) for name in _CEMENT_ARRAYS})}
-
-
 def cement_from_row(row: CementRow) -> CementPattern:
-    """Inverse of `cement_values`."""
+    """Build a cement pattern from its row; see `pack_result`."""
     return CementPattern(**unpack_arrays(row.pattern))
 
 

@@ -19,6 +19,7 @@ from calcidem.storage.records import (
     CellKey,
     CellResult,
     CellStatus,
+    PackedResult,
     PackingRecord,
     RunRecord,
     Signal,
@@ -211,7 +212,7 @@ class SqlStore(Store):
             writing.save_packing(session, self._campaign, packing, replace_state=replace_state)
 
     @override
-    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
+    def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
         with self._writing() as session:
             return writing.record_results(session, self._campaign, self._run_id, results, replace_done=replace_done)
 

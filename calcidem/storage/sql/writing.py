@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
 from sqlalchemy.orm import Session
@@ -16,6 +16,7 @@ from calcidem.storage.records import (
     CellKey,
     CellResult,
     CellStatus,
+    PackedResult,
     PackingRecord,
 )
 from calcidem.storage.records.campaign import refuse_other_packing
@@ -24,6 +25,7 @@ from calcidem.storage.sql import rows
 from calcidem.storage.sql.models import (
     LOST,
     AttemptRow,
+    Base,
     CampaignRow,
     CellRow,
     CementRow,
@@ -100,12 +102,17 @@ class _Known(NamedTuple):
 
 
 def record_results(
-    session: Session, campaign_id: int, run_id: int | None, results: Iterable[CellResult], *, replace_done: bool
+    session: Session,
+    campaign_id: int,
+    run_id: int | None,
+    results: Iterable[CellResult | PackedResult],
+    *,
+    replace_done: bool,
 ) -> int:
     """See `Store.record_results`."""
     stored = 0
     recorded = datetime.now(UTC)
-    for batch in _distinct_batches(results):
+    for batch in _distinct_batches(map(rows.pack_result, results)):
         known = _known_cells(session, campaign_id, [result.key for result in batch])
         accepted = [
             (known[result.key].cell_id, result)
@@ -118,9 +125,9 @@ def record_results(
     return stored
 
 
-def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult]]:
+def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedResult]]:
     """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
-    batch: dict[CellKey, CellResult] = {}
+    batch: dict[CellKey, PackedResult] = {}
     for result in results:
         if result.key in batch or len(batch) == KEYS_PER_QUERY:
             yield list(batch.values())
@@ -144,7 +151,7 @@ def _known_cells(session: Session, campaign_id: int, keys: Sequence[CellKey]) ->
     return known
 
 
-def _gives_way(known: _Known, result: CellResult, *, replace_done: bool) -> bool:
+def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bool:
     """Rule 5 of the contract: whether the stored outcome gives way to the new one."""
     if known.status is None or known.attempt is None:
         return True
@@ -154,7 +161,7 @@ def _gives_way(known: _Known, result: CellResult, *, replace_done: bool) -> bool
 
 
 def _replace(
-    session: Session, accepted: Sequence[tuple[int, CellResult]], run_id: int | None, recorded: datetime
+    session: Session, accepted: Sequence[tuple[int, PackedResult]], run_id: int | None, recorded: datetime
 ) -> None:
     """Store outcomes in place of what there was.
 
@@ -168,17 +175,29 @@ def _replace(
     outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
     if outdated:
         session.execute(delete(AttemptRow).where(attempt_in(outdated)))
-    if new:
-        session.execute(insert(AttemptRow), [rows.attempt_values(i, result, run_id, recorded) for i, result in new])
-    session.execute(insert(ResultRow), [rows.result_values(i, result) for i, result in accepted])
-    paths = [rows.path_values(i, result.features) for i, result in accepted if result.features is not None]
-    graphs = [rows.graph_values(i, result.graph) for i, result in accepted if result.graph is not None]
-    signals = [rows.signal_values(i, result.signal) for i, result in accepted if result.signal is not None]
-    cements = [rows.cement_values(i, result.cement) for i, result in accepted if result.cement is not None]
-    tables = ((PathRow, paths), (GraphRow, graphs), (SignalRow, signals), (CementRow, cements))
-    for model, values in tables:
-        if values:
-            session.execute(insert(model), values)
+    shared: dict[str, Any] = {"run_id": run_id, "recorded": recorded, "forgiven": False}
+    places = [
+        {"cell_id": i, "number": result.attempt, "rank": result.rank, "host": result.host} | shared for i, result in new
+    ]
+    _insert(session, AttemptRow, places, [result for _, result in new])
+    numbers = [{"cell_id": i, "attempt": result.attempt} for i, result in accepted]
+    _insert(session, ResultRow, numbers, [result for _, result in accepted])
+    for model in (PathRow, GraphRow, SignalRow, CementRow):
+        having = [(i, result) for i, result in accepted if model.__tablename__ in result.columns]
+        _insert(session, model, [{"cell_id": i} for i, _ in having], [result for _, result in having])
+
+
+def _insert(
+    session: Session, model: type[Base], own: Sequence[dict[str, Any]], results: Sequence[PackedResult]
+) -> None:
+    """Insert a row for each outcome: what is its own there, and the columns that came packed.
+
+    Below the ORM, whose bookkeeping of rows that nobody reads again takes longer than the database.
+    """
+    if own:
+        name = model.__tablename__
+        values = [first | result.columns[name] for first, result in zip(own, results, strict=True)]
+        session.connection().execute(insert(model), values)
 
 
 def attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
