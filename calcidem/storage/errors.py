@@ -58,6 +58,14 @@ class DamagedStoreError(StoreError):
     """The file's content is damaged."""
 
 
+class OutputRefusedError(StoreError):
+    """A file that is to be written has the name of a database, or of another campaign's file."""
+
+
+class ReplacedStoreError(StoreError):
+    """The file that is being written is no longer the one of its name: it was removed, or another took its place."""
+
+
 class CampaignMismatchError(StoreError):
     """A campaign is there with another physical configuration, or another packing."""
 

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Files that appear complete or not at all, and never in the place of a database."""
 
 import os
 import secrets
@@ -6,24 +6,42 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from calcidem.storage.errors import OutputRefusedError
+
+_SQLITE = b"SQLite format 3\0"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_BESIDE_A_DATABASE = ("-wal", "-shm", "-journal", ".lock")
+"""Endings of the files that SQLite, and the lease, have beside a database."""
+
+_CURE = "Give another file name for the result; nothing was written."
+
 
 @contextmanager
-def write_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
+def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> Iterator[Path]:
     """Give a temporary file that takes the place of `path` once the block has ended without error and it is on disk.
 
     It is in the folder of `path`, since a file can be renamed in one step only within a file system; its name is one
     that no other process, on this machine or another, writes at the same time. After an error what was at `path` is
     as it was.
 
+    Parameters
+    ----------
+    path : str or path
+    replaces_netcdf : bool
+        Whether a NetCDF file may be replaced: for who writes one, and has looked at what is in it.
+
     Raises
     ------
     FileNotFoundError
         If the folder doesn't exist.
+    OutputRefusedError
+        If a database, or a NetCDF file, has that name.
     """
     target = Path(path).absolute()
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}.tmp")
+    _refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
+    temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
         _flush_to_disk(temporary)
@@ -31,6 +49,31 @@ def write_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
         _flush_to_disk(target.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text in UTF-8 as `write_atomically` does, line ends as they are."""
+    with write_atomically(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def _refuse_to_replace(target: Path, *, replaces_netcdf: bool) -> None:
+    ends = [end for end in _BESIDE_A_DATABASE if target.name.endswith(end)]
+    databases = [target.with_name(target.name.removesuffix(end)) for end in ends]
+    for path in (target, *databases):
+        if _beginning(path) == _SQLITE:
+            what = "is a database" if path == target else f"belongs to the database {path}"
+            raise OutputRefusedError(f"{target} {what}.", _CURE)
+    if not replaces_netcdf and _beginning(target).startswith(_HDF5):
+        raise OutputRefusedError(f"{target} is a NetCDF file.", _CURE)
+
+
+def _beginning(path: Path) -> bytes:
+    """First bytes of a file; none if it is not there or no file."""
+    if not path.is_file():
+        return b""
+    with path.open("rb") as file:
+        return file.read(len(_SQLITE))
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -18,7 +18,7 @@ from rich.table import Table
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
-from calcidem.storage.files import write_atomically
+from calcidem.storage.files import write_atomically, write_text_atomically
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
@@ -49,7 +49,7 @@ def query_command(
     try:
         selection = Selection(seed or None, content or None, status or None, where)
     except ValueError as error:
-        raise QueryError(f"No cell can be selected: {error}", "Correct --content.") from error
+        raise QueryError(f"No cell can be selected: {error}", "Correct --seed or --content.") from error
     names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
     names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
     found = find(database, selection, names, _split_list(sort), limit, campaign)
@@ -58,8 +58,7 @@ def query_command(
             raise QueryError("Parquet is a binary format.", "Give a file with --out.")
         _write_parquet(found, out)
     elif out is not None:
-        with write_atomically(out) as temporary:
-            temporary.write_text(as_text(found, layout), encoding="utf-8")
+        write_text_atomically(out, as_text(found, layout))
     else:
         typer.echo(as_text(found, layout), nl=False)
 

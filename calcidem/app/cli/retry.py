@@ -34,7 +34,7 @@ def retry_command(
     try:
         selection = Selection(seed or None, content or None)
     except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--content") from error
+        raise typer.BadParameter(str(error), param_hint="--seed or --content") from error
     pending, others = retry_cells(database, statuses, selection, campaign)
     if not pending:
         rest = ", ".join(f"{number} {other}" for other, number in sorted(others.items()))

@@ -4,7 +4,7 @@ from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
 from calcidem.sweep import Progress, progress_for
@@ -36,14 +36,17 @@ class TerminalView:
         self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
         path = parse_address(configuration.database).path
         self.say(f"Database: {configuration.database if path is None else path.absolute()}")
+        netcdf = configuration.netcdf
+        if belongs_to_another(netcdf, work.record.hash):  # two campaigns of one database, or of one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.record.hash[:8]}")
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {configuration.database} OUT.nc does it")
         else:
-            self.say(f"NetCDF:   {export_netcdf(work.store, work.record, configuration.netcdf)}")
+            self.say(f"NetCDF:   {export_netcdf(work.store, work.record, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
             from calcidem.app.report import write_report  # noqa: PLC0415 - drawing libraries take seconds to load
 
-            page = write_report(configuration.database, configuration.netcdf.with_suffix(".html").absolute())
+            page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
             self.say(f"Report:   {page}")
 
     def refuse(self, error: Exception) -> int:

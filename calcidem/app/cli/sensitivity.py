@@ -7,6 +7,7 @@ import typer
 
 from calcidem.app.studies.sensitivity.plan import load_plan
 from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
+from calcidem.storage.files import write_text_atomically
 
 
 def sensitivity_command(
@@ -23,5 +24,5 @@ def sensitivity_command(
     if out is None:
         typer.echo(table)
     else:
-        out.write_text(table, encoding="utf-8")
+        write_text_atomically(out, table)
         typer.echo(f"Wrote {out}")

@@ -10,6 +10,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import save
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.studies.frequency_and_damping import run_studies
+from calcidem.storage.netcdf.export import write_netcdf
 
 _StudyName = StrEnum("_StudyName", ["FREQUENCY", "DAMPING"])
 
@@ -28,7 +29,7 @@ def study_command(
     results = run_studies(database, chosen, contents=content, campaign_name=campaign)
     for name, result in results.items():
         out.mkdir(parents=True, exist_ok=True)
-        result.to_netcdf(out / f"study_{name}.nc")
+        write_netcdf(result, out / f"study_{name}.nc")
         typer.echo(f"Wrote {out / f'study_{name}.nc'}")
         for entry in STUDY_FIGURES:
             if entry.study == name:

@@ -2,37 +2,27 @@
 
 import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+import xarray as xr
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
-from calcidem.app.report.comparison import disagreement_table, published_table
-from calcidem.app.report.results import (
-    cost_table,
-    feature_table,
-    growth_table,
-    law_table,
-    meaning_table,
-    outcome_table,
-    velocity_table,
-)
+from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.wording import Table
 from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.netcdf.export import write_netcdf
 
-_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
-    "velocities": velocity_table,
-    "meaning": meaning_table,
-    "outcomes": outcome_table,
-    "growth": growth_table,
-    "features": feature_table,
-    "laws": lambda analysis: law_table([analysis.physical_law, analysis.scanned_law]),
-    "errors_and_cost": cost_table,
-    "published": published_table,
-    "published_disagreements": lambda _: disagreement_table(),
+_NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
+    "distributions": lambda analysis: tabulate(analysis.distributions),
+    "features": lambda analysis: analysis.table,
+    "correlations_overall": lambda analysis: analysis.correlations.overall,
+    "correlations_within_content": lambda analysis: analysis.correlations.within,
 }
+"""What NetCDF files hold, by their names."""
 
 
 def analyse(
@@ -63,30 +53,22 @@ def analyse(
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    left_out: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     with open_stored_campaign(database, campaign_name) as campaign:
         analysis = CampaignAnalysis(campaign)
         for entry in CAMPAIGN_FIGURES:
-            try:
-                save(entry.draw(analysis), folder, entry.name)
-            except UnavailableError as error:
-                left_out[entry.name] = str(error)
-        for name, make in _TABLES.items():
-            try:
-                table = make(analysis)
-            except UnavailableError as error:
-                left_out[name] = str(error)
-            else:
-                if table is not None:
-                    _write_table(table, folder / f"table_{name}.csv")
-        tabulate(analysis.distributions).to_netcdf(folder / "distributions.nc")
-        try:
-            analysis.table.to_netcdf(folder / "features.nc")
-            analysis.correlations.overall.to_netcdf(folder / "correlations_overall.nc")
-            analysis.correlations.within.to_netcdf(folder / "correlations_within_content.nc")
-        except UnavailableError as error:
-            left_out["features.nc"] = str(error)
-    return left_out
+            figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
+            if figure is not None:
+                save(figure, folder, entry.name)
+        for name, make in TABLES.items():
+            table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
+            if table is not None:
+                _write_table(table, folder / f"table_{name}.csv")
+        for name, gather in _NUMBERS.items():
+            numbers, reasons[name] = make_or_explain(gather, analysis)
+            if numbers is not None:
+                write_netcdf(numbers, folder / f"{name}.nc")
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def _write_table(table: Table, file: Path) -> None:

@@ -2,7 +2,7 @@
 
 import os
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,25 +12,16 @@ import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
-from calcidem.app.report.comparison import disagreement_table, published_table
-from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
-from calcidem.app.report.results import (
-    cost_table,
-    feature_table,
-    growth_table,
-    law_table,
-    meaning_table,
-    near_field_rows,
-    outcome_table,
-    velocity_table,
-)
+from calcidem.app.report.cell_data import gather_cell_data
+from calcidem.app.report.results import near_field_rows
+from calcidem.app.report.sections import SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import Table, decimal, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
-from calcidem.storage.files import write_atomically
+from calcidem.storage.files import write_text_atomically
 
 _FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
@@ -53,6 +44,8 @@ class _Picture:
         Width for which its letters were chosen.
     reason
         Why there is none.
+    pictorial
+        Whether it shows grains, whose colours stay as they are on dark screens.
     """
 
     name: str
@@ -61,6 +54,7 @@ class _Picture:
     source: str = ""
     inches: float = 0.0
     reason: str = ""
+    pictorial: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,23 +116,14 @@ def write_report(
     target = Path(out)
     with open_stored_campaign(database, campaign_name) as campaign:
         text = _render_page(CampaignAnalysis(campaign), studies or {})
-    with write_atomically(target) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text_atomically(target, text)
     return target
 
 
 def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
     """Give the page as text."""
-    pictures = {picture.name: picture for picture in _campaign_pictures(analysis)}
-    sections = (
-        _velocity_section(analysis, pictures),
-        _sample_section(pictures),
-        _path_section(analysis, pictures),
-        _error_section(analysis, pictures),
-        _sensitivity_section(studies),
-        _published_section(analysis),
-        _provenance_section(analysis),
-    )
+    sections = [_make_section(plan, analysis) for plan in SECTIONS]
+    sections.append(_Section("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
         autoescape=True,
@@ -152,7 +137,8 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         hash=record.hash,
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         facts=key_facts(analysis),
-        sections=[section for section in sections if section],
+        cell_data=gather_cell_data(analysis),
+        sections=[section for section in sections if section.tables or section.pictures or section.folded],
     )
 
 
@@ -177,110 +163,53 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _velocity_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
-    tables = [velocity_table(analysis), meaning_table(analysis), outcome_table(analysis), growth_table(analysis)]
-    text = []
+def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
+    """Make the tables and figures of a section, as far as the campaign allows."""
+    remarks = _velocity_remarks(analysis) if plan.anchor == "velocities" else []
+    tables: dict[str, Table] = {}
+    for name in (*plan.tables, *plan.folded):
+        table, reason = make_or_explain(TABLES[name], analysis)
+        if table:
+            tables[name] = table
+        if reason:
+            remarks.append(f"A table ({name}) is left out: {reason}.")
+    entries = {entry.name: entry for entry in CAMPAIGN_FIGURES}
+    return _Section(
+        plan.anchor,
+        plan.title,
+        tuple(remarks),
+        tables=tuple(tables[name] for name in plan.tables if name in tables),
+        pictures=tuple(_draw_picture(entries[name], analysis) for name in plan.figures),
+        folded=tuple(tables[name] for name in plan.folded if name in tables),
+    )
+
+
+def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
+    """Give sentences about what few samples, no cement or long waves mean for the velocities."""
+    remarks = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
     if measured and min(measured) < _FEW_SAMPLES:
-        text.append(
+        remarks.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
             "that does not reject normality proves little."
         )
     if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
-        text.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
+        remarks.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
     if near := near_field_rows(analysis):
-        text.append(
+        remarks.append(
             f"At {len(near)} of {len(analysis.distributions)} contents fewer than two wavelengths lie between "
             "transmitter and receiver: near field and shear wave arrive together there."
         )
-    return _Section(
-        "velocities",
-        "Shear-wave velocity",
-        tuple(text),
-        tables=tuple(table for table in tables if table),
-        pictures=(pictures["vs_range"], pictures["histograms"]),
-    )
-
-
-def _sample_section(pictures: Mapping[str, _Picture]) -> _Section:
-    shown = ("samples", "measurement", "signals", "methods")
-    return _Section("samples", "Samples and measurement", pictures=tuple(pictures[name] for name in shown))
-
-
-def _path_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
-    tables: list[Table] = []
-    reasons: list[str] = []
-    makers: tuple[Callable[[], Table], ...] = (
-        lambda: feature_table(analysis),
-        lambda: law_table([analysis.physical_law, analysis.scanned_law]),
-    )
-    for make in makers:
-        try:
-            tables.append(make())
-        except UnavailableError as error:
-            reasons.append(f"A table is left out: {error}.")
-    shown = ("paths", "correlations", "weight_scan", "laws")
-    return _Section(
-        "paths",
-        "Preferential paths and connectivity",
-        tuple(reasons),
-        tables=tuple(tables),
-        pictures=tuple(pictures[name] for name in shown),
-    )
-
-
-def _error_section(analysis: CampaignAnalysis, pictures: Mapping[str, _Picture]) -> _Section:
-    return _Section("errors", "Errors and run time", tables=(cost_table(analysis),), pictures=(pictures["narrowing"],))
-
-
-def _sensitivity_section(studies: Mapping[str, xr.Dataset]) -> _Section | None:
-    pictures = tuple(_study_pictures(studies))
-    return _Section("sensitivity", "Sensitivity", pictures=pictures) if pictures else None
-
-
-def _published_section(analysis: CampaignAnalysis) -> _Section:
-    table = published_table(analysis)
-    text = () if table else ("The contents of this campaign are not those of the published tables.",)
-    return _Section(
-        "published",
-        "The published study",
-        text,
-        tables=(table,) if table else (),
-        folded=(disagreement_table(),),
-    )
-
-
-def _provenance_section(analysis: CampaignAnalysis) -> _Section:
-    campaign = analysis.campaign
-    tables = [parameter_table(campaign.config)]
-    text = []
-    try:
-        tables.append(packing_table(analysis))
-    except UnavailableError as error:
-        text.append(f"No report on the packing: {error}.")
-    return _Section(
-        "provenance",
-        "What was run",
-        tuple(text),
-        tables=(*tables, run_table(campaign.runs())),
-        folded=(configuration_table(campaign.config),),
-    )
-
-
-def _campaign_pictures(analysis: CampaignAnalysis) -> Iterator[_Picture]:
-    """Draw every figure that the campaign allows, in the registry's order."""
-    for entry in CAMPAIGN_FIGURES:
-        yield _draw_picture(entry, analysis)
+    return remarks
 
 
 def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
     """Draw one figure, or say why it can't be drawn."""
-    try:
-        figure = entry.draw(analysis)
-    except UnavailableError as error:
-        return _Picture(entry.name, entry.title, entry.caption, reason=str(error))
+    figure, reason = make_or_explain(entry.draw, analysis)
+    if figure is None:
+        return _Picture(entry.name, entry.title, entry.caption, reason=reason)
     source = _data_uri(figure, "png" if entry.pictorial else "svg")
-    return _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+    return _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth(), pictorial=entry.pictorial)
 
 
 def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:

@@ -1,7 +1,9 @@
 """Export of a campaign to one NetCDF-4 file, and the way back."""
 
 import os
-from collections.abc import Collection, Mapping
+import shutil
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from calcidem.storage.errors import DiskError, OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.groups import SAMPLE_GROUPS, append_attempts, append_packing, append_samples
@@ -52,12 +55,16 @@ def export_netcdf(
     ------
     ValueError
         If a group to leave out is none of these.
+    OutputRefusedError
+        If a database has that name, or a NetCDF file that is not this campaign's.
+    DiskError
+        If the file can't be written.
     """
     unknown = sorted(set(without) - set(SAMPLE_GROUPS))
     if unknown:
         raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(SAMPLE_GROUPS)}")
     wanted = [group for group in SAMPLE_GROUPS if group not in without]
-    with write_atomically(path) as temporary:
+    with _replace_netcdf(path, campaign.hash) as temporary:
         dataset = campaign_dataset(store, campaign)
         dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
         with netCDF4.Dataset(temporary, "a") as file:
@@ -70,6 +77,42 @@ def export_netcdf(
             for results in chunks(store.results(with_arrays=bool(wanted)), _CELLS_COPIED_AT_ONCE):
                 append_samples(file, results, wanted)
     return Path(path).absolute()
+
+
+def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write what was computed from a campaign into a NetCDF file, as `export_netcdf` does; no export is replaced."""
+    with _replace_netcdf(path, None) as temporary:
+        dataset.to_netcdf(temporary)
+
+
+def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) -> bool:
+    """Whether there is a NetCDF file that can't be read, or has another campaign's hash (None: any, or none)."""
+    if not Path(path).is_file():
+        return False
+    try:
+        with netCDF4.Dataset(path, "r") as file:
+            return getattr(file, "calcidem_campaign_hash", None) != campaign_hash
+    except (OSError, RuntimeError):
+        with Path(path).open("rb") as broken:
+            return broken.read(4) == b"\x89HDF"
+
+
+@contextmanager
+def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> Iterator[Path]:
+    """Give a temporary file for `write_atomically`, and say in plain words what the library calls an HDF error."""
+    if belongs_to_another(path, campaign_hash):
+        raise OutputRefusedError(
+            f"{path} is a NetCDF file of another campaign, or can't be read as one.",
+            "Give another file name, or remove that file; nothing was written.",
+        )
+    with write_atomically(path, replaces_netcdf=True) as temporary:
+        try:
+            yield temporary
+        except (OSError, RuntimeError) as error:
+            free = shutil.disk_usage(temporary.parent).free
+            problem = f"{path} could not be written ({error}); its disk has {free / 1e6:.3g} MB left."
+            cure = "Free some space or write to another disk; what was there is as it was, and so is the database."
+            raise DiskError(problem, cure) from error
 
 
 def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
-from calcidem.storage.records.cell import canonical_content
+from calcidem.storage.records.cell import canonical_content, checked_seed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +136,7 @@ class CampaignRecord:
             if not getattr(self, field):
                 raise ValueError(f"CampaignRecord.{field} is empty; give a text.")
         object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
-        object.__setattr__(self, "seeds", tuple(sorted({int(s) for s in self.seeds})))
+        object.__setattr__(self, "seeds", tuple(sorted({checked_seed(s) for s in self.seeds})))
         object.__setattr__(self, "created", as_utc(self.created))
 
 

@@ -106,7 +106,7 @@ def table(
     statement = join_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
     statement = statement.where(*conditions(campaign_id, selection))
     statement = statement.order_by(*map(_order_of, sort), CellRow.seed, CellRow.content).limit(limit)
-    types = [_KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
+    types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
     for rows_of_block in session.execute(statement, execution_options={"yield_per": _ROWS_READ_AT_ONCE}).partitions():

@@ -32,6 +32,10 @@ _LONGEST = 10_000
 _LARGEST_WHOLE = 2**63 - 1
 """Whole numbers beyond it are compared as real ones."""
 
+_MOST_COMPARISONS = 200
+_DEEPEST = 50
+"""Nesting of a filter that every database takes: SQLite refuses expressions of a thousand levels."""
+
 _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
@@ -53,6 +57,12 @@ def parse_where(text: str) -> ColumnElement[bool]:
         raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST}.")
     try:
         tree = ast.parse(_python_equality(text), mode="eval")
+        comparisons = sum(len(node.ops) for node in ast.walk(tree) if isinstance(node, ast.Compare))
+        if comparisons > _MOST_COMPARISONS or _depth(tree) > _DEEPEST:
+            raise QueryError(
+                f"The filter has {comparisons} comparisons, nested {_depth(tree)} deep.",
+                f"Write at most {_MOST_COMPARISONS}, at most {_DEEPEST} deep; many values are 'seed in (1, 2)'.",
+            )
         return _condition(tree.body, text)
     # Deep nesting ends Python's parser with errors of its own.
     except (SyntaxError, ValueError, tokenize.TokenError, RecursionError, MemoryError) as error:
@@ -63,6 +73,11 @@ def _python_equality(text: str) -> str:
     """Write a single ``=``, as in SQL, as ``==``."""
     tokens = tokenize.generate_tokens(io.StringIO(text.strip()).readline)
     return tokenize.untokenize((t.type, "==" if t.string == "=" else t.string) for t in tokens)
+
+
+def _depth(node: ast.AST) -> int:
+    """Levels of an expression below a node, and its own."""
+    return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
 def _condition(node: ast.expr, text: str) -> ColumnElement[bool]:
@@ -87,10 +102,30 @@ def _comparison(left: ast.expr, op: ast.cmpop, right: ast.expr, text: str) -> Co
     if isinstance(op, ast.In | ast.NotIn):
         if not isinstance(right, ast.Tuple | ast.List):
             raise QueryError(f"'in' in the filter '{text}' needs a list in parentheses.", _EXAMPLE)
-        values = [_operand(item, text) for item in right.elts]
+        values = [_operand_like(left, item, text) for item in right.elts]
         return first.in_(values) if isinstance(op, ast.In) else first.not_in(values)
-    result: ColumnElement[bool] = _COMPARISONS[type(op)](first, _operand(right, text))
+    result: ColumnElement[bool] = _COMPARISONS[type(op)](first, _operand_like(left, right, text))
     return result
+
+
+def _operand_like(other: ast.expr, node: ast.expr, text: str) -> SQLColumnExpression[Any]:
+    """Operand that may be compared with another one: databases give an answer for a word and a number, too."""
+    operand = _operand(node, text)
+    if _is_text(node) != _is_text(other):
+        word, number = (node, other) if _is_text(node) else (other, node)
+        raise QueryError(
+            f"The filter '{text}' compares '{ast.unparse(word)}', which is text, with the number "
+            f"'{ast.unparse(number)}'.",
+            _EXAMPLE,
+        )
+    return operand
+
+
+def _is_text(node: ast.expr) -> bool:
+    """Whether an operand is a word or a quantity that is one."""
+    if isinstance(node, ast.Name):
+        return QUANTITY_BY_NAME[node.id].kind == "text"
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
 def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
@@ -105,7 +140,7 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
             f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", _EXAMPLE
         )
     if isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
-        value = float(value) if abs(value) < sys.float_info.max else math.copysign(math.inf, value)
+        value = float(value) if abs(value) < sys.float_info.max else math.inf if value > 0 else -math.inf
     if isinstance(value, str) and not _storable(value):
         raise QueryError(f"{value!r} in the filter can't be in a database.", "Write plain characters.")
     return literal(value)

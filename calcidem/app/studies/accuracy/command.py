@@ -21,6 +21,7 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.files import write_text_atomically
 
 _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
 
@@ -154,8 +155,8 @@ def accuracy(
     findings = _compare_some(task, only, progress) if only else _measure_everything(task, progress)
     if out is not None:
         save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
-        (out / "accuracy.md").write_text(accuracy_page(findings))
-        (out / "accuracy.json").write_text(findings_json(findings))
+        write_text_atomically(out / "accuracy.md", accuracy_page(findings))
+        write_text_atomically(out / "accuracy.json", findings_json(findings))
     say(findings_json(findings) if json else "\n\n".join(accuracy_tables(findings).values()))
     if wanted is not None and not json:
         chosen = cheapest(findings.study, wanted)

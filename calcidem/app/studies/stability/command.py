@@ -12,6 +12,7 @@ from calcidem.app.studies.stability.own_scenes import draw_own_scenes
 from calcidem.app.studies.stability.report import draw_maps, random_scene_tables, stability_tables
 from calcidem.app.studies.stability.scenes import BOXES, Extreme, draw_scenes
 from calcidem.app.studies.stability.verdict import Judgement, judge_own_scene, judge_scene, packing_map, walks
+from calcidem.storage.files import write_text_atomically
 
 _CONTRASTS = (1.0, 1e2, 1e4, 1e6)
 _FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
@@ -62,8 +63,8 @@ def stability(
     as_json = to_json.dumps(asdict(found), indent=1)
     if out is not None:
         save(draw_maps(found.walks), out, "stability", ("png",))
-        (out / "stability.md").write_text(text)
-        (out / "stability.json").write_text(as_json)
+        write_text_atomically(out / "stability.md", text)
+        write_text_atomically(out / "stability.json", as_json)
     say(as_json if json else text)
 
 
