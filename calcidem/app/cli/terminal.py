@@ -1,4 +1,4 @@
-"""What reaches a terminal: text that cannot control it, and a log of what nobody expected. Loads nothing that is large."""
+"""What reaches a terminal: text that cannot control it, and a log of what nobody expected. Loads no large library."""
 
 import os
 import platform

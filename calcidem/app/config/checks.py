@@ -19,14 +19,31 @@ from calcidem.storage.sql.engine import parse_address
 
 _SEEDS_ASKED_FIRST = 8
 
+_MOST_DISKS = 10_000_000
+"""Some 10 GB while they are packed."""
+
 _SAFE_PART = 0.8
 """Part of the largest content of these seeds that every other seed surely holds."""
 
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """Everything that does not fit together."""
-    checks = (_check_cement, _check_bands, _check_installation, _check_frequencies, _check_files)
+    checks = (_check_size, _check_cement, _check_bands, _check_installation, _check_frequencies, _check_files)
     return [problem for check in checks for problem in check(configuration)]
+
+
+def _check_size(configuration: Configuration) -> Iterator[Problem]:
+    """The disks have room in a computer's memory."""
+    rule = configuration.packing
+    smallest, largest = rule.diameter
+    area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)  # mean of uniformly distributed diameters
+    disks = (1.0 - rule.porosity) * rule.width * rule.height / area
+    if disks > _MOST_DISKS:
+        yield Problem(
+            f"packing.width = {rule.width}: {disks:.3g} disks fit into the box of {rule.width} m x {rule.height} m, "
+            f"more than {_MOST_DISKS:g}; make the box smaller, or packing.diameter larger",
+            ("packing.width", "packing.height", "packing.diameter", "packing.porosity"),
+        )
 
 
 def _check_cement(configuration: Configuration) -> Iterator[Problem]:
@@ -136,7 +153,7 @@ def _check_files(configuration: Configuration) -> Iterator[Problem]:
     """Results can be written where they are wanted."""
     output = configuration.output
     wrong = ""
-    if output.exists() and not output.is_dir():
+    if os.path.exists(output) and not output.is_dir():  # noqa: PTH110 - Path.exists raises where a name is too long
         wrong = "is a file; give the name of a folder"
     elif not can_make_files(output):
         wrong = "nothing can be written there; give a folder in which you may write"
@@ -169,11 +186,11 @@ def can_make_files(folder: Path) -> bool:
 
     It is tried with a file without name, since permissions do not tell of read-only file systems.
     """
-    existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
     try:
+        existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
         with tempfile.TemporaryFile(dir=existing):
             return True
-    except OSError:
+    except OSError:  # of a name that is too long, too
         return False
 
 

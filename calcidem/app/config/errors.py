@@ -55,13 +55,21 @@ class ConfigurationError(ValueError):
         return type(self), (self.source, self.problems)
 
 
+_LONGEST_QUOTE = 200
+_MOST_ENTRIES = 20
+
+
 def quote(value: object) -> str:
-    """Value as it would stand in the file."""
+    """Value as it would stand in the file; the beginning of what is long."""
     if isinstance(value, tuple | list):
-        return f"[{', '.join(quote(item) for item in value)}]"
-    if isinstance(value, str | bool):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(value)
+        shown = ", ".join(quote(item) for item in value[:_MOST_ENTRIES])
+        return f"[{shown}]" if len(value) <= _MOST_ENTRIES else f"[{shown}, ... {len(value)} entries]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {quote(item)}' for key, item in value.items())} }}"
+    if isinstance(value, int) and value.bit_length() > _LONGEST_QUOTE:
+        return f"a whole number of {value.bit_length()} bits"  # Python refuses to write long ones in decimal
+    text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else repr(value)
+    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}..."
 
 
 def phrase(error: ErrorDetails) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.app.config.errors import Problem, quote
 from calcidem.app.config.schema import SETTLED_BY_FILE
-from calcidem.dem.sample.packing_file import PackingFileError, checked_disks
+from calcidem.dem.sample.packing_file import checked_disks
 
 _CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
 """Fields that nothing else can be compared with when the file is not as it should be."""
@@ -44,12 +44,12 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
         for key in SETTLED_BY_FILE
         if key in given
     ]
-    path = (folder / Path(draw.file).expanduser()).absolute()
     try:
+        path = (folder / Path(draw.file).expanduser()).absolute()
         _, y, radius = checked_disks(path, rule.width)
         smallest, largest = (2.0 * float(value) for value in (radius.min(), radius.max()))
         parts["packing"] = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
         parts["packing_draw"] = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
-    except (PackingFileError, OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError also where ~ has no folder
         problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", _CONCERNED))
     return problems

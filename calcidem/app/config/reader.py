@@ -1,9 +1,11 @@
 """From a TOML file to a `Configuration`, or to a list of everything that is wrong with it."""
 
 import difflib
+import math
 import os
 import re
 import tomllib
+import unicodedata
 import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
@@ -50,6 +52,18 @@ SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
 }
 """Sections of the file, and the attributes of `Configuration` that each one gives, with their types."""
 
+_LARGEST_FILE = 4_000_000
+"""Bytes: 100,000 listed seeds have room, and no device or data file fills the memory."""
+
+_DEEPEST = 8
+"""Levels of tables and lists in one another that a file may have; four are needed."""
+
+_LARGEST_WHOLE_NUMBER = 2**63 - 1
+"""Of TOML (https://toml.io/en/v1.0.0#integer) and of databases."""
+
+_SMALLEST_NUMBER, _LARGEST_NUMBER = 1e-30, 1e30
+"""In SI units; the products of several such numbers and their reciprocals are still finite."""
+
 _TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that a file does not have, because another one says the same."""
 
@@ -79,9 +93,17 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
 def parse_file(path: Path) -> dict[str, Any]:
     """Sections of a TOML file, or a `ConfigurationError` that says why there are none."""
     try:
-        if document := tomllib.loads(path.read_text(encoding="utf-8")):
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_FILE + 1)
+        document = tomllib.loads(content.decode("utf-8-sig")) if len(content) <= _LARGEST_FILE else None
+        if document is None:
+            problem = f"has more than {_LARGEST_FILE} bytes, which no configuration needs; check the name"
+        elif not document:
+            problem = "the file is empty; write an example with 'calcidem init' and change it"
+        elif _is_deeper(document, _DEEPEST):
+            problem = f"has tables or lists in one another, {_DEEPEST} deep; no key has such a value, leave them out"
+        else:
             return document
-        problem = "the file is empty; write an example with 'calcidem init' and change it"
     except FileNotFoundError:
         problem = "the file does not exist; check the name, or write an example with 'calcidem init'"
     except IsADirectoryError:
@@ -90,9 +112,15 @@ def parse_file(path: Path) -> dict[str, Any]:
         problem = f"the file cannot be read ({error.strerror}); give one that can"
     except UnicodeDecodeError as error:
         problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # what TOML forbids, numbers too long for Python, brackets too deep
         problem = f'not TOML: {error}; numbers are written 1.5, strings "...", lists [1, 2]'
     raise ConfigurationError(str(path), [Problem(problem)])
+
+
+def _is_deeper(value: object, levels: int) -> bool:
+    """Whether tables and lists are nested deeper than so many levels."""
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return any(levels == 0 or _is_deeper(item, levels - 1) for item in inner)
 
 
 def read_configuration(
@@ -186,6 +214,9 @@ def _read_value(
         wrong = _read_section(place, value, {key: table}, found)
         problems += [Problem(problem.message, (place, *problem.fields)) for problem in wrong]
         return {} if wrong else found
+    if words := _impossible(value):
+        problems.append(Problem(f"{place} = {quote(value)}: {words}", (place,)))
+        return {}
     try:
         return {key: TypeAdapter(hint, config=_STRICT).validate_python(_freeze_lists(value))}
     except ValidationError as error:
@@ -193,6 +224,20 @@ def _read_value(
         words = cure or "; ".join(phrase(detail) for detail in error.errors())
         problems.append(Problem(f"{place} = {quote(value)}: {words}", (place,)))
         return {}
+
+
+def _impossible(value: object) -> str:
+    """Problem and cure of a value that no field can have, whatever its type; empty for all others."""
+    if isinstance(value, list):
+        return next(filter(None, map(_impossible, value)), "")
+    if isinstance(value, int) and abs(value) > _LARGEST_WHOLE_NUMBER:
+        return f"has more than 64 bits; give at most {_LARGEST_WHOLE_NUMBER}"
+    # NaN and infinity are the type's business.
+    if isinstance(value, float) and (0.0 < abs(value) < _SMALLEST_NUMBER or _LARGEST_NUMBER < abs(value) < math.inf):
+        return f"is out of range; give 0, or a number of {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g} in SI units"
+    if isinstance(value, str) and any(unicodedata.category(character) == "Cc" for character in value):
+        return "has control characters; write it without"
+    return ""
 
 
 def _build(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
+from calcidem.app.config.errors import quote
 from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementRule
@@ -22,7 +23,7 @@ from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import canonical_content
+from calcidem.storage.records import LARGEST_SEED, canonical_content
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import parse_address
 
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
 Section = TypeVar("Section", bound="DataclassInstance")
+
+_MOST_SEEDS = 1_000_000
+
+_LONGEST_NAME = 200
+"""Bytes: file systems take 255, and endings and the names of temporary files need some."""
 
 PHYSICS_VERSION = 3
 """To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
@@ -71,21 +77,25 @@ class CampaignPlan:
     def __post_init__(self) -> None:
         """Refuse empty, double and negative entries."""
         good_name = self.name.strip() == self.name != "" and not set(self.name) & set("/\\\0\n")
-        require(good_name, "name", repr(self.name), "give a name that can be part of a file name")
+        good_name = good_name and len(self.name.encode()) <= _LONGEST_NAME
+        cure = f"give a name that can be part of a file name, of at most {_LONGEST_NAME} bytes"
+        require(good_name, "name", quote(self.name), cure)
+        count = self.seeds if isinstance(self.seeds, int) else len(self.seeds)
+        require(count <= _MOST_SEEDS, "seeds", quote(self.seeds), f"give at most {_MOST_SEEDS} seeds")
         seeds = self.seed_numbers
-        require(bool(seeds), "seeds", self.seeds, "give at least one seed")
-        require(min(seeds, default=0) >= 0, "seeds", list(seeds), "give seeds of 0 or more")
-        require(len(set(seeds)) == len(seeds), "seeds", list(seeds), "list every seed once")
-        contents = list(self.contents)
-        require(bool(contents), "contents", contents, "give at least one content in percent")
-        require(
-            all(0.0 <= content <= 100.0 for content in contents),  # noqa: PLR2004 - percent
-            "contents",
-            contents,
-            "give percentages of 0 to 100",
-        )
-        different = {canonical_content(content) for content in contents}
-        require(len(different) == len(contents), "contents", contents, "list every content once")
+        require(bool(seeds), "seeds", quote(self.seeds), "give at least one seed")
+        possible = all(0 <= seed <= LARGEST_SEED for seed in seeds)
+        require(possible, "seeds", quote(seeds), "give seeds of 0 to 2^63 - 1")
+        require(len(set(seeds)) == len(seeds), "seeds", quote(seeds), "list every seed once")
+        contents = self.contents
+        percentages = all(0.0 <= content <= 100.0 for content in contents)  # noqa: PLR2004 - percent
+        different = {canonical_content(content) for content in contents} if percentages else set()
+        for good, cure in (
+            (bool(contents), "give at least one content in percent"),
+            (percentages, "give percentages of 0 to 100"),
+            (len(different) == len(contents), "list every content once"),
+        ):
+            require(good, "contents", quote(contents), cure)
         require(self.root_seed >= 0, "root_seed", self.root_seed, "give 0 or more")
 
     @property
@@ -116,7 +126,7 @@ class PackingDraw:
     def __post_init__(self) -> None:
         """Refuse a negative seed."""
         require(self.seed >= 0, "seed", self.seed, "give 0 or more")
-        require(self.file != "", "file", repr(self.file), "give the name of a CSV file, or leave the key out")
+        require(self.file != "", "file", quote(self.file), "give the name of a CSV file, or leave the key out")
 
 
 SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
@@ -174,11 +184,11 @@ class FrequencyTable:
         """Refuse tables that cannot be interpolated."""
         contents = list(self.content)
         rising = all(low < high for low, high in itertools.pairwise(contents))
-        require(bool(contents) and rising, "content", contents, "give increasing contents in percent")
+        require(bool(contents) and rising, "content", quote(contents), "give increasing contents in percent")
         frequencies = list(self.frequency)
         cure = f"give one positive frequency in Hz for each of the {len(contents)} contents"
         good = len(frequencies) == len(contents) and all(frequency > 0.0 for frequency in frequencies)
-        require(good, "frequency", frequencies, cure)
+        require(good, "frequency", quote(frequencies), cure)
 
     def covers(self, content: float) -> bool:
         """Whether a content lies within the table."""
@@ -272,9 +282,10 @@ class RunOptions:
         """Refuse what the kernel and the file system do not know."""
         require(self.lanes in {1, 2, 4, 8, 16, 32}, "lanes", self.lanes, "choose 1, 2, 4, 8, 16 or 32")
         limit = self.time_limit
-        require(limit is None or limit > 0.0, "time_limit", limit, "give seconds above 0, or leave the key out")
-        require(bool(self.output), "output", repr(self.output), 'give the name of a folder, "." for the present one')
-        require(self.database != "", "database", repr(self.database), "give a file name, or leave the key out")
+        good_limit = limit is None or 0.0 < limit <= 1e9  # noqa: PLR2004 - clocks of some systems end at 2^31
+        require(good_limit, "time_limit", limit, "give seconds above 0 and up to 1e9, or leave the key out")
+        require(bool(self.output), "output", quote(self.output), 'give the name of a folder, "." for the present one')
+        require(self.database != "", "database", quote(self.database), "give a file name, or leave the key out")
 
 
 @dataclass(frozen=True)

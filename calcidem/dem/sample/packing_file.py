@@ -26,6 +26,9 @@ _CSV_COLUMNS = ("x", "y", "radius")
 _LARGEST_OVERLAP = 0.1
 """Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
 _FEWEST_DISKS = 10
+_FARTHEST = 1e30
+"""m; distances of disks and their squares are finite."""
+_LONGEST_SHOWN = 80
 
 
 class PackingFileError(PackingError):
@@ -107,6 +110,8 @@ def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
         Naming the line.
     """
     try:
+        if not file.is_file() and file.exists():
+            raise PackingFileError(f"{file} is a folder or a device; give a CSV file")
         with file.open(newline="", encoding="utf-8-sig") as stream:
             rows = list(_numbered_rows(file, stream.read().splitlines()))
     except (OSError, UnicodeDecodeError) as error:
@@ -121,19 +126,31 @@ def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
 def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the line number and x, y, radius of each disk."""
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    table = csv.reader(line for _, line in kept)
-    head = [name.strip() for name in next(table, [])]
+    head = [name.strip() for name in _cells(file, *kept[0])] if kept else []
     if missing := [name for name in _CSV_COLUMNS if name not in head]:
         raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
     places = [head.index(name) for name in _CSV_COLUMNS]
-    for (number, line), row in zip(kept[1:], table, strict=True):
+    for number, line in kept[1:]:
+        row = _cells(file, number, line)
         try:
             x, y, radius = (float(row[place]) for place in places)
         except (ValueError, IndexError) as error:
-            raise PackingFileError(f"{file}, line {number}: '{line}' is no disk; give three numbers in m") from error
-        if not (np.isfinite([x, y, radius]).all() and radius > 0.0):
-            raise PackingFileError(f"{file}, line {number}: '{line}'; give finite numbers and a positive radius, in m")
+            shown = f"{line[:_LONGEST_SHOWN]}{'...' if len(line) > _LONGEST_SHOWN else ''}"
+            raise PackingFileError(f"{file}, line {number}: '{shown}' is no disk; give three numbers in m") from error
+        if not (abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and 1.0 / _FARTHEST <= radius <= _FARTHEST):
+            raise PackingFileError(
+                f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "
+                f"radius, in m, up to {_FARTHEST:g}"
+            )
         yield number, (x, y, radius)
+
+
+def _cells(file: Path, number: int, line: str) -> list[str]:
+    """Entries of one line; quotes do not reach beyond it."""
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error as error:
+        raise PackingFileError(f"{file}, line {number}: {error}; give lines of three numbers in m") from error
 
 
 def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
