@@ -201,7 +201,7 @@ def invoke() -> Callable[..., str]:
 
     def run(*arguments: object, exit_code: int = 0) -> str:
         words = [str(argument) for argument in arguments]
-        result = CliRunner().invoke(build_application(words), words)
+        result = CliRunner().invoke(build_application(), words)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == exit_code, result.output

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 import xarray as xr
-from typer.testing import CliRunner
 
 import calcidem
-from calcidem.app.cli.main import COMMANDS, build_application, command_description
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -22,29 +20,48 @@ pytestmark = pytest.mark.slow
 CHECKOUT = Path(__file__).parents[2]
 
 
-def test_help_does_not_wait_for_numerical_libraries() -> None:
-    """`calcidem --help` loads neither NumPy nor Numba, which take seconds."""
+def test_help_and_typos_do_not_wait_for_numerical_libraries() -> None:
+    """What computes nothing, the help of each command included, loads none of the libraries that take seconds."""
     program = """
-import atexit, os, sys
+import sys
+from typer.testing import CliRunner
+from calcidem.app.cli.main import COMMANDS, build_application
+application = build_application()
+heavy = {"matplotlib", "mpi4py.MPI", "numba", "pandas", "scipy", "sqlalchemy", "xarray"}
+for *words, code, said in [
+    ("--help", 0, "sensitivity"),
+    ("--version", 0, "calcidem "), ("rnu", 2, "'run'"),
+    ("run", "--rank", "3", 2, "--ranks"),
+    *((name, "--help", 0, f"calcidem {name} ") for name in ("init", "run")),
+]:
+    shown = CliRunner().invoke(application, words, prog_name="calcidem")
+    assert (shown.exit_code, said in shown.output) == (code, True), (words, shown.output)
+    assert not heavy & set(sys.modules), (words, heavy & set(sys.modules))
+"""
+    command = [sys.executable, "-c", program]
+    variables = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+    done = subprocess.run(command, check=False, env=variables, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [("st", "status study stability"), ("run --ra", "--ranks")],
+)
+def test_the_shell_completes_commands_and_options(words: str, found: str) -> None:
+    """`calcidem st<TAB>` has status, study and stability, and does not wait for numerical libraries."""
+    program = """
+import sys
+sys.modules |= dict.fromkeys(("numba", "scipy", "sqlalchemy", "xarray"))  # importing them fails
+sys.argv[0] = "calcidem"
 from calcidem.app.cli.main import main
-atexit.register(lambda: os._exit(7) if {"numpy", "numba"} & set(sys.modules) else None)
 main()
 """
-    environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
-    command = [sys.executable, "-c", program, "--help"]
-    done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0
-    assert all(f" {name} " in done.stdout for name in COMMANDS)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_says_how_it_is_used(name: str) -> None:
-    """Each command is found under its name, and its help begins as the list of all commands has it."""
-    shown = CliRunner().invoke(build_application([name]), [name, "--help"])
-    assert shown.exit_code == 0, shown.output
-    summary = command_description(name).partition("\n\n")[0]
-    assert summary
-    assert "".join(summary.split()) in "".join(shown.output.split())
+    variables = {"_CALCIDEM_COMPLETE": "complete_bash", "COMP_WORDS": f"calcidem {words}"}
+    variables |= {"COMP_CWORD": str(len(words.split())), "PYTHONPATH": str(CHECKOUT)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, check=True, env=os.environ | variables, capture_output=True, text=True)
+    assert done.stdout.split() == found.split()
 
 
 def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop") -> None:

@@ -1,27 +1,69 @@
 """The command `calcidem`."""
 
-import ast
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
 from importlib import import_module
-from importlib.resources import files
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import print_any_text, printable, strange_argument
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
-COMMANDS = (
-    *("init", "run", "packing", "export", "status", "query", "show", "analyse", "report", "study", "plan"),
-    *("retry", "merge", "import", "sample", "verify", "explain", "accuracy", "stability", "calibrate"),
-    *("sensitivity", "doctor"),
-)
+_PANELS = {
+    "Set up": {
+        "init": "Write an example configuration.",
+        "doctor": "Check what a campaign needs on this machine.",
+    },
+    "Run": {
+        "run": "Compute a campaign, or what is left of it.",
+        "packing": "Make or report on the packing alone.",
+        "retry": "Make cells that went wrong pending again.",
+        "plan": "How many more seeds a mean needs, and how long they take.",
+    },
+    "Look": {
+        "status": "Progress of a campaign, even while it runs.",
+        "query": "Cells that meet some conditions, as a table or a file.",
+        "show": "One cell, with figures.",
+    },
+    "Analyse": {
+        "report": "One page with everything.",
+        "analyse": "A folder of figures, tables and numbers.",
+        "study": "How Vs depends on frequency and damping.",
+        "sensitivity": "How each choice changes mean and scatter of Vs.",
+        "calibrate": "Fit parameters to measured velocities.",
+    },
+    "Trust": {
+        "explain": "What the computation leaves out, and why that is safe.",
+        "verify": "Compute stored cells again and compare.",
+        "accuracy": "Error against run time of every numerical setting.",
+        "stability": "Which extreme scenes are stable, refused or detected.",
+    },
+    "Move data": {
+        "export": "A campaign as a NetCDF file.",
+        "import": "A database from an exported file.",
+        "merge": "One database from several of the same campaign.",
+        "sample": "One sample for ParaView, or its packing as CSV.",
+    },
+}
+"""What the list of all commands says of each."""
 
-_COMPLETION_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
-"""One of them has the words typed so far when a shell asks how they could go on."""
+COMMANDS = tuple(name for panel in _PANELS.values() for name in panel)
+
+
+class _LazyGroup(TyperGroup):
+    """Commands whose modules are imported when they are used: they need libraries that take seconds to load."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Click's own, which typer brings along or does not
+        """Put the command itself in the place of what the list shows of it."""
+        name, command, rest = super().resolve_command(ctx, args)
+        if name is not None:
+            command = self.commands[name] = _load_command(name)
+        return name, command, rest
 
 
 def main() -> None:
@@ -29,52 +71,58 @@ def main() -> None:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     warnings.formatwarning = _format_warning
-    typed = " ".join(os.environ.get(variable, "") for variable in _COMPLETION_VARIABLES)
     print_any_text()
     if wrong := strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
     try:
-        build_application(sys.argv[1:] or typed.split()[1:])()
+        build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message
         from calcidem.app.cli.exit_codes import tell_error  # noqa: PLC0415 - loads numerical libraries
 
         sys.exit(tell_error(error))
 
 
-def build_application(arguments: Sequence[str]) -> typer.Typer:
-    """Application with the command that the arguments begin with, or with a list of all of them.
+def _show_version(wanted: bool) -> None:
+    """Write the version and end."""
+    if wanted:
+        typer.echo(f"calcidem {version('calcidem')}")
+        raise typer.Exit
 
-    Commands need libraries that take seconds to load, so only the module of the one asked for is imported. What a list
-    shows of the others is read from their sources.
-    """
+
+def build_application() -> typer.Typer:
+    """Application with a list of all commands, of which only the one that is used will be imported."""
     application = typer.Typer(
+        cls=_LazyGroup,
         help="How much does the shear-wave velocity of sand vary because calcite cements its grains at random places?",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    application.callback()(lambda: None)  # without it typer takes a single command for the whole application
-    asked = arguments[0] if arguments else ""
-    for name in [asked] if asked in COMMANDS else COMMANDS:
-        function: Callable[..., None] = lambda: None  # noqa: E731 - the list calls none of them
-        if name == asked:
-            function = getattr(import_module(f"calcidem.app.cli.{_module_name(name)}"), f"{name}_command")
-        application.command(name, help=command_description(name))(function)
+    application.callback()(_take_options)
+    for panel, commands in _PANELS.items():
+        for name, summary in commands.items():
+            application.command(name, help=summary, rich_help_panel=panel)(lambda: None)
     return application
 
 
-def _module_name(command: str) -> str:
-    """Module of `calcidem.app.cli` with a command."""
-    return "import_" if command == "import" else command
+def _take_options(
+    _version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options of all commands."""
 
 
-def command_description(command: str) -> str:
-    """Docstring of a command, a line for each paragraph, without importing its module."""
-    source = files("calcidem.app.cli").joinpath(f"{_module_name(command)}.py").read_text(encoding="utf-8")
-    functions = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
-    text = next(ast.get_docstring(node) or "" for node in functions if node.name == f"{command}_command")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
+    """Command of the function `<name>_command` in the module of its name, with its docstring as help."""
+    word = name.replace("-", "_")
+    module = import_module(f"calcidem.app.cli.{'import_' if name == 'import' else word}")
+    function = getattr(module, f"{word}_command")
+    paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    alone.command(name, help="\n\n".join(paragraphs))(function)
+    return typer.main.get_command(alone)
 
 
 def _format_warning(
