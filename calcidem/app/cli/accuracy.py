@@ -13,6 +13,7 @@ from calcidem.app.cli.arguments import (
     StudyFolder,
 )
 from calcidem.app.cli.tables import tell
+from calcidem.app.config.checks import plan_contents
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
 
@@ -40,7 +41,8 @@ def accuracy_command(
     With --db these are cells of the campaign in the database, on its own packing, and the scatter of the samples is
     that of its velocities. A campaign of another configuration is refused.
     """
-    task = plan_task(load_configuration(configuration), content or (), seeds, db, tell)
+    loaded = load_configuration(configuration)
+    task = plan_task(plan_contents(loaded, content or loaded.campaign.contents), (), seeds, db, tell)
     try:
         choose_settings(task.experiment, only or ())
         parse_target(target or "1%")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.terminal import printable
 from calcidem.app.report import analyse
 
 
@@ -19,5 +20,5 @@ def analyse_command(
     """Write all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF) of a campaign to a folder."""
     missing = analyse(database, out, campaign_name=campaign)
     for name, reason in missing.items():
-        typer.echo(f"Left out {name}: {reason}")
+        typer.echo(printable(f"Left out {name}: {reason}"))
     typer.echo(f"Wrote {len(list(out.iterdir()))} files to {out}")

@@ -10,8 +10,10 @@ from rich.table import Table
 
 from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase, OnlyContents
 from calcidem.app.cli.tables import make_console
+from calcidem.app.cli.terminal import printable
+from calcidem.app.config.checks import check_against_packing, plan_contents
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
 from calcidem.app.studies.explain import Explanation, explain
@@ -22,9 +24,7 @@ _DEFAULT_CELLS = 8
 
 def explain_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
-    content: Annotated[
-        list[float] | None, typer.Option(help="Only this content, percent; may be repeated. By default three.")
-    ] = None,
+    content: OnlyContents = None,
     accuracy: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out' for this campaign.")
     ] = None,
@@ -33,9 +33,11 @@ def explain_command(
     """Show which parts of the computation each content needs, and why leaving out the others is safe and what it saves.
 
     Times and differences are measured now, on cells of the campaign, with --db on the packing in the database; errors
-    are those that 'calcidem accuracy' measured against a converged reference.
+    are those that 'calcidem accuracy' measured against a converged reference. By default three contents are shown.
     """
     loaded = load_configuration(configuration)
+    contents = sorted(loaded.campaign.contents)
+    loaded = plan_contents(loaded, content or {contents[0], contents[len(contents) // 2], contents[-1]})
     if db is None:
         packing = provide_packing(loaded, None, typer.echo)
     else:
@@ -45,8 +47,8 @@ def explain_command(
         measured = measured_errors(loaded.hash, packing.content_hash, accuracy)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    contents = sorted(loaded.campaign.contents)
-    chosen = content or sorted({contents[0], contents[len(contents) // 2], contents[-1]})
+    check_against_packing(loaded, packing)
+    chosen = loaded.campaign.contents
     seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
     rows = explain(
         loaded.experiment(packing),
@@ -59,7 +61,7 @@ def explain_command(
     console = make_console()
     for value in chosen:
         console.print(_explanation_table(value, [row for row in rows if row.content == value]))
-    console.print(_errors_source(measured, str(configuration)))
+    console.print(printable(_errors_source(measured, str(configuration))), markup=False)
 
 
 def _errors_source(measured: MeasuredErrors | None, configuration: str) -> str:

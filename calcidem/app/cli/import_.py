@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.packing import identify_packing
+from calcidem.app.cli.terminal import printable
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.sql.store import open_store
 
@@ -23,4 +24,4 @@ def import_command(
     with open_store(database) as store:
         campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
-    typer.echo(f"Campaign '{campaign.name}' ({cells}) is in {database}.")
+    typer.echo(printable(f"Campaign '{campaign.name}' ({cells}) is in {database}."))

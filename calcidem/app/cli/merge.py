@@ -7,6 +7,7 @@ import typer
 
 from calcidem.app.campaign.merge import Merged, conflict_lines, merge_databases
 from calcidem.app.cli.arguments import CampaignName
+from calcidem.app.cli.terminal import printable
 
 
 def merge_command(
@@ -26,7 +27,7 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    typer.echo("\n".join(_merge_lines(merged, sources, out)))
+    typer.echo(printable("\n".join(_merge_lines(merged, sources, out))))
 
 
 def _merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 import typer
 
 from calcidem.analysis.planning import plan_seeds
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, OneContent, parse_positive
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
@@ -21,9 +21,15 @@ _WITHOUT_VELOCITY = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 
 def plan_command(
     database: Database,
-    content: Annotated[float, typer.Option(help="Content to plan for, percent.")],
+    content: OneContent,
     half_width: Annotated[
-        float, typer.Option("--halfwidth", min=0.0, help="Wanted half-width of the 95 % interval of the mean, m/s.")
+        float,
+        typer.Option(
+            "--halfwidth",
+            parser=parse_positive,
+            metavar="M/S",
+            help="Wanted half-width of the 95 % interval of the mean.",
+        ),
     ],
     campaign: CampaignName = None,
 ) -> None:

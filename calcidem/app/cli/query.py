@@ -14,8 +14,10 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
+from calcidem.app.cli.terminal import printable
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.files import write_atomically, write_text_atomically
@@ -46,10 +48,7 @@ def query_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show the cells of a campaign that meet all given conditions."""
-    try:
-        selection = Selection(seed or None, content or None, status or None, where)
-    except ValueError as error:
-        raise QueryError(f"No cell can be selected: {error}", "Correct --seed or --content.") from error
+    selection = Selection(seed or None, content or None, status or None, where)
     names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
     names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
     found = find(database, selection, names, _split_list(sort), limit, campaign)
@@ -60,7 +59,7 @@ def query_command(
     elif out is not None:
         write_text_atomically(out, as_text(found, layout))
     else:
-        typer.echo(as_text(found, layout), nl=False)
+        typer.echo(printable(as_text(found, layout)), nl=False)
 
 
 def find(
@@ -110,14 +109,12 @@ def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     for name in names:
         quantity = QUANTITY_BY_NAME[name]
         unit = f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
-        table.add_column(
-            f"{name}{unit}".replace("[", r"\["), justify="left" if quantity.kind == "text" else "right", no_wrap=True
-        )
+        table.add_column(Text(f"{name}{unit}"), justify="left" if quantity.kind == "text" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(_format_value(value) for value in row))
+        table.add_row(*(Text(_format_value(value)) for value in row))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
-    Console(file=stream, width=1000, highlight=False, markup=True).print(table)
+    Console(file=stream, width=1000, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
     return "\n".join([*lines, f"{len(rows)} cells", ""])
 
@@ -128,8 +125,7 @@ def _format_value(value: object) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.6g}"
-    first_line = str(value).partition("\n")[0]
-    return first_line.replace("[", r"\[")
+    return printable(value).partition("\n")[0]
 
 
 def _write_parquet(columns: Columns, out: Path) -> None:

@@ -31,10 +31,7 @@ def retry_command(
     if wrong := ", ".join(chosen for chosen in statuses if chosen not in RETRIABLE):
         problem = f"{wrong} can't be retried; choose among {', '.join(RETRIABLE)}."
         raise typer.BadParameter(problem, param_hint="--status")
-    try:
-        selection = Selection(seed or None, content or None)
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--seed or --content") from error
+    selection = Selection(seed or None, content or None)
     pending, others = retry_cells(database, statuses, selection, campaign)
     if not pending:
         rest = ", ".join(f"{number} {other}" for other, number in sorted(others.items()))

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSeed
 
 
 def sample_command(
     database: Database,
     out: Annotated[Path, typer.Argument(help=f"File to write; its ending decides: {', '.join(SUFFIXES)}.")],
-    seed: Annotated[int, typer.Option(help="Seed of the sample.")],
-    content: Annotated[float, typer.Option(help="Calcite content of the sample, percent.")],
+    seed: OneSeed,
+    content: OneContent,
     campaign: CampaignName = None,
 ) -> None:
     """Write one sample for ParaView (.vtu, .vtk), or the disks of its packing as CSV (x, y, radius in m)."""

@@ -6,16 +6,18 @@ from typing import Annotated
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSeed
 from calcidem.app.cli.tables import make_console
+from calcidem.app.cli.terminal import printable
 from calcidem.app.report import show_cell
 
 
 def show_command(
     database: Database,
-    seed: Annotated[int, typer.Option(help="Seed of the cell.")],
-    content: Annotated[float, typer.Option(help="Content of the cell, percent.")],
+    seed: OneSeed,
+    content: OneContent,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
     campaign: CampaignName = None,
 ) -> None:
@@ -23,7 +25,7 @@ def show_command(
     described, figures = show_cell(database, seed, content, out, campaign_name=campaign)
     table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
     for row in described.rows:
-        table.add_row(*row)
+        table.add_row(*(Text(printable(entry)) for entry in row))
     make_console().print(table)
     for file in figures:
         typer.echo(f"Wrote {file}")

@@ -20,7 +20,9 @@ def status_command(
     watch: Annotated[
         bool, typer.Option("--watch", help="Refresh until every cell has finished; Ctrl-C ends it.")
     ] = False,
-    interval: Annotated[float, typer.Option(min=0.1, help="Seconds between two refreshes with --watch.")] = 2.0,
+    interval: Annotated[
+        float, typer.Option(min=0.1, max=86400.0, help="Seconds between two refreshes with --watch.")
+    ] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Write JSON; with --watch, one object per line.")] = False,
     campaign: CampaignName = None,
 ) -> None:

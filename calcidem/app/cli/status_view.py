@@ -11,6 +11,7 @@ from rich.text import Text
 
 from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble, worst_status
 from calcidem.app.cli.tables import format_number
+from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
 
@@ -42,9 +43,9 @@ _MOST_TROUBLES = 12
 def status_view(status: CampaignStatus, width: int) -> RenderableType:
     """All there is to see, for a terminal of this many columns."""
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
-    parts: list[RenderableType] = [Text(line) for line in _head_lines(status)]
+    parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
-    parts += [Text(line, overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
+    parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
     return Group(*parts)
 
 

@@ -8,7 +8,7 @@ import typer
 
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import save
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.netcdf.export import write_netcdf
 
@@ -20,7 +20,7 @@ def study_command(
     names: Annotated[
         list[_StudyName] | None, typer.Argument(metavar="frequency|damping", help="By default both.")
     ] = None,
-    content: Annotated[list[float] | None, typer.Option(help="Content, percent; may be repeated.")] = None,
+    content: OnlyContents = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for figures and NetCDF files.")] = Path("studies"),
     campaign: CampaignName = None,
 ) -> None:

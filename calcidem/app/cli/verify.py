@@ -9,6 +9,7 @@ import typer
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING
+from calcidem.app.cli.terminal import printable
 from calcidem.app.studies.verify import Agreement, Verification, random_cells, verify, worst_agreement
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
@@ -21,7 +22,7 @@ def verify_command(
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
-        typer.Option(metavar="SEED", help="Seed of their random choice; by default a new one each time."),
+        typer.Option(min=0, metavar="SEED", help="Seed of their random choice; by default a new one each time."),
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
@@ -36,7 +37,7 @@ def verify_command(
         keys = random_cells(opened, cells, choice)
         found = []
         for verification in verify(opened, keys, opened.experiment):
-            typer.echo(_verification_line(verification))
+            typer.echo(printable(_verification_line(verification)))
             found.append(verification)
     counts = Counter(verification.agreement for verification in found)
     verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)

@@ -2,7 +2,8 @@
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
+from calcidem.storage.records import canonical_content
 from calcidem.storage.sql.engine import parse_address
 
 _SEEDS_ASKED_FIRST = 8
@@ -30,6 +32,21 @@ def cross_check(configuration: Configuration) -> list[Problem]:
     """Everything that does not fit together."""
     checks = (_check_size, _check_cement, _check_bands, _check_installation, _check_frequencies, _check_files)
     return [problem for check in checks for problem in check(configuration)]
+
+
+def plan_contents(configuration: Configuration, contents: Collection[float]) -> Configuration:
+    """Configuration with other contents, percent, in order.
+
+    Raises
+    ------
+    ConfigurationError
+        If they do not fit its other parts.
+    """
+    planned = tuple(sorted({canonical_content(content) for content in contents}))
+    changed = replace(configuration, campaign=replace(configuration.campaign, contents=planned))
+    if problems := cross_check(changed):
+        raise ConfigurationError("configuration", problems)
+    return changed
 
 
 def _check_size(configuration: Configuration) -> Iterator[Problem]:

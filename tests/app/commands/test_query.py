@@ -88,7 +88,6 @@ def test_out_writes_a_file(database: Path, invoke: Invoke, tmp_path: Path) -> No
         (("--columns", "seed,velocity"), "Unknown quantities: velocity"),
         (("--sort", "-velocity"), "Unknown quantities: velocity"),
         (("--columns", ","), "Give columns"),
-        (("--content", "200"), "between 0 and 100"),
     ],
 )
 def test_mistakes_are_explained(database: Path, invoke: Invoke, arguments: tuple[str, str], message: str) -> None:

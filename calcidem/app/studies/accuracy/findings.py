@@ -100,16 +100,18 @@ def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = N
     try:
         found = json.loads(source.read_text())
         hashes, cells = (found["campaign_hash"], found["packing_hash"]), found["study"]["cells"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        worst: dict[tuple[str, float], float] = {}
+        for cell in cells:
+            if cell["vs_error"] is not None:
+                key = (cell["setting"], cell["content"])
+                worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
     if hashes != (campaign_hash, packing_hash):
         if path is None:
             return None
-        other = "campaign" if hashes[0] != campaign_hash else f"packing, {hashes[1][:12]} and not {packing_hash[:12]}"
+        other = (
+            "campaign" if hashes[0] != campaign_hash else f"packing, {str(hashes[1])[:12]} and not {packing_hash[:12]}"
+        )
         raise ValueError(f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'")
-    worst: dict[tuple[str, float], float] = {}
-    for cell in cells:
-        if cell["vs_error"] is not None:
-            key = (cell["setting"], cell["content"])
-            worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
     return MeasuredErrors(source, worst)
