@@ -159,6 +159,39 @@ def published_study() -> PublishedStudy:
     )
 
 
+PUBLISHED_KEYS = {
+    "packing.width": "box_width",
+    "packing.height": "box_height",
+    "packing.porosity": "porosity",
+    "packing.stress": "confining_stress",
+    "sand.shear_modulus": "sand_shear_modulus",
+    "sand.poisson_ratio": "sand_poisson_ratio",
+    "sand.density": "sand_density",
+    "sand.friction": "friction",
+    "cement.bond_modulus": "bond_effective_modulus",
+    "cement.tensile_strength": "bond_tensile_strength",
+    "cement.cohesion": "bond_cohesion",
+    "pattern.calcite_density": "calcite_density",
+    "pattern.cluster_diameter": "cluster_size",
+    "wave.amplitude": "pulse_velocity",
+    "wave.damping": "local_damping",
+    "wave.band_friction": "wall_friction",
+}
+"""Which published parameter a key of a configuration is."""
+
+
+def is_published_sand(config: Mapping[str, Any]) -> bool:
+    """Say whether a physical configuration is of the published sand in the published box, whatever its cement."""
+    published = published_study().parameters
+    grading = [published["grain_diameter_smallest"], published["grain_diameter_largest"]]
+    sections = {name: config.get(name, {}) for name in ("packing", "sand")}
+    return sections["packing"].get("diameter") == grading and all(
+        sections[section].get(key) == published[name]
+        for section, key, name in ((*path.split("."), name) for path, name in PUBLISHED_KEYS.items())
+        if section in sections
+    )
+
+
 def _read_stage(row: dict[str, Any]) -> PublishedStage:
     return PublishedStage(
         name=row["name"],

@@ -13,8 +13,9 @@ from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measur
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_narrowing, draw_range
 from calcidem.analysis.planning import narrowing
-from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
 from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.records import CellResult
 
 _DEFAULT_ONSET = 0.1
 _SHOWN_SIGNALS = 5
@@ -52,39 +53,45 @@ class CampaignFigure:
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
-    """Give the published rows at the contents of the campaign, empty unless two or more match."""
+    """Give the published rows at the contents of a campaign on the published sand, empty unless two or more match."""
+    if not is_published_sand(analysis.campaign.config):
+        return []
     contents = analysis.vs["content"].to_numpy()
     rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
     return rows if len(rows) > 1 else []
 
 
 def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
-    """Give the signals of a sample and what was read from them.
+    """Give the signals of a sample and what was read from them; errors as `read_arrival`."""
+    try:
+        return read_arrival(analysis, analysis.campaign.cell(seed=seed, content=content))
+    except UnknownCellError as error:
+        raise UnavailableError(str(error)) from error
+
+
+def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
+    """Give the signals that came with a cell and what was read from them.
 
     Raises
     ------
     UnavailableError
         If no signal is stored.
     """
-    try:
-        signal = analysis.campaign.signal(seed=seed, content=content)
-    except UnknownCellError as error:
-        raise UnavailableError(str(error)) from error
-    cell = analysis.cells.sel(seed=seed, content=content)
-    pick = analysis.campaign.config.get("pick", {})
+    signal, pick = cell.signal, analysis.campaign.config.get("pick", {})
+    if signal is None:
+        raise UnavailableError(f"no signal is stored for seed {cell.key.seed} at {cell.key.content:g} %")
     force = pick.get("signal") == "force"
-    velocities = {name: float(cell[f"vs_{name}"]) for name in METHOD_STYLES}
-    distance = float(cell["distance"])
-    if math.isnan(distance):  # of a cell that took the whole width for the way of the wave
-        distance = analysis.campaign.packing(int(cell["packing_index"])).width
+    velocities = {name: getattr(cell, f"vs_{name}") for name in METHOD_STYLES}
     return Arrival(
-        seed=seed,
-        content=content,
+        seed=cell.key.seed,
+        content=cell.key.content,
         time=signal.time,
         sent=signal.sent_velocity,
         received=signal.received_force if force else signal.received_velocity,
-        distance=distance,
-        velocities={name: value for name, value in velocities.items() if math.isfinite(value)},
+        received_force=force,
+        # A cell that took the whole width for the way of the wave has no distance.
+        distance=cell.distance or analysis.campaign.packing(cell.packing_index).width,
+        velocities={name: value for name, value in velocities.items() if value is not None},
         onset=float(pick.get("onset", _DEFAULT_ONSET)),
     )
 

@@ -7,7 +7,7 @@ from scipy import stats
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
-from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
 from calcidem.analysis.published_check import check_study, check_verdicts
 from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
 
@@ -15,7 +15,7 @@ _SIGNIFICANCE = 0.05
 
 
 def published_table(analysis: CampaignAnalysis) -> Table | None:
-    """Mean, deviation and normality beside the published ones; None where contents do not match."""
+    """Mean, deviation and normality beside the published ones; None for other sands and contents."""
     published = published_velocities(analysis)
     if not published:
         return None
@@ -62,8 +62,10 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
     )
 
 
-def disagreement_table() -> Table:
-    """What in the published study does not agree with its own numbers."""
+def disagreement_table(analysis: CampaignAnalysis) -> Table | None:
+    """What in the published study does not agree with its own numbers; None for campaigns on other sands."""
+    if not is_published_sand(analysis.campaign.config):
+        return None
     findings = [finding for finding in check_study() if not finding.agrees]
     rows = tuple((finding.place, finding.printed, finding.computed) for finding in findings)
     return Table(

@@ -8,7 +8,7 @@ from calcidem.analysis.figures.registry import load_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.analysis.figures.style import save
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant
+from calcidem.app.report.wording import ABSENT, Table, decimal, readable_unit, significant
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.sql.quantities import QUANTITIES, Quantity
 from calcidem.storage.store import Selection
@@ -63,7 +63,7 @@ def _text(quantity: Quantity, value: str | float | None) -> str:
     if quantity.kind == "text" or isinstance(value, str):
         return str(value or "")
     text = decimal(value) if quantity.kind == "whole" else significant(value, 6)
-    return text if quantity.unit == "1" or text == ABSENT else f"{text} {quantity.unit}"
+    return text if text == ABSENT else f"{text} {readable_unit(quantity.unit)}".rstrip()
 
 
 def _draw(analysis: CampaignAnalysis, seed: int, content: float, folder: Path) -> list[Path]:

@@ -5,32 +5,12 @@ from typing import Any
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.published import published_study
+from calcidem.analysis.published import PUBLISHED_KEYS, is_published_sand, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
-
-_PUBLISHED_AS = {
-    "packing.width": "box_width",
-    "packing.height": "box_height",
-    "packing.porosity": "porosity",
-    "packing.stress": "confining_stress",
-    "sand.shear_modulus": "sand_shear_modulus",
-    "sand.poisson_ratio": "sand_poisson_ratio",
-    "sand.density": "sand_density",
-    "sand.friction": "friction",
-    "cement.bond_modulus": "bond_effective_modulus",
-    "cement.tensile_strength": "bond_tensile_strength",
-    "cement.cohesion": "bond_cohesion",
-    "pattern.calcite_density": "calcite_density",
-    "pattern.cluster_diameter": "cluster_size",
-    "wave.amplitude": "pulse_velocity",
-    "wave.damping": "local_damping",
-    "wave.band_friction": "wall_friction",
-}
-"""Which published parameter a key of the configuration is."""
 
 UNKNOWN = "unknown"
 CHOSEN = {
@@ -49,26 +29,22 @@ CHOSEN = {
 """Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
 
 
-def parameter_table(config: Mapping[str, Any]) -> Table:
-    """Calibrated and chosen parameters, and those that differ from the published ones (marked)."""
-    flat = flat_parameters(config)
+def parameter_table(config: Mapping[str, Any]) -> Table | None:
+    """Calibrated and chosen parameters, and those unlike the published ones (marked); None for other sands."""
+    if not is_published_sand(config):
+        return None
+    flat, published = flat_parameters(config), published_study().parameters
     rows: list[tuple[str, ...]] = []
     marked: set[int] = set()
-    for key, (literal, meaning) in CHOSEN.items():
-        if key in flat:
-            differs = literal != UNKNOWN and flat[key] != literal
-            if differs:
-                marked.add(len(rows))
-            remark = f"calibrated: {meaning}" if differs else meaning
-            rows.append((key, value_text(flat[key]), value_text(literal), remark))
-    published = published_study().parameters
-    for key, name in _PUBLISHED_AS.items():
-        if key in flat:
-            differs = flat[key] != published[name]
-            if differs:
-                marked.add(len(rows))
-            meaning = f"{name.replace('_', ' ')}{': differs from the published value' if differs else ''}"
-            rows.append((key, value_text(flat[key]), value_text(published[name]), meaning))
+    known = {key: (published[name], name.replace("_", " ")) for key, name in PUBLISHED_KEYS.items()}
+    for key, (expected, meaning) in (CHOSEN | known).items():
+        if key not in flat:
+            continue
+        remark = meaning
+        if expected != UNKNOWN and flat[key] != expected:
+            marked.add(len(rows))
+            remark = f"{meaning}: differs from the published value" if key in known else f"calibrated: {meaning}"
+        rows.append((key, value_text(flat[key]), value_text(expected), remark))
     return Table(
         "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it: "
         "these are the calibrated ones. Where nothing is published, a value had to be chosen.",
@@ -140,15 +116,16 @@ def _source(run: RunRecord) -> str:
 
 def packing_table(analysis: CampaignAnalysis) -> Table:
     """Quality of the packings, one column each."""
-    published = published_study().parameters
-    graphs = analysis.graphs
+    graphs, notes = analysis.graphs, ("in two dimensions", "")
+    if is_published_sand(analysis.campaign.config):
+        notes = (f"published {value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
     rows: list[tuple[str, ...]] = [
         (name, *(text(graph) for graph in graphs), note)
         for name, text, note in (
             ("grains", lambda g: str(g.graph.grain_count), ""),
             ("contacts", lambda g: str(g.graph.contact_count), ""),
-            ("porosity", lambda g: decimal(g.packing.porosity, 4), f"published {value_text(published['porosity'])}"),
-            ("coordination number", lambda g: decimal(g.packing.coordination_number, 3), "published weights: 3.05"),
+            ("porosity", lambda g: decimal(g.packing.porosity, 4), notes[0]),
+            ("coordination number", lambda g: decimal(g.packing.coordination_number, 3), notes[1]),
             (
                 "coordination number without rattlers",
                 lambda g: decimal(g.packing.coordination_number_without_rattlers, 3),

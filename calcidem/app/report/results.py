@@ -7,11 +7,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.features import FEATURES
-from calcidem.analysis.published import published_study
+from calcidem.analysis.published import is_published_sand, published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (
+    ABSENT,
     Table,
     bounds,
     decimal,
@@ -97,7 +98,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
         "calcite by Eq. 2 (%)",
     )
     return Table(
-        "What Vs stands for (medians). G0 = rho Vs\N{SUPERSCRIPT TWO} with the published soil density, "
+        "What Vs stands for (medians). G0 = rho Vs\N{SUPERSCRIPT TWO} for a soil of "
         f"{published_study().parameters['soil_density']:g} kg/m\N{SUPERSCRIPT THREE}. Local damping of {alpha:g} is a "
         f"damping ratio of {damping_ratio(alpha):.3f}, and slows fronts. Marked: fewer than "
         f"{FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver. d50 is that by mass. Calcite by Eq. 2 "
@@ -138,7 +139,9 @@ def outcome_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def growth_table(analysis: CampaignAnalysis) -> Table | None:
-    """Growth of the mean in the four stages; None if no stage has two contents."""
+    """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
+    if not is_published_sand(analysis.campaign.config):
+        return None
     published = {stage.name: stage.rate for stage in published_study().stages}
     rows = tuple(
         (
@@ -191,13 +194,14 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def law_table(laws: list[LawFit]) -> Table:
+def law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
     published = {law.name: law for law in published_study().laws}
+    compared = is_published_sand(analysis.campaign.config)
     rows = []
-    for law in laws:
+    for law in (analysis.physical_law, analysis.scanned_law):
         fit, check, other = law.fit, law.check, published[law.name]
-        rows += [
+        rows.append(
             (
                 law.name,
                 f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}",
@@ -207,18 +211,19 @@ def law_table(laws: list[LawFit]) -> Table:
                 decimal(fit.residual_standard_deviation),
                 decimal(check.root_mean_square_error),
                 f"{100 * check.coverage:.0f} %",
-            ),
-            (
-                f"{law.name}, published",
-                f"{other.weights.hertz:.3f} / {other.weights.bond:.3f}",
-                decimal(other.a),
-                decimal(other.conclusions_b, 2),
-                decimal(other.c),
-                decimal(math.nan),
-                decimal(math.nan),
-                decimal(math.nan),
-            ),
-        ]
+            )
+        )
+        if compared:
+            rows.append(
+                (
+                    f"{law.name}, published",
+                    f"{other.weights.hertz:.3f} / {other.weights.bond:.3f}",
+                    decimal(other.a),
+                    decimal(other.conclusions_b, 2),
+                    decimal(other.c),
+                    *(3 * (ABSENT,)),
+                )
+            )
     return Table(
         "Laws Vs = a C_d,n^b + c with 95 % intervals. The error for unseen seeds is the root mean square over "
         "samples of a seed that the law was not fitted to, the coverage how many of these fall into their 95 % "

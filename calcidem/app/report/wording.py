@@ -78,6 +78,11 @@ def probability(value: float) -> str:
     return f"< {_SMALL_P:g}" if value < _SMALL_P else f"{value:.2g}"
 
 
+def readable_unit(unit: str) -> str:
+    """Give a UDUNITS string as people write it; nothing for pure numbers."""
+    return {"1": "", "percent": "%", "m s-1": "m/s"}.get(unit, unit)
+
+
 def time_span(seconds: float) -> str:
     """Give a time span in the unit that suits it."""
     if not math.isfinite(seconds):

@@ -1,0 +1,166 @@
+"""What the page needs to show single cells: records, signals, cement patterns and paths, compressed."""
+
+import json
+import zlib
+from base64 import b64encode
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.figures.registry import read_arrival
+from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.app.report.wording import readable_unit
+from calcidem.storage.records import CellResult
+from calcidem.storage.sql.quantities import QUANTITIES
+
+_MOST_FULL_RECORDS = 10_000
+_SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
+"""Quantities of a cell where the campaign has more cells than that."""
+
+_MOST_BYTES = 3_500_000
+"""Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
+
+_MOST_POINTS = 300
+_LEVELS = 2000
+"""Times at which a signal is kept, and steps from zero to its largest value: both finer than a screen's pixels."""
+
+_MICROMETRES = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class CellData:
+    """What the script of the page reads.
+
+    Attributes
+    ----------
+    blocks
+        Compressed JSON in base64 by the id of its element: "records", "packing-0", ..., "seed-1", ...
+    remarks
+        What is left out, in sentences.
+    """
+
+    blocks: Mapping[str, str]
+    remarks: tuple[str, ...]
+
+
+def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
+    """Gather records of all cells, and signals and samples of as many seeds as a page can hold."""
+    blocks: dict[str, str] = {}
+    remarks: list[str] = []
+    try:
+        graphs = analysis.graphs
+    except UnavailableError as error:
+        graphs = ()
+        remarks.append(f"No samples are drawn: {error}.")
+    shown: list[int] = []
+    room = _MOST_BYTES
+    for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
+        text = _compress(list(_describe_cells(analysis, cells, graphs)))
+        room -= len(text)
+        if room < 0:
+            break
+        blocks[f"seed-{seed}"] = text
+        shown.append(seed)
+    for graph in graphs:
+        blocks[f"packing-{graph.packing.index}"] = _compress(_describe_packing(analysis, graph))
+    names = [quantity.name for quantity in QUANTITIES if quantity.name not in {"seed", "content"}]
+    if analysis.vs.size > _MOST_FULL_RECORDS:
+        names = [name for name in names if name in _SHORT_RECORD]
+        remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
+    if len(shown) < analysis.vs.sizes["seed"]:
+        remarks.append(
+            f"Signals and samples of {len(shown)} of {analysis.vs.sizes['seed']:,} seeds are in this page; "
+            "“calcidem show DB --seed S --content C --out DIR” draws every one."
+        )
+    blocks["records"] = _compress(_describe_records(analysis, names))
+    return CellData(blocks, tuple(remarks))
+
+
+def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
+    """Give quantities as columns over seeds, then contents; those that no cell has are left out."""
+    cells = analysis.cells.assign(status=analysis.status)
+    columns = {name: _plain(cells[name].to_numpy().ravel()) for name in names}
+    return {
+        "seeds": analysis.vs["seed"].to_numpy().tolist(),
+        "contents": analysis.vs["content"].to_numpy().tolist(),
+        "quantities": [
+            {"name": q.name, "kind": q.kind, "unit": readable_unit(q.unit), "meaning": q.meaning}
+            for q in QUANTITIES
+            if any(value not in {None, ""} for value in columns.get(q.name, ()))
+        ],
+        "columns": columns,
+    }
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    """Give numbers with six digits, whole ones as such, and None for what is missing."""
+    if values.dtype.kind != "f":
+        return [value or "" for value in values.tolist()]
+    return [None if value != value else float(f"{value:.6g}") for value in values.tolist()]  # noqa: PLR0124 - NaN
+
+
+def _describe_packing(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
+    """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
+    packing, wave = graph.packing, analysis.campaign.config["wave"]
+    return {
+        **{name: _whole(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
+        **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},
+        "first": _steps(graph.graph.pairs[:, 0]),
+        "second": graph.graph.pairs[:, 1].tolist(),
+        "bands": [wave[f"{band}_half_width"] * _MICROMETRES for band in ("transmitter", "receiver")],
+    }
+
+
+def _describe_cells(
+    analysis: CampaignAnalysis, cells: Iterable[CellResult], graphs: tuple[PackingGraph, ...]
+) -> Iterator[dict[str, Any]]:
+    """Give signals, paths, and what each cell has cemented otherwise than the one before: far fewer contacts."""
+    before: dict[int, NDArray[np.uint8]] = {}
+    for cell in cells:
+        described: dict[str, Any] = {"content": cell.key.content, "packing": cell.packing_index}
+        if cell.signal is not None:
+            described["signal"] = _describe_signal(analysis, cell)
+        if cell.cement is not None and cell.packing_index < len(graphs):
+            graph = graphs[cell.packing_index]
+            kinds = graph.kinds(cell.cement)
+            changed = kinds != before.get(cell.packing_index, np.zeros_like(kinds))
+            before[cell.packing_index] = kinds
+            described["cement"] = [_steps(np.flatnonzero(changed & (kinds == kind))) for kind in (0, 1, 2)]
+            described["path"] = _steps(cell.features.path if cell.features else ())
+        yield described
+
+
+def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
+    """Give both signals as steps between levels, their peaks, and the arrivals in milliseconds."""
+    arrival = read_arrival(analysis, cell)
+    stride = -(-arrival.time.size // _MOST_POINTS)
+    described: dict[str, Any] = {
+        "start": 1e3 * float(arrival.time[0]),
+        "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
+        "unit": "N/m" if arrival.received_force else "m/s",
+        "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
+    }
+    for name in ("sent", "received"):
+        values = getattr(arrival, name)
+        largest = float(np.abs(values).max()) or 1.0
+        described[name] = {"largest": float(f"{largest:.4g}"), "steps": _steps(values[::stride] / largest * _LEVELS)}
+    return described
+
+
+def _whole(values: ArrayLike) -> list[int]:
+    return [int(value) for value in np.round(values)]
+
+
+def _steps(values: ArrayLike) -> list[int]:
+    """Give whole numbers as differences, which compress better."""
+    return np.diff(_whole(values), prepend=0).tolist()
+
+
+def _compress(described: object) -> str:
+    text = json.dumps(described, separators=(",", ":"), allow_nan=False)
+    return b64encode(zlib.compress(text.encode(), 9)).decode()
