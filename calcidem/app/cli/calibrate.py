@@ -1,5 +1,6 @@
-"""``calcidem calibrate``: fit named parameters to measured Vs against content."""
+"""``calcidem calibrate``: fit named parameters to measured means and scatter of Vs against content."""
 
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated
@@ -7,41 +8,84 @@ from typing import Annotated
 import typer
 
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.cli.arguments import ConfigurationFile
+from calcidem.app.cli.arguments import ConfigurationFile, StudyCores
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.calibrate import FITTABLE, FittedParameters, calibrate, read_targets, text_with_values
+from calcidem.app.studies.calibrate import (
+    FITTED_BY_DEFAULT,
+    FitPlan,
+    FittedContent,
+    FittedParameters,
+    UnreadableTrialError,
+    calibrate,
+)
+from calcidem.app.studies.parameters import parse_range, text_with_values
+from calcidem.app.studies.targets import read_targets
+from calcidem.sweep.environment import available_cores
 
 
 def calibrate_command(
     configuration: ConfigurationFile,
-    target: Annotated[Path, typer.Option(help="CSV file with the columns content (percent) and vs (m/s).")],
+    target: Annotated[
+        Path,
+        typer.Option(
+            help="CSV file with the columns content (percent), vs (m/s) and, if wanted, sd (m/s) and samples."
+        ),
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
-    parameter: Annotated[
-        list[str] | None, typer.Option(help=f"Parameter to fit, one of {', '.join(FITTABLE)}; may be repeated.")
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free",
+            "--parameter",
+            metavar="SECTION.KEY[=LOW:HIGH]",
+            help=f"Number to fit, in its range; may be repeated. By default {', '.join(FITTED_BY_DEFAULT)}.",
+        ),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=2, help="Number of seeds at each content, the same in every trial.")] = 16,
+    seeds: Annotated[int, typer.Option(min=3, help="Number of seeds at each content, the same in every trial.")] = 16,
+    first_seed: Annotated[int, typer.Option(min=0, help="First of them.")] = 1,
+    predict: Annotated[
+        list[float] | None,
+        typer.Option(help="Content, percent, to predict and not to fit, even if it has a target; may be repeated."),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Relative error that the model may have, added to every target's own.")
+    ] = 0.0,
+    cores: StudyCores = 0,
 ) -> None:
-    """Fit parameters so that the mean of Vs matches measured values, and write a calibrated configuration."""
+    """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, typer.echo)
-    names = parameter or list(FITTABLE[: min(3, len(targets))])
-    fitted = calibrate(loaded, packing, targets, names, range(1, seeds + 1), typer.echo)
+    ranges = [parse_range(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
+    chosen = range(first_seed, first_seed + seeds)
+    plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
+    try:
+        fitted = calibrate(loaded, packing, plan, cores or available_cores(), typer.echo)
+    except UnreadableTrialError as error:
+        raise typer.BadParameter(str(error)) from error
     typer.echo("\n".join(_calibration_lines(fitted)))
     out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
     typer.echo(f"Wrote {out}")
 
 
-def _calibration_lines(fitted: FittedParameters) -> list[str]:
+def _calibration_lines(fitted: FittedParameters) -> Iterator[str]:
     """Report on a calibration."""
-    lines = [f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}" for name, value in fitted.values.items()]
-    lines += [
-        f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
-        for (i, first), (j, second) in combinations(enumerate(fitted.values), 2)
-    ]
-    lines += [
-        f"{content:g} %: target {wanted:.1f} m/s, reached {fitted.fitted[content]:.1f} m/s "
-        f"({100.0 * (fitted.fitted[content] / wanted - 1.0):+.1f} %)"
-        for content, wanted in fitted.targets.items()
-    ]
-    return lines
+    for name, value in fitted.values.items():
+        limit = ", at a limit of its range" if name in fitted.at_limit else ""
+        yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}{limit}"
+    for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
+        yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+    for row in fitted.contents:
+        yield _content_line(row, fitted.trials)
+
+
+def _content_line(row: FittedContent, trials: int) -> str:
+    """One content: what was wanted, what came, and how many seeds it rests on."""
+    target = row.target
+    mean, sd = f"mean {row.mean:.1f} +- {row.mean_error:.1f} m/s", f"sd {row.sd:.1f} m/s"
+    if target is not None:
+        mean += f" (target {target.vs:.1f}, {100.0 * (row.mean / target.vs - 1.0):+.1f} %)"
+    if target is not None and target.sd is not None:
+        sd += f" (target {target.sd:.1f}, x {row.sd / target.sd:.2f})"
+    used = f"{row.seeds} of {row.planned} seeds" + (f", read in all {trials} trials" if row.fitted else "")
+    return f"{'fitted' if row.fitted else 'predicted'} {row.content:g} %: {mean}, {sd}; {used}"

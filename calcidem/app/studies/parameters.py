@@ -1,0 +1,159 @@
+"""Numbers of a configuration that studies vary, by name and range, and the file that they are written back to."""
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import get_type_hints
+
+import numpy as np
+
+from calcidem.app.config.checks import cross_check
+from calcidem.app.config.errors import ConfigurationError, Problem
+from calcidem.app.config.reader import SECTIONS
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import Packing
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRange:
+    """A number of the configuration, and where it may lie.
+
+    Attributes
+    ----------
+    name
+        ``section.key`` of the configuration.
+    low, high
+        Limits in the unit of the key, positive.
+    """
+
+    name: str
+    low: float = 0.0
+    high: float = math.inf
+
+
+def parse_range(text: str) -> ParameterRange:
+    """Read ``section.key`` or ``section.key=low:high``.
+
+    Raises
+    ------
+    ConfigurationError
+        If the limits are no rising positive numbers.
+    """
+    name, _, limits = text.partition("=")
+    if not limits:
+        return ParameterRange(name.strip())
+    try:
+        low, high = (float(limit) for limit in limits.split(":"))
+    except ValueError:
+        low, high = math.nan, math.nan
+    return ParameterRange(name.strip(), low, high)
+
+
+def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange], source: str) -> None:
+    """Refuse parameters that are no numbers of the wave stage, double ones, and ranges that cannot be computed.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong; ``source`` says where the ranges are from.
+    """
+    problems = [problem for chosen in ranges for problem in _range_problems(configuration, chosen)]
+    names = [chosen.name for chosen in ranges]
+    problems += [Problem(f"{name}: is named twice; leave one out") for name in set(names) if names.count(name) > 1]
+    if not names:
+        problems.append(Problem("parameters = 0: name at least one, such as cement.bond_modulus"))
+    if problems:
+        raise ConfigurationError(source, problems)
+
+
+def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Iterator[Problem]:
+    """What is wrong with one range."""
+    name = chosen.name
+    if name not in _variable_keys():
+        yield Problem(
+            f"{name}: is no number of the configuration; choose among {', '.join(sorted(_variable_keys()))}", (name,)
+        )
+        return
+    if not 0.0 <= chosen.low < chosen.high:
+        yield Problem(f"{name} = {chosen.low:g}:{chosen.high:g}: give two rising positive numbers, low:high", (name,))
+        return
+    for value in (chosen.low, chosen.high):
+        if 0.0 < value < math.inf:
+            try:
+                changed = with_values(configuration, {name: value})
+            except ValueError as error:
+                yield Problem(f"{name.split('.')[0]}.{error}", (name,))
+                continue
+            yield from (problem for problem in cross_check(changed) if name in problem.fields)
+            if changed.packing_hash != configuration.packing_hash:
+                yield Problem(f"{name}: every value makes another packing; vary what the wave stage alone has", (name,))
+                return
+
+
+def _variable_keys() -> dict[str, tuple[str, str]]:
+    """Attribute of `Configuration` and field in it, for each ``section.key`` of the wave stage that is a number."""
+    return {
+        f"{section}.{name}": (attribute, name)
+        for section, types in SECTIONS.items()
+        if section not in {"campaign", "packing", "run"}
+        for attribute, kind in types.items()
+        for name, hint in get_type_hints(kind).items()
+        if hint in (float, float | None) and f"{section}.{name}" != "pattern.sand_density"  # the file has sand.density
+    }
+
+
+def with_values(configuration: Configuration, values: Mapping[str, float]) -> Configuration:
+    """Configuration with some parameters changed."""
+    changed = configuration
+    for name, value in values.items():
+        attribute, key = _variable_keys()[name]
+        changed = replace(changed, **{attribute: replace(getattr(changed, attribute), **{key: float(value)})})
+    return changed
+
+
+def start_value(configuration: Configuration, packing: Packing, chosen: ParameterRange) -> float:
+    """Value of a parameter to begin with, within its range; that of a cluster's area is Eq. 2 for a mean cluster.
+
+    A key without a value begins in the (geometric) middle of its range.
+
+    Raises
+    ------
+    ValueError
+        If there is neither.
+    """
+    attribute, key = _variable_keys()[chosen.name]
+    value = getattr(getattr(configuration, attribute), key)
+    if chosen.name == "pattern.cluster_area" and value is None:
+        value = _area_of_clusters(configuration, packing)
+    if not isinstance(value, float) or value <= 0.0:
+        if not 0.0 < chosen.low < chosen.high < math.inf:
+            raise ValueError(f"{chosen.name} = {value}: is no positive number to begin with; give its range low:high")
+        value = math.sqrt(chosen.low * chosen.high)
+    return float(np.clip(value, chosen.low, chosen.high))
+
+
+def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:
+    """Area of a cluster's calcite by Eq. 2 for the contacts of a mean cluster, m2."""
+    ordering = configuration.experiment(packing).ordering(configuration.campaign.seed_numbers[0])
+    cement = ordering.at(min(5.0, ordering.maximum_content))
+    calcite = (cement.content_reached - configuration.pattern.threshold) / 100.0
+    densities = configuration.pattern.sand_density / configuration.pattern.calcite_density
+    return float(calcite * densities * np.pi * np.sum(packing.radius**2) / max(1, cement.clusters))
+
+
+def text_with_values(text: str, values: Mapping[str, float]) -> str:
+    """TOML text with the values put in: keys that are there are replaced, others added to their section."""
+    for name, value in values.items():
+        section, key = name.split(".")
+        line = f"{key} = {value:.5g}  # calibrated"
+        body = re.compile(rf"(?ms)^\[{section}\]\s*$(.*?)(?=^\[|\Z)")
+        found = body.search(text)
+        if found is None:
+            text = f"{text.rstrip()}\n\n[{section}]\n{line}\n"
+            continue
+        inside, count = re.subn(rf"(?m)^{key}\s*=.*$", line, found.group(1))
+        if not count:
+            inside = f"{inside.rstrip()}\n{line}\n\n"
+        text = text[: found.start(1)] + inside + text[found.end(1) :]
+    return text

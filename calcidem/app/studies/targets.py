@@ -1,0 +1,97 @@
+"""Measured means and scatter of Vs that a calibration is to meet, and the file that they are in."""
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calcidem.app.config.errors import ConfigurationError, Problem
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What was measured at one content.
+
+    Attributes
+    ----------
+    content
+        Percent.
+    vs
+        Mean, m/s.
+    sd
+        Standard deviation between samples, m/s; None if it is not to be fitted.
+    samples
+        Number of samples that both are from; None if they are taken as exact.
+    """
+
+    content: float
+    vs: float
+    sd: float | None = None
+    samples: int | None = None
+
+
+_COLUMNS = {
+    "content": "percent, 0 or more",
+    "vs": "a positive number of m/s",
+    "sd": "a positive number of m/s",
+    "samples": "a whole number of 2 or more",
+}
+"""Columns of a file of targets and what they hold; the last two, and entries of them, may be missing."""
+
+_REQUIRED = ("content", "vs")
+
+
+def read_targets(file: Path) -> tuple[Target, ...]:
+    """Read means, and where they are given standard deviations and numbers of samples, from a CSV file.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong: columns that are missing or unknown, entries that are no such number, contents
+        that stand twice.
+    """
+    with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
+        lines = [[entry.strip() for entry in line] for line in csv.reader(source) if any(line)]
+    header, rows = (lines[0], lines[1:]) if lines else ([], [])
+    problems = list(_header_problems(header, rows))
+    targets: list[Target] = []
+    for number, row in enumerate(rows if not problems else (), start=2):
+        wrong = list(_row_problems(number, header, row))
+        problems += wrong
+        if not wrong:
+            values = {name: float(text) for name, text in zip(header, row, strict=True) if text}
+            samples = int(values["samples"]) if "samples" in values else None
+            targets.append(Target(values["content"], values["vs"], values.get("sd"), samples))
+    contents = [target.content for target in targets]
+    twice = sorted({content for content in contents if contents.count(content) > 1})
+    problems += [Problem(f"content = {content:g}: stands twice; leave one out") for content in twice]
+    if problems:
+        raise ConfigurationError(str(file), problems)
+    return tuple(targets)
+
+
+def _header_problems(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[Problem]:
+    """What is wrong with the columns."""
+    for name in (name for name in _REQUIRED if name not in header):
+        yield Problem(f"column {name}: is missing; give a header line such as 'content,vs' or 'content,vs,sd,samples'")
+    for name in (name for name in header if name not in _COLUMNS or header.count(name) > 1):
+        yield Problem(f'column "{name}": is unknown or stands twice; there are {", ".join(_COLUMNS)}')
+    if not rows:
+        yield Problem("rows = 0: give a line for each content below the header")
+
+
+def _row_problems(number: int, header: Sequence[str], row: Sequence[str]) -> Iterator[Problem]:
+    """What is wrong with a row."""
+    if len(row) != len(header):
+        cure = "give one for each column, with a point in numbers"
+        yield Problem(f"row {number} = {','.join(row)}: has {len(row)} entries and not {len(header)}; {cure}")
+        return
+    for name, text in zip(header, row, strict=True):
+        try:
+            value = float(text) if text or name in _REQUIRED else 2.0
+        except ValueError:
+            value = math.nan
+        good = {"content": value >= 0.0, "samples": value >= 2.0 and value % 1.0 == 0.0}.get(name, value > 0.0)  # noqa: PLR2004 - a scatter needs two
+        if not good or math.isinf(value):
+            yield Problem(f"row {number}, {name} = {text!r}: give {_COLUMNS[name]}")

@@ -1,0 +1,85 @@
+"""Velocities of many configurations on the same packing, contents and seeds, spread over cores."""
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache, partial
+from itertools import product
+
+import numpy as np
+
+from calcidem.app.config.checks import check_against_packing, cross_check
+from calcidem.app.config.errors import ConfigurationError, Problem
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.measurement import measure
+
+MeasureTrials = Callable[[Sequence[Configuration]], Iterator[Floats]]
+"""Takes configurations; gives Vs of each in turn, m/s, shape (seeds, contents), NaN where there is none."""
+
+
+def check_cells(
+    configuration: Configuration, packing: Packing, contents: Sequence[float], seeds: Sequence[int]
+) -> None:
+    """Refuse contents and seeds that the configuration or its packing cannot have.
+
+    Raises
+    ------
+    ConfigurationError
+        With everything that is wrong.
+    """
+    try:
+        plan = replace(configuration.campaign, contents=tuple(contents), seeds=tuple(seeds))
+    except ValueError as error:
+        raise ConfigurationError("cells", [Problem(str(error))]) from error
+    planned = replace(configuration, campaign=plan)
+    if problems := cross_check(planned):
+        raise ConfigurationError("cells", problems)
+    check_against_packing(planned, packing)
+
+
+@contextmanager
+def trial_workers(
+    packing: Packing, contents: Sequence[float], seeds: Sequence[int], cores: int = 1
+) -> Iterator[MeasureTrials]:
+    """Give a function that measures configurations, which keeps so many cores busy until the block ends."""
+
+    def measure_trials(
+        configurations: Sequence[Configuration], spread: Callable[..., Iterator[Floats]] = map
+    ) -> Iterator[Floats]:
+        for_all = [_seed_batches(seeds, configuration.run.lanes) for configuration in configurations]
+        jobs = [job for tried, chunks in zip(configurations, for_all, strict=True) for job in product([tried], chunks)]
+        found = spread(partial(_velocities, packing, tuple(contents)), *zip(*jobs, strict=True))
+        for chunks in for_all:
+            yield np.concatenate([next(found) for _ in chunks])
+
+    if cores == 1:
+        yield measure_trials
+        return
+    # Fresh processes: a fork would share what libraries hold open.
+    with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield partial(measure_trials, spread=pool.map)
+
+
+def _seed_batches(seeds: Sequence[int], lanes: int) -> list[tuple[int, ...]]:
+    """Seeds in parts as wide as the kernel."""
+    return [tuple(seeds[begin : begin + lanes]) for begin in range(0, len(seeds), lanes)]
+
+
+def _velocities(
+    packing: Packing, contents: Sequence[float], configuration: Configuration, seeds: Sequence[int]
+) -> Floats:
+    """Vs of one batch of seeds at each content, m/s, shape (seeds, contents)."""
+    experiment = configuration.experiment(packing)
+    ordering = lru_cache(experiment.ordering)
+    columns = [
+        [
+            np.nan if cell.vs is None else cell.vs
+            for cell in measure(experiment, content, seeds, lanes=configuration.run.lanes, ordering=ordering)
+        ]
+        for content in contents
+    ]
+    return np.array(columns).T
