@@ -5,6 +5,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from llvmlite import binding
+
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.kernels.compiling import compile_function
 from calcidem.dem.kernels.steps import advance_steps
@@ -51,12 +53,27 @@ def kind_of(line: str) -> str | None:
     return next((kind for kind, pattern in KINDS.items() if pattern.match(found.group(1))), None)
 
 
-def assembly_of(state: State) -> str:
-    """Machine code of the kernel for the features of a state; compiled anew, because a cached one has no text."""
+def fresh_kernel(state: State) -> Any:  # noqa: ANN401 - a function of numba
+    """The kernel for the features of a state, compiled anew, because a cached one has no text."""
     fresh: Any = compile_function(error_model="numpy")(advance_steps.py_func)
-    arguments = captured_arguments(state)
-    fresh(*arguments)
-    text: str = next(iter(fresh.inspect_asm().values()))
+    fresh(*captured_arguments(state))
+    return fresh
+
+
+def assembly_of(kernel: Any) -> str:  # noqa: ANN401 - a function of numba
+    """Machine code of a fresh kernel."""
+    text: str = next(iter(kernel.inspect_asm().values()))
+    return text
+
+
+def assembly_for(triple: str, kernel: Any) -> str:  # noqa: ANN401 - a function of numba
+    """What LLVM makes of a fresh kernel for another family of processors; RuntimeError if it does not know that."""
+    binding.initialize_all_targets()
+    binding.initialize_all_asmprinters()
+    machine = binding.Target.from_triple(triple).create_target_machine(opt=3)
+    module = binding.parse_assembly(next(iter(kernel.inspect_llvm().values())))
+    module.triple, module.data_layout = triple, str(machine.target_data)
+    text: str = machine.emit_assembly(module)
     return text
 
 

@@ -21,7 +21,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 sys.path.insert(0, str(HERE.parent / "peers"))
 
-from assembly import assembly_of, pair_loop
+from assembly import assembly_of, fresh_kernel, pair_loop
 from ceilings import Ceilings, measure_ceilings
 from scenes import Problem, as_scene, packing_problem, touching_pairs
 
@@ -108,7 +108,7 @@ def examine(case: str, problem: Problem, regime: Regime, ceilings: Ceilings) -> 
     )
     touching = len(touching_pairs(problem.x, problem.y, problem.radius))
     listed = len(state.assembly.pairs.second)
-    kinds = dict(pair_loop(assembly_of(state), "zmm").kinds("zmm"))
+    kinds = dict(pair_loop(assembly_of(fresh_kernel(state)), "zmm").kinds("zmm"))
     # Divisions and roots share one unit; the other operations have two.
     divider = kinds.get("division", 0) * ceilings.division + kinds.get("square root", 0) * ceilings.square_root
     plain = sum(kinds.get(kind, 0) for kind in ("multiply-add", "other arithmetic", "estimate")) * ceilings.multiply_add
