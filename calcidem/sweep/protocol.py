@@ -5,6 +5,7 @@
                                      <- TASK     a batch
     OUTCOME  outcome of the batch    ->
                                      <- STOP     how the sweep ended
+                                     <- END      the program is over
 
 Nothing here blocks: messages are probed for, received and sent by requests that are tested between sleeps, so
 that an idle rank costs next to nothing and a dead or silent partner cannot hold up anyone. Sends are
@@ -17,7 +18,8 @@ that block keep a core busy on every rank that waits, which is most of them whil
 
 import pickle
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeVar
@@ -38,6 +40,7 @@ class Tag(IntEnum):
     TASK = 7402
     OUTCOME = 7403
     STOP = 7404
+    END = 7405
 
 
 class Backoff:
@@ -78,6 +81,29 @@ def start_send(comm: MPI.Comm, value: Any, destination: int, tag: Tag) -> MPI.Re
     """Begin to send a picklable value; the request must be kept and tested."""
     payload = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
     return comm.Issend([payload, MPI.BYTE], destination, tag)
+
+
+def is_over(request: MPI.Request) -> bool:
+    """Tell whether a message has been received, or its receiver has died (ULFM)."""
+    try:
+        return request.Test()
+    except MPI.Exception:
+        return True
+
+
+def release(comm: MPI.Comm, ranks: Collection[int], limit: float) -> None:
+    """Let other ranks end, which wait for it; return once they know, or after ``limit`` seconds."""
+    requests = []
+    for rank in ranks:
+        with suppress(MPI.Exception):  # it has died
+            requests.append(comm.Issend([b"", MPI.BYTE], rank, Tag.END))
+    wait_until(lambda: all(is_over(request) for request in requests), limit)
+
+
+def wait_for_release(comm: MPI.Comm) -> None:
+    """Return once rank 0 lets this one end, or has died (ULFM)."""
+    with suppress(MPI.Exception):
+        wait_until(comm.Irecv([bytearray(), MPI.BYTE], MASTER, Tag.END).Test)
 
 
 @dataclass(slots=True)
@@ -149,10 +175,9 @@ def acknowledge_failures(comm: MPI.Comm) -> None:
     group.Free()
 
 
-def barrier(comm: MPI.Comm, limit: float = float("inf")) -> None:
-    """Return once all ranks have called this, or after ``limit`` seconds."""
-    request = comm.Ibarrier()
-    wait_until(request.Test, limit)
+def barrier(comm: MPI.Comm) -> None:
+    """Return once all ranks have called this."""
+    wait_until(comm.Ibarrier().Test)
 
 
 def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:

@@ -5,7 +5,6 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.channel import command_listens, tell_command
@@ -23,8 +22,8 @@ ValueT = TypeVar("ValueT")
 _MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
-_FINAL_BARRIER_LIMIT = 2.0
-"""Seconds that a rank waits for the others before it ends."""
+_RELEASE_LIMIT = 2.0
+"""Seconds in which the others have to hear of the end before rank 0 ends."""
 
 
 class Session:
@@ -143,18 +142,17 @@ class Session:
             if sweep_end is not None and sweep_end.unresponsive_ranks and not command_listens():
                 self._abort_mpi(exit_code)  # a command ends those that are left, and more quietly
             own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
-            from mpi4py import MPI  # noqa: PLC0415 - as above
-
-            from calcidem.sweep.protocol import barrier  # noqa: PLC0415 - as above
+            # A rank that ends early makes mpirun end the others: always without ULFM, and now and then with it.
+            from calcidem.sweep.protocol import barrier, release, wait_for_release  # noqa: PLC0415 - as above
 
             if fault_tolerance_enabled():
-                if sweep_end is None:
-                    # To those that still receive a broadcast, a rank that has ended looks lost; after a sweep every
-                    # worker has been told of its end. The barrier fails where a rank is lost, or has ended already.
-                    with suppress(MPI.Exception):
-                        barrier(self.comm, limit=_FINAL_BARRIER_LIMIT)
+                if self.rank == 0:
+                    deaf = frozenset() if sweep_end is None else sweep_end.unresponsive_ranks
+                    release(self.comm, set(range(1, self.size)) - deaf, _RELEASE_LIMIT)
+                else:
+                    wait_for_release(self.comm)
                 os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
-            barrier(self.comm)  # a rank that ends early makes mpirun end the others
+            barrier(self.comm)
             sys.exit(own_code)
         sys.exit(exit_code)
 

@@ -18,6 +18,7 @@ from calcidem.sweep.protocol import (
     Tag,
     acknowledge_failures,
     failed_ranks,
+    is_over,
     start_receive,
     start_send,
     wait_until,
@@ -202,7 +203,7 @@ class WorkerPool(Generic[CellT]):
 
         def all_stopped() -> bool:
             self.receive()  # a worker that joins only now waits to be heard before it listens
-            for rank in [rank for rank, request in requests.items() if self._is_over(request)]:
+            for rank in [rank for rank, request in requests.items() if is_over(request)]:
                 del requests[rank]
             return requests.keys() <= self._gone()
 
@@ -245,13 +246,6 @@ class WorkerPool(Generic[CellT]):
         except MPI.Exception as error:
             self._raise_unless_rank_failed(error)
             return None
-
-    @staticmethod
-    def _is_over(request: MPI.Request) -> bool:
-        try:
-            return request.Test()
-        except MPI.Exception:
-            return True  # the receiver died
 
     def _probe(self) -> Incoming | None:
         try:
