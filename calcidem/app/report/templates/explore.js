@@ -24,17 +24,19 @@
 
   // Numbers and colours ------------------------------------------------------------------------------------------
 
-  function number(value) {
+  function number(value, digits = 4) {
     if (value === null || value === undefined || value === "") return MISSING;
     if (typeof value !== "number") return String(value).replace("_", " ");
     const size = Math.abs(value);
-    let text = size && (size < 1e-3 || size >= 1e6) ? value.toExponential(3) : String(Number(value.toPrecision(5)));
+    const exact = Number.isInteger(value) && size < 1e7;
+    let text = String(exact ? value : Number(value.toPrecision(digits)));
+    if (!exact && (size < 1e-3 || size >= 1e6)) text = value.toExponential(digits - 1);
     text = text.replace(/\.?0*e\+?(-?)(\d+)/, (_, sign, digits) => {
       return ` × 10${sign ? "⁻" : ""}${[...digits].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]).join("")}`;
     });
     return text.replace(/^-/, "−");
   }
-  const withUnit = (value, unit) => (typeof value === "number" && unit ? `${number(value)} ${unit}` : number(value));
+  const withUnit = (value, unit, digits = 4) => number(value, digits) + (typeof value === "number" && unit ? ` ${unit}` : "");
 
   const probe = document.body.appendChild(Object.assign(document.createElement("span"), { hidden: true }));
   /** A colour of the style sheet as a canvas takes it. */
@@ -262,7 +264,7 @@
   }
   function layOutMap() {
     const room = byId("viewport").clientWidth - LEFT - EDGE;
-    cellWidth = clamp(room / seeds.length, 9, 44);
+    cellWidth = clamp(room / seeds.length, 8, 44);
     cellHeight = contents.length > 40 ? 12 : 24;
     const extent = byId("extent").style;
     extent.width = `${Math.max(LEFT + seeds.length * cellWidth + EDGE, 1)}px`;
@@ -419,7 +421,7 @@
     const hasBlock = byId(`seed-${seedOf(place)}`);
     const absent = (what) => `<p class="quiet">${hasBlock ? `No ${what} is stored.` : "Not in this page; see above."}</p>`;
     const rows = quantities
-      .map(({ name, unit, meaning }) => [meaning, withUnit(valueOf(name, place), unit)])
+      .map(({ name, unit, meaning }) => [meaning, withUnit(valueOf(name, place), unit, 6)])
       .filter(([, text]) => text !== MISSING);
     byId("cell").innerHTML = `
       <h3>S${labelOf(place).slice(1)}: ${vs === null ? escape(number(statusOf(place))) : `Vs = ${number(vs)} m/s`}</h3>
@@ -444,7 +446,7 @@
 
   function drawSignal({ start, interval, sent, received, unit, arrivals }) {
     const host = byId("signal");
-    const [width, height, left, bottom, top] = [host.clientWidth, 280, 52, 44, 10];
+    const [width, height, left, bottom, top] = [host.clientWidth, 280, 62, 44, 10];
     const series = { sent: sums(sent.steps), received: sums(received.steps) };
     const scaleOf = (values) => Math.max(...values.map(Math.abs)) || 1;
     for (const name of ["sent", "received"]) {
@@ -454,17 +456,17 @@
     const count = series.sent.length;
     const end = start + interval * (count - 1);
     const least = Math.min(-0.2, ...series.sent, ...series.received) - 0.05;
-    const x = (time) => left + ((time - start) / (end - start)) * (width - left - 10);
+    const x = (time) => left + (time / end) * (width - left - 10);
     const y = (value) => top + ((1.08 - value) / (1.08 - least)) * (height - top - bottom);
     const curve = (name) => {
       const points = series[name].map((value, at) => `${x(start + interval * at).toFixed(1)},${y(value).toFixed(1)}`);
       return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${name})" stroke-width="${name === "sent" ? 1.5 : 2}"${name === "sent" ? ` stroke-dasharray="5 3"` : ""}/>`;
     };
-    const across = ticks(start, end, width / 90).map((time) => {
+    const across = ticks(0, end, width / 90).map((time) => {
       return `<line x1="${x(time)}" x2="${x(time)}" y1="${top}" y2="${height - bottom}" stroke="var(--line)"/><text x="${x(time)}" y="${height - bottom + 16}" text-anchor="middle">${number(time)}</text>`;
     });
     const upward = ticks(least, 1.08, 5).map((value) => {
-      return `<line x1="${left}" x2="${width - 10}" y1="${y(value)}" y2="${y(value)}" stroke="var(--line)"/><text x="${left - 6}" y="${y(value) + 4}" text-anchor="end">${number(Number(value.toFixed(6)))}</text>`;
+      return `<line x1="${left}" x2="${width - 10}" y1="${y(value)}" y2="${y(value)}" stroke="var(--line)"/><text x="${left - 6}" y="${y(value) + 4}" text-anchor="end">${number(value)}</text>`;
     });
     const level = (time) => series.received[clamp(Math.round((time - start) / interval), 0, count - 1)];
     const found = METHODS.filter((method) => method in arrivals);
@@ -496,7 +498,7 @@
     };
     svg.addEventListener("pointermove", (event) => {
       const box = svg.getBoundingClientRect();
-      read(Math.round((((event.clientX - box.left) / box.width) * width - left) / ((x(end) - left) / (count - 1))));
+      read(Math.round(((((event.clientX - box.left) / box.width) * width - left) / (x(end) - left) * end - start) / interval));
     });
     svg.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
@@ -508,13 +510,14 @@
 
   function drawSample() {
     const { packing, kinds, path } = details;
-    const [left, bottom, edge] = [40, 40, 8];
+    const [left, bottom, edge] = [52, 40, 14];
+    byId("sample").classList.toggle("large", zoom > 1);
     const width = Math.floor(Math.min(byId("sample").clientWidth, 520) * zoom);
     const scale = (width - left - edge) / packing.width;
     const height = Math.ceil(packing.height * scale) + bottom + edge;
     const canvas = byId("sample").querySelector("canvas");
     const brush = context(canvas, width, height);
-    const colours = Object.fromEntries(["ink", "quiet", "sand", "cluster", "p", "c", "way", "bare", "wash", "sent", "peak"].map((name) => [name, paint(name)]));
+    const colours = Object.fromEntries(["ink", "quiet", "sand", "cluster", "p", "c", "way", "bare", "wash", "first_arrival", "peak"].map((name) => [name, paint(name)]));
     const at = (grain) => [left + packing.x[grain] * scale, edge + (packing.height - packing.y[grain]) * scale];
     const first = sums(packing.first);
     const inCluster = new Uint8Array(packing.x.length);
@@ -574,7 +577,7 @@
     brush.lineWidth = 1;
     brush.strokeRect(left, edge, packing.width * scale, packing.height * scale);
     packing.bands.forEach((half, side) => {
-      brush.fillStyle = side ? colours.sent : colours.peak;
+      brush.fillStyle = side ? colours.first_arrival : colours.peak;
       brush.fillRect(left + side * packing.width * scale - 2.5, edge + (packing.height / 2 - half) * scale, 5, 2 * half * scale);
     });
     brush.fillStyle = colours.ink;
@@ -591,7 +594,7 @@
     canvas.setAttribute("aria-label", `Sample of ${labelOf(opened)}: ${said}.`);
     byId("sample-keys").innerHTML =
       `<div class="keys">${key("sand", "sand grain")}${key("cluster", "grain in a cluster")}${key("p", `P contact (${counts[1]})`)}${key("c", `C contact (${counts[2]})`)}` +
-      `${key("way", "preferential path")}${key("bare", `uncemented on it (${bare})`)}${key("peak", "transmitter")}${key("sent", "receiver")}</div>` +
+      `${key("way", "preferential path")}${key("bare", `uncemented on it (${bare})`)}${key("peak", "transmitter")}${key("first_arrival", "receiver")}</div>` +
       `<p class="pages"><button type="button" data-zoom="0.5">smaller</button><button type="button" data-zoom="2">larger</button></p>`;
   }
 
