@@ -1,13 +1,10 @@
 """Draw the gallery from a campaign: `python docs/gallery/make_gallery.py CAMPAIGN.db`."""
 
 import argparse
-import io
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-
-from PIL import Image
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
@@ -37,11 +34,7 @@ def main() -> None:
     shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
     pictorial = {entry.name for entry in CAMPAIGN_FIGURES if entry.pictorial}
     for name, _, _, figure in shown:
-        file, content = FOLDER / f"{name}.png", render(figure, "png")
-        if name in pictorial:
-            write_small(content, file)
-        else:
-            file.write_bytes(content)
+        (FOLDER / f"{name}.png").write_bytes(render(figure, "png", colours=256 if name in pictorial else None))
     photograph(database, studies)
     parameters = ", ".join(f"`{key}` = {value_text(config[key])}" for key in CHOSEN if key in config)
     lines = [
@@ -76,15 +69,7 @@ def photograph(database: str, studies: dict) -> None:  # type: ignore[type-arg] 
             subprocess.run(  # noqa: S603 - the browser that was looked up, on a page written just above
                 [browser, *options, size, f"--screenshot={picture}", page.as_uri()], check=True, capture_output=True
             )
-            write_small(picture.read_bytes(), FOLDER / f"report_{width}.png")
-
-
-def write_small(content: bytes, file: Path) -> None:
-    """Write a PNG with 256 colours: pictures of grains are large but have few, and a repository keeps every version."""
-    with Image.open(io.BytesIO(content)) as picture:
-        # Octree keeps rare colours such as those of thin rings, which median cut gives up.
-        palette = picture.convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        palette.save(file, optimize=True)
+            shutil.copy(picture, FOLDER / f"report_{width}.png")
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     VS_LABEL,
     apply_style,
+    letter_panels,
     new_figure,
 )
 from calcidem.analysis.fits import power_law
@@ -58,6 +59,7 @@ def draw_correlations(correlations: Correlations) -> Figure:
     for axes, matrices, title in zip(panels, (correlations.overall, correlations.within), titles, strict=True):
         image = _draw_matrix(axes, matrices)
         axes.set_title(f"{title} (n = {int(matrices['n'])})", pad=18)
+    letter_panels(panels)
     panels[1].tick_params(labelleft=False)
     colour_bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.03)
     colour_bar.set_label("below the diagonal Pearson's coefficient, above it Spearman's")
@@ -140,7 +142,9 @@ def draw_laws(
     figure = new_figure(height=4.1, width=7.4)
     panels = figure.subplots(1, len(laws), squeeze=False, sharey=True)[0]
     for axes, law in zip(panels, laws, strict=True):
-        points = axes.scatter(law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0)
+        points = axes.scatter(
+            law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0, rasterized=True
+        )
         known = law.connectivity[np.isfinite(vs)]
         grid = np.linspace(known.min(), known.max(), 200)
         fit = law.fit
@@ -163,6 +167,7 @@ def draw_laws(
         axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
         axes.legend(loc="upper right", fontsize=7)
         axes.set_ylim(0, 1.25 * np.nanmax(vs))
+    letter_panels(panels)
     panels[0].set_ylabel(VS_LABEL)
     colour_bar = figure.colorbar(
         mpl.cm.ScalarMappable(norm=points.norm, cmap=points.cmap), ax=panels, pad=0.01, aspect=35

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from calcidem.analysis.campaign_analysis import MeasuredSample
 from calcidem.analysis.figures.grains import draw_bands, draw_frame, draw_grains, draw_path
-from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
+from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
     C_CEMENT,
@@ -24,6 +24,7 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     apply_style,
     draw_scale_bar,
+    letter_panels,
     new_figure,
 )
 from calcidem.analysis.packing_graph import PackingGraph
@@ -71,7 +72,7 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
     for axes, sample in zip(grid[0], samples, strict=True):
         draw_grains(axes, graph, sample.kinds, cement_width=0.7)
         draw_frame(axes, packing)
-        axes.set_title(f"{sample.content:g} %", loc="center")
+        axes.set_title(f"{sample.content:g} %")
         corner = (left * MM, (middle - half) * MM)
         axes.add_patch(Rectangle(corner, 2 * half * MM, 2 * half * MM, fill=False, edgecolor=BLACK, linewidth=1.1))
     for axes, sample in zip(grid[1], samples, strict=True):
@@ -82,6 +83,7 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
             spine.set_visible(True)
             spine.set_linewidth(1.1)
             spine.set_edgecolor(BLACK)
+    letter_panels(grid.ravel())
     draw_scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
     draw_scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
     figure.legend(handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY], loc="outside lower center", ncols=4)
@@ -150,10 +152,14 @@ def draw_measurement(
         signals.set_axis_off()
     else:
         draw_signal_pair(signals, arrival)
-        signals.set_title(f"sample of seed {arrival.seed} at {arrival.content:g} %")
+        signals.set_title(f"seed {arrival.seed} at {arrival.content:g} %")
+        letter_panels((scene, signals))
         signals.set_xlabel("time (ms)")
         signals.set_box_aspect(1.0)
-        signals.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
+        read = {METHOD_STYLES[method][0]: f": {velocity:.0f} m/s" for method, velocity in arrival.velocities.items()}
+        handles, labels = signals.get_legend_handles_labels()
+        labels = [label + read.get(label, "") for label in labels]
+        signals.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
     return figure
 
 
@@ -190,6 +196,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
             f"longest cemented run {features.longest_bonded_run}",
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
+    letter_panels(panels)
     draw_scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
     figure.legend(
         handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY, _PATH_KEY, _BARE_KEY], loc="outside lower center", ncols=3

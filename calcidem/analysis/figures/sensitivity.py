@@ -20,6 +20,7 @@ from calcidem.analysis.figures.style import (
     SEQUENCE,
     VS_LABEL,
     apply_style,
+    letter_panels,
     new_figure,
     start_at_zero,
 )
@@ -64,9 +65,10 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
             )
         axes.set_title(f"{content:g} %")
         start_at_zero(axes)
+    letter_panels(panels[: len(contents)])
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
-    panels[0].legend(loc="lower right")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(_SHOWN_METHODS))
     figure.supxlabel(_FREQUENCY_LABEL, fontsize=9)
     figure.supylabel(VS_LABEL, fontsize=9)
     return figure
@@ -85,22 +87,24 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
     left, right = figure.subplots(1, 2)
     frequency = study["frequency"].to_numpy() * KHZ
     left.plot(frequency, frequency, color=GREY, linestyle=":", linewidth=1.2, label="equal")
-    for content, colour in zip(study["content"].to_numpy(), SEQUENCE, strict=False):
+    for place, (content, colour) in enumerate(zip(study["content"].to_numpy(), SEQUENCE, strict=False)):
+        aside = frequency + 0.012 * (place - 1) * np.ptp(frequency)  # so that no curve hides another
         for axes, name, scale in ((left, "received_frequency", KHZ), (right, "vs_peak", 1.0)):
             values = study[name].sel(content=content).transpose("seed", "frequency").to_numpy() * scale
             known = np.isfinite(values).any(axis=0)
             low, high = np.nanmin(values[:, known], axis=0), np.nanmax(values[:, known], axis=0)
             mean = np.nanmean(values[:, known], axis=0)
-            axes.fill_between(frequency[known], low, high, color=colour, alpha=0.15, linewidth=0)
-            axes.plot(frequency[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
+            axes.fill_between(aside[known], low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(aside[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
         used = float(study["campaign_frequency"].sel(content=content)) * KHZ
-        right.axvline(used, color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
+        right.axvline(used + aside[0] - frequency[0], color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
+    letter_panels((left, right))
     for axes in (left, right):
         axes.set_xlabel(_FREQUENCY_LABEL)
         start_at_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)
-    left.legend(loc="upper left")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=1 + study.sizes["content"])
     return figure
 
 
@@ -121,10 +125,10 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
     for (signals, velocities), content in zip(panels, contents, strict=True):
         chosen = study.sel(content=content)
         time = chosen["time"].to_numpy() * MS
-        largest = float(np.abs(chosen["received"]).max())
-        step = 0.75
-        for place, (factor, colour) in enumerate(zip(factors, colours, strict=True)):
-            signal = chosen["received"].sel(damping=factor).to_numpy() / largest
+        received = chosen["received"].transpose("damping", "time").to_numpy()
+        received = received / np.abs(received).max()
+        step = float(np.diff(received, axis=0).max(initial=0.0)) + 0.1  # so that no curve meets its neighbour
+        for place, (factor, signal, colour) in enumerate(zip(factors, received, colours, strict=True)):
             signals.plot(time, signal - step * place, color=colour, linewidth=1.2)
             signals.annotate(
                 f"{factor:g}",
@@ -144,6 +148,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
         velocities.set_ylabel(VS_LABEL)
         start_at_zero(velocities)
         velocities.set_xlim(0, 1.08 * factors[-1])
+    letter_panels(panels.ravel())
     panels[-1, 0].set_xlabel("time (ms)")
     panels[-1, 1].set_xlabel("damping factor")
     return figure
@@ -189,7 +194,8 @@ STUDY_FIGURES = (
         "study_frequency",
         "Excitation frequency",
         "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
-        "the sent one, with the range over samples; dashed where the campaign sends.",
+        "the sent one, with the range over samples; dashed where the campaign sends. Contents stand a little aside of "
+        "one another.",
         draw_frequency_study,
     ),
     StudyFigure(

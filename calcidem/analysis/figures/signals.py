@@ -4,11 +4,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from calcidem.analysis.figures.style import BLUE, GREEN, GREY, MS, ORANGE, VERMILION, apply_style, new_figure
+from calcidem.analysis.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    MS,
+    ORANGE,
+    VERMILION,
+    apply_style,
+    letter_panels,
+    new_figure,
+)
 
 _POINTING = 0.14
 METHOD_STYLES = {
@@ -96,7 +107,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
             markeredgecolor="white",
             markeredgewidth=0.7,
             zorder=5,
-            label=f"{label}: {arrival.velocities[method]:.0f} m/s",
+            label=label,
         )
     axes.set_xlim(0, time[-1])
     axes.set_ylim(min(-0.6, 1.1 * float(arrival.received.min()) / largest), 1.35)
@@ -119,11 +130,19 @@ def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
     arrivals
         From the least to the most cemented.
     """
-    figure = new_figure(height=0.5 + 1.45 * len(arrivals))
+    figure = new_figure(height=0.8 + 1.45 * len(arrivals))
     panels = figure.subplots(len(arrivals), 1, squeeze=False)[:, 0]
+    handles: dict[str, Artist] = {}
     for axes, arrival in zip(panels, arrivals, strict=True):
         draw_signal_pair(axes, arrival)
         axes.set_title(f"{arrival.content:g} %, seed {arrival.seed}")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        for line, (method, velocity) in enumerate(arrival.velocities.items()):
+            label, colour, _ = METHOD_STYLES[method]
+            text = f"{label}:\n{velocity:.0f} m/s"
+            axes.text(1.02, 1 - 0.36 * line, text, color=colour, va="top", fontsize=8, transform=axes.transAxes)
+        found, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, found, strict=True))
+    letter_panels(panels)
     panels[-1].set_xlabel("time (ms)")
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     return figure

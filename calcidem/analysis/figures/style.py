@@ -1,15 +1,17 @@
 """One look for all figures: colours, sizes, units, and how a figure is written to files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 
 P = ParamSpec("P")
 
@@ -95,6 +97,15 @@ def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def letter_panels(panels: Iterable[Axes]) -> None:
+    """Put (a), (b), ... before the titles on the left of a figure's panels; a single panel needs none."""
+    lettered = list(panels)
+    for place, axes in enumerate(lettered if len(lettered) > 1 else ()):
+        rounds, letter = divmod(place, len(ascii_lowercase))
+        name = (ascii_lowercase[rounds - 1] if rounds else "") + ascii_lowercase[letter]
+        axes.set_title(f"({name}) {axes.get_title(loc='left')}".rstrip(), loc="left")
+
+
 def start_at_zero(axes: Axes) -> None:
     """Let a vertical axis begin at zero, with some room above what is drawn."""
     axes.set_ylim(0, 1.06 * axes.get_ylim()[1])
@@ -124,13 +135,30 @@ def draw_scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> 
     )
 
 
-def render(figure: Figure, file_format: str) -> bytes:
-    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
+def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:
+    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes.
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    file_format
+        Which.
+    colours
+        Of a PNG, at most 256: pictures of grains have few colours, and are a sixth as large so.
+    """
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
     with mpl.rc_context(_STYLE):
         figure.savefig(buffer, format=file_format, metadata=metadata)
-    return buffer.getvalue()
+    if colours is None:
+        return buffer.getvalue()
+    with Image.open(buffer) as picture:
+        # Octree keeps rare colours such as those of thin rings, which median cut gives up.
+        palette = picture.convert("RGB").quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        small = BytesIO()
+        palette.save(small, "png", optimize=True)
+    return small.getvalue()
 
 
 def save(figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png", "svg", "pdf")) -> list[Path]:

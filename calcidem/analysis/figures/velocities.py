@@ -23,6 +23,7 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     VS_LABEL,
     apply_style,
+    letter_panels,
     new_figure,
 )
 from calcidem.analysis.published import PublishedVelocity
@@ -30,6 +31,8 @@ from calcidem.analysis.published import PublishedVelocity
 _LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""
 _HISTOGRAM_COLUMNS = 4
+_MANY = 30
+"""Marks of more samples than this are pixels in vector files, which keeps these small."""
 _PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
 
@@ -92,7 +95,7 @@ def _draw_range(
         values = vs.sel(content=row.content).to_numpy()
         label = "one sample" if row is rows[0] else None
         at = np.full(values.shape, row.content)
-        axes.plot(at, values, "o", color=BLACK, alpha=0.45, markersize=2.6, markeredgewidth=0, label=label)
+        axes.plot(at, values, "o", color=BLACK, alpha=0.45, ms=2.6, mew=0, label=label, rasterized=values.size > _MANY)
     axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
     if published:
         aside = _PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
@@ -131,6 +134,7 @@ def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistributio
         values = vs.sel(content=row.content).to_numpy()
         _draw_histogram(axes, values[np.isfinite(values)], row.vs)
         axes.set_title(f"{row.content:g} %", fontsize=8.5)
+    letter_panels(panels[: len(rows)])
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
     figure.supxlabel(VS_LABEL, fontsize=9)
@@ -154,7 +158,8 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     reach = 3.4 * row.standard_deviation
     grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
     axes.plot(grid, row.normal_fit.density(grid), color=VERMILION, linewidth=1.2)
-    axes.plot(values, np.zeros_like(values), "|", color=BLACK, markersize=4, markeredgewidth=0.5, clip_on=False)
+    ticks = {"color": BLACK, "markersize": 4, "markeredgewidth": 0.5, "rasterized": values.size > _MANY}
+    axes.plot(values, np.zeros_like(values), "|", clip_on=False, **ticks)
     p_value = row.normality.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
     text = f"n = {row.n}\nS = {row.skewness:.2f}\nK = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
@@ -184,7 +189,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()
     reference = cells["vs_peak"].to_numpy()
-    for name, (label, colour, marker) in METHOD_STYLES.items():
+    for (name, (label, colour, marker)), width in zip(METHOD_STYLES.items(), (4.5, 2.2, 0.9), strict=True):
         values = cells[f"vs_{name}"].to_numpy()
         ratio = 100 * (values / reference - 1)
         for axes, numbers in ((upper, values), (lower, ratio)):
@@ -193,10 +198,15 @@ def draw_methods(cells: xr.Dataset) -> Figure:
                 continue
             low, middle, high = np.nanquantile(numbers[:, known], [0.1, 0.5, 0.9], axis=0)
             axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
-            axes.plot(content[known], middle, color=colour, marker=marker, markersize=4, label=label)
+            # Each curve is thinner than those below it, so that none is hidden where they agree.
+            style = {"color": colour, "linewidth": width, "marker": marker, "markersize": 2.5 + width}
+            axes.plot(content[known], middle, label=label, **style)
+    upper.set_title("velocity")
+    lower.set_title("difference to peak to peak")
+    letter_panels((upper, lower))
     upper.set_ylabel(VS_LABEL)
     upper.legend(loc="upper left")
-    lower.set_ylabel("difference to\npeak to peak (%)")
+    lower.set_ylabel("difference (%)")
     lower.set_xlabel(CONTENT_LABEL)
     return figure
 
@@ -224,6 +234,7 @@ def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_formatter(lambda *_: "")
             axis.set_major_formatter(lambda value, _: f"{value:g}")
+    letter_panels(panels)
     panels[0].set_ylabel("half-width of the 95 % interval")
     figure.supxlabel("number of seeds", fontsize=9)
     handles, labels = panels[0].get_legend_handles_labels()

@@ -223,4 +223,5 @@ def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
 
 def _data_uri(figure: Figure, file_format: str) -> str:
     """Give a figure as a data URI, so that a page needs no other file."""
-    return f"data:{_MEDIA_TYPES[file_format]};base64,{b64encode(render(figure, file_format)).decode()}"
+    picture = render(figure, file_format, colours=256 if file_format == "png" else None)
+    return f"data:{_MEDIA_TYPES[file_format]};base64,{b64encode(picture).decode()}"

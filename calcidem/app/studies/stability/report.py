@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, new_figure
+from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, letter_panels, new_figure
 from calcidem.app.studies.stability.endurance import Endurance
 from calcidem.app.studies.stability.limits import Detection, Limits
 from calcidem.app.studies.stability.scenes import REGIMES, Extreme, Packed
@@ -19,6 +19,20 @@ _COLOURS = {
     StabilityVerdict.WRONG: VERMILION,
 }
 _PANELS_ACROSS = 2
+_AXIS_LABELS = {
+    "step_fraction": "time step / its predicted limit",
+    "contrast": "stiffness of bonds / of contacts",
+    "damping": "local damping factor",
+    "amplitude": "velocity of the pulse $v_0$ (m/s)",
+    "frequency": "frequency / cut-off of the contacts",
+    "size_ratio": "largest / smallest radius",
+    "content": "share of the capacity for cement",
+    "confinement": "confining stress (Pa)",
+    "missing": "share of the disks taken away",
+    "strength": "strength of bonds / stress of the pulse",
+    "floating": "number of floating disks",
+}
+"""What the quantities of `Extreme` are on the axes of the maps."""
 
 
 def stability_tables(
@@ -121,7 +135,7 @@ def _detection_table(rows: Iterable[Detection]) -> list[str]:
 def draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
     """Draw one row of marks for each regime along each quantity."""
     rows = -(-len(found) // _PANELS_ACROSS)
-    figure = new_figure(1.4 * rows)
+    figure = new_figure(1.6 * rows)
     panels = figure.subplots(rows, _PANELS_ACROSS, squeeze=False).ravel()
     for axes, (name, row) in zip(panels, found.items(), strict=False):
         for judgement in row:
@@ -130,7 +144,8 @@ def draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
                 axes.plot(*place, "s", color=_COLOURS[judgement.verdict], markersize=6)
         axes.set_xticks(range(len(WALKS[name])), [f"{value:g}" for value in WALKS[name]], fontsize=6)
         axes.set_yticks(range(len(REGIMES)), REGIMES, fontsize=7)
-        axes.set(ylim=(-0.6, len(REGIMES) - 0.4), title=name.replace("_", " "))
+        axes.set(ylim=(-0.6, len(REGIMES) - 0.4), xlabel=_AXIS_LABELS[name], ylabel="regime")
+    letter_panels(panels[: len(found)])
     for axes in panels[len(found) :]:
         axes.set_axis_off()
     handles = [panels[0].plot([], [], "s", color=colour, label=verdict)[0] for verdict, colour in _COLOURS.items()]
