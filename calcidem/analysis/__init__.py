@@ -10,6 +10,7 @@ simulates, so the same code serves a campaign, a table from a paper and somebody
 - `correlation`: Pearson and Spearman, over all contents and within one;
 - `path_envelope`, `weights`: the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error and prediction;
+- `predictor`: Vs of samples that were not simulated, with intervals;
 - `planning`: how many seeds are needed;
 - `published`, `published_check`: the reproduced study's tables, and whether they agree with themselves.
 """

@@ -4,6 +4,7 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import as_file, files
@@ -18,9 +19,11 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of, stored_packing
+from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -192,6 +195,46 @@ class OpenedCampaign(StoredCampaign):
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
         return static_speed(experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE)
+
+    def predict(
+        self,
+        *,
+        content: float,
+        seed: int | None = None,
+        pattern: CementPattern | None = None,
+        features: Mapping[str, float] | None = None,
+        level: float = 0.95,
+    ) -> Prediction:
+        """Predict Vs of a sample, and an interval, from the campaign's samples of that content; nothing is simulated.
+
+        Parameters
+        ----------
+        content
+            One of the campaign's, percent.
+        seed
+            Whose cement is drawn; if the campaign has this seed, it takes no part in the fit.
+        pattern, features
+            Instead of a seed: the cement, or path features by their names in `calcidem.analysis.features.FEATURES`.
+            Without any of the three the content alone predicts.
+        level
+            Probability with which Vs falls into the interval.
+
+        Raises
+        ------
+        QueryError
+            If the campaign has too few velocities at the content, or pattern or features do not fit it.
+
+        Examples
+        --------
+        >>> prediction = open_campaign("quick.db").predict(content=5.0, seed=501)
+        >>> 500.0 < prediction.interval.low < prediction.vs < prediction.interval.high < 3000.0
+        True
+        """
+        if features is None and pattern is None and seed is not None:
+            pattern = draw_pattern(self.experiment(), seed, content)
+        if features is None:
+            features = {} if pattern is None else path_features(self._graphs[0], pattern)
+        return predict_velocity(self, content, features, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample.

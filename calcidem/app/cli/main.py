@@ -33,6 +33,7 @@ _PANELS = {
     "Analyse": {
         "report": "One page with everything.",
         "analyse": "A folder of figures, tables and numbers.",
+        "predict": "Vs of a sample that was not simulated.",
         "study": "How Vs depends on frequency and damping.",
         "sensitivity": "How each choice changes mean and scatter of Vs.",
         "calibrate": "Fit parameters to measured velocities.",

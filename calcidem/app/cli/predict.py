@@ -1,0 +1,134 @@
+"""``calcidem predict``: Vs of a sample that was not simulated, and how far such predictions can be trusted."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.analysis.predictor import Prediction, PredictorCheck
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.prediction import check_predictions
+from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.tables import make_console
+from calcidem.storage.records import P_CONTACT, CementPattern
+
+
+def _parse_level(text: object) -> float:
+    """Probability that an interval can have; the bounds that Click checks let NaN through."""
+    level = float(str(text)) if str(text).replace(".", "", 1).isdigit() else 0.0
+    if not 0.5 <= level <= 0.999:  # noqa: PLR2004 - beyond them no campaign has the samples
+        raise typer.BadParameter(f"'{text}' is no probability from 0.5 to 0.999.")
+    return level
+
+
+def predict_command(
+    database: Database,
+    content: Annotated[
+        float | None,
+        typer.Option(help="Content of the sample, one of the campaign's, percent; without it all are checked."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed whose cement is drawn.")] = None,
+    pattern: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two numbers of grains a line, from 0 on."),
+    ] = None,
+    feature: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="Or a feature of its path, such as normalized_connectivity=0.6; repeatable."
+        ),
+    ] = None,
+    level: Annotated[float, typer.Option(parser=_parse_level, help="Probability of the interval.")] = 0.95,
+    campaign: CampaignName = None,
+) -> None:
+    """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
+
+    Every prediction comes with a check on samples left out one by one: how many fall into their interval, and whether
+    path features make it better than the content alone.
+    """
+    given = [option for option in (seed, pattern, feature) if option is not None]
+    if len(given) > 1 or (given and content is None):
+        raise typer.BadParameter("give --content, and one of --seed, --pattern and --feature or none of them")
+    cement = None if pattern is None else _read_pattern(pattern)
+    features = None if feature is None else dict(_read_feature(text) for text in feature)
+    with open_campaign(database, campaign) as opened:
+        if content is not None:
+            prediction = opened.predict(content=content, seed=seed, pattern=cement, features=features, level=level)
+            typer.echo(_prediction_line(content, prediction, level))
+        checks = check_predictions(opened, level=level)
+        if content is None:
+            make_console().print(_check_table(checks))
+            typer.echo(_overall_line(checks))
+        else:
+            for check in (check for known, check in checks.items() if np.isclose(known, content)):
+                typer.echo(_check_line(check))
+
+
+def _read_pattern(path: Path) -> CementPattern:
+    """Cemented contacts in a file; which of them are P and which C does not matter to a path."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as source:
+            rows = [[int(entry) for entry in row[:2]] for row in csv.reader(source) if row and row[0].strip().isdigit()]
+        contacts = np.array(rows, dtype=np.int32).reshape(len(rows), 2)
+    except ValueError as error:
+        raise typer.BadParameter(f"{path}: {error}; give two numbers of grains on each line") from error
+    return CementPattern(contacts, np.full(len(contacts), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
+
+
+def _read_feature(text: str) -> tuple[str, float]:
+    """Name and value of a feature."""
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError as error:
+        raise typer.BadParameter(f"'{text}': write NAME=VALUE, such as normalized_connectivity=0.6") from error
+
+
+def _prediction_line(content: float, prediction: Prediction, level: float) -> str:
+    """What is predicted, and from what."""
+    interval = prediction.interval
+    source = "content and path features" if prediction.uses_features else "the content alone"
+    return (
+        f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {interval.low:.0f} to "
+        f"{interval.high:.0f} m/s, from {source}."
+    )
+
+
+def _check_line(check: PredictorCheck) -> str:
+    """How such predictions fare on samples that were left out."""
+    text = (
+        f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
+        f"Mean interval score {check.score:.0f} m/s; {check.content_score:.0f} m/s for the content alone."
+    )
+    return text if check.features_help else f"{text} Path features add nothing within this content."
+
+
+def _check_table(checks: Mapping[float, PredictorCheck]) -> Table:
+    """Table of all contents."""
+    table = Table(box=SIMPLE_HEAD)
+    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "path features"):
+        table.add_column(name, justify="right")
+    for content, check in checks.items():
+        verdict = "help" if check.features_help else "add nothing"
+        numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{check.content_score:.1f}"
+        table.add_row(f"{content:g}", str(check.n), *numbers, verdict)
+    return table
+
+
+def _overall_line(checks: Mapping[float, PredictorCheck]) -> str:
+    """Coverage and scores over all samples."""
+    counts = [check.n for check in checks.values()]
+    if not counts:
+        return "No content has the four velocities that a check needs."
+    coverage, score, alone = np.average(
+        [(check.coverage, check.score, check.content_score) for check in checks.values()], axis=0, weights=counts
+    )
+    return (
+        f"In all, {100.0 * coverage:.1f} % of {sum(counts)} samples, predicted from the other seeds of their content, "
+        f"lay in their interval; mean interval score {score:.1f} m/s, {alone:.1f} m/s for the content alone."
+    )

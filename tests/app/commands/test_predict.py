@@ -1,0 +1,62 @@
+"""`calcidem predict` and `campaign.predict`: velocities of the tutorial's campaign without simulating."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign.prediction import FEATURE_NAMES, check_predictions
+from calcidem.storage.errors import QueryError
+from calcidem.storage.records import CementPattern
+
+
+def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: OpenedCampaign) -> None:
+    """The cement that a seed draws, given as a pattern or as features of its path, leads to one prediction."""
+    stored = campaign.cell(seed=2, content=5.0)
+    features = {name: float(getattr(stored.features, name)) for name in FEATURE_NAMES}
+    assert campaign.predict(content=5.0, pattern=stored.cement) == campaign.predict(content=5.0, features=features)
+    found = campaign.predict(content=5.0, seed=501)
+    assert found.interval.low < found.vs < found.interval.high
+    # A seed that the campaign has takes no part in its own prediction.
+    vs = campaign.vs().sel(content=5.0).dropna("seed")
+    alone = campaign.predict(content=5.0, seed=2, features={})
+    assert alone.vs == pytest.approx(float(np.exp(np.log(vs.drop_sel(seed=2)).mean())))
+    assert campaign.predict(content=5.0).vs == pytest.approx(float(np.exp(np.log(vs).mean())))
+
+
+def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
+    """A content without cells, an unknown feature, and contacts of another packing are told with a cure."""
+    with pytest.raises(QueryError, match=r"content = 4 %.*Choose among 0"):
+        campaign.predict(content=4.0)
+    with pytest.raises(QueryError, match="colour: no path feature"):
+        campaign.predict(content=5.0, features={"colour": 1.0})
+    strange = CementPattern(np.array([[0, 4000]]), np.array([1]), np.empty((0, 2)))
+    with pytest.raises(QueryError, match="do not touch"):
+        campaign.predict(content=5.0, pattern=strange)
+
+
+def test_the_command_predicts_and_says_how_far_to_trust_it(
+    campaign: OpenedCampaign, database: Path, tmp_path: Path, invoke: Callable[..., str]
+) -> None:
+    """A table over all contents, or one sample by seed, contacts or feature, each with its check."""
+    checks = check_predictions(campaign)
+    assert 0.0 not in checks  # one packing, no cement: nothing scatters
+    table = invoke("predict", database)
+    assert all(f"{check.content_score:.1f}" in table for check in checks.values())
+    count = sum(check.n for check in checks.values())
+    inside = sum(check.coverage * check.n for check in checks.values())
+    assert f"In all, {100 * inside / count:.1f} % of {count} samples" in " ".join(table.split())
+    cement = campaign.cell(seed=2, content=5.0).cement
+    assert cement is not None
+    contacts = tmp_path / "contacts.csv"
+    contacts.write_text("first,second\n" + "".join(f"{a},{b}\n" for a, b in cement.contacts.tolist()), encoding="utf-8")
+    one = " ".join(invoke("predict", database, "--content", 5, "--pattern", contacts).split())
+    assert f"5 %: Vs {campaign.predict(content=5.0, pattern=cement).vs:.0f} m/s, 95 %" in one
+    assert f"Mean interval score {checks[5.0].score:.0f} m/s" in one
+    assert ("add nothing" in one) != checks[5.0].features_help
+    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction=0.4", "--level", 0.9)
+    invoke("predict", database, "--seed", 3, exit_code=2)
+    invoke("predict", database, "--level", "nan", exit_code=2)
+    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction", exit_code=2)
