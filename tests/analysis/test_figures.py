@@ -4,11 +4,13 @@ import struct
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
+from string import ascii_lowercase
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
@@ -20,6 +22,9 @@ from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, 
 from calcidem.storage.campaign import open_stored_campaign
 
 pytestmark = pytest.mark.slow
+
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
+"""A campaign on the published sand."""
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +38,38 @@ def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
 def test_every_figure_is_drawn_and_written(
     entry: CampaignFigure, analysis: CampaignAnalysis, small_folder: tuple[Path, dict[str, str]]
 ) -> None:
-    """Each figure of the registry has labelled scales, and becomes a PNG of 150 dpi, an SVG and a PDF."""
+    """Each figure has labelled scales, lettered panels and free curves; it becomes PNG (150 dpi), SVG and PDF."""
     figure = entry.draw(analysis)
     png, svg, pdf = (small_folder[0] / f"{entry.name}.{ending}" for ending in ("png", "svg", "pdf"))
     width, height = struct.unpack(">II", png.read_bytes()[16:24])
     assert np.allclose([width, height], figure.get_size_inches() * 150, atol=1)
     assert ET.parse(svg).getroot().tag.endswith("svg")  # noqa: S314 - written just above
     assert pdf.read_bytes().startswith(b"%PDF")
+    panels = [axes for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"]
+    pictures = [axes.get_title(loc="left").partition(" ")[0] for axes in panels]
+    assert len(panels) == 1 or pictures == [f"({letter})" for letter in ascii_lowercase[: len(panels)]]
+    assert len(figure.legends) + sum(axes.get_legend() is not None for axes in panels) <= max(
+        1, entry.name == "laws" and 2
+    )
     labels = {figure.get_supxlabel(), *(axes.get_xlabel() for axes in figure.axes)}
     scaled = [axes for axes in figure.axes if axes.axison and axes.get_xticks().size and not axes.images]
     assert not scaled or labels != {""}
+    figure.draw_without_rendering()
+    assert not hidden_curves(figure)
+
+
+def hidden_curves(figure: Figure) -> list[str]:
+    """Titles of panels where a legend, an inset or a text lies on a point of a curve."""
+    found = []
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        boxes = [cover.get_window_extent() for cover in (*axes.child_axes, *axes.texts, legend) if cover]
+        for line in axes.lines:
+            points = axes.transData.transform(np.column_stack([line.get_xdata(), line.get_ydata()]).astype(float))
+            seen = points[((points >= axes.bbox.min) & (points <= axes.bbox.max)).all(axis=1)]
+            if len(seen) and any(box.count_contains(seen) for box in boxes):
+                found.append(axes.get_title(loc="left"))
+    return found
 
 
 def test_a_reading_that_no_cell_has_is_left_out_of_the_comparison(analysis: CampaignAnalysis) -> None:
@@ -109,13 +136,15 @@ def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None
 
 def test_sample_without_signal_is_unavailable(analysis: CampaignAnalysis) -> None:
     """A cell whose signal was not kept says so."""
-    with pytest.raises(UnavailableError, match="No signal is stored"):
+    with pytest.raises(UnavailableError, match="no signal is stored"):
         load_arrival(analysis, 6, 9.0)
 
 
-def test_published_means_are_shown_where_contents_match(analysis: CampaignAnalysis) -> None:
-    """Only the contents that the campaign shares with the published table are set beside it."""
-    assert [content for content, _ in published_velocities(analysis)] == [0.34, 0.66, 2.55, 5.0, 9.0]
+def test_published_means_are_shown_for_the_published_sand_where_contents_match(analysis: CampaignAnalysis) -> None:
+    """Only contents of the published table are set beside it, and only of its sand in its box."""
+    assert published_velocities(analysis) == []
+    with open_stored_campaign(TUTORIAL) as campaign:
+        assert [content for content, _ in published_velocities(CampaignAnalysis(campaign))] == [0.66, 2.55, 5.0, 9.0]
 
 
 def test_symbols_are_upright_where_they_are_names() -> None:

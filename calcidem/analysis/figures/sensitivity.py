@@ -125,7 +125,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
     for (signals, velocities), content in zip(panels, contents, strict=True):
         chosen = study.sel(content=content)
         time = chosen["time"].to_numpy() * MS
-        received = chosen["received"].transpose("damping", "time").to_numpy()
+        received = chosen["received"].transpose("damping", ...).to_numpy()
         received = received / np.abs(received).max()
         step = float(np.diff(received, axis=0).max(initial=0.0)) + 0.1  # so that no curve meets its neighbour
         for place, (factor, signal, colour) in enumerate(zip(factors, received, colours, strict=True)):

@@ -137,9 +137,8 @@ def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
         draw_signal_pair(axes, arrival)
         axes.set_title(f"{arrival.content:g} %, seed {arrival.seed}")
         for line, (method, velocity) in enumerate(arrival.velocities.items()):
-            label, colour, _ = METHOD_STYLES[method]
-            text = f"{label}:\n{velocity:.0f} m/s"
-            axes.text(1.02, 1 - 0.36 * line, text, color=colour, va="top", fontsize=8, transform=axes.transAxes)
+            text = f"{METHOD_STYLES[method][0]}:\n{velocity:.0f} m/s"
+            axes.text(1.02, 1 - 0.36 * line, text, va="top", fontsize=8, transform=axes.transAxes)
         found, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, found, strict=True))
     letter_panels(panels)

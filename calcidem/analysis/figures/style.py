@@ -97,13 +97,13 @@ def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def letter_panels(panels: Iterable[Axes]) -> None:
-    """Put (a), (b), ... before the titles on the left of a figure's panels; a single panel needs none."""
+def letter_panels(panels: Iterable[Axes], **look: float) -> None:
+    """Put (a), (b), ... before the titles on the left of several panels; `look` goes to `Axes.set_title`."""
     lettered = list(panels)
     for place, axes in enumerate(lettered if len(lettered) > 1 else ()):
         rounds, letter = divmod(place, len(ascii_lowercase))
         name = (ascii_lowercase[rounds - 1] if rounds else "") + ascii_lowercase[letter]
-        axes.set_title(f"({name}) {axes.get_title(loc='left')}".rstrip(), loc="left")
+        axes.set_title(f"({name}) {axes.get_title(loc='left')}".rstrip(), loc="left", **look)
 
 
 def start_at_zero(axes: Axes) -> None:

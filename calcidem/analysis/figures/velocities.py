@@ -128,17 +128,17 @@ def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistributio
     rows = [row for row in distributions if row.vs.n]
     columns = min(_HISTOGRAM_COLUMNS, len(rows))
     lines = math.ceil(len(rows) / columns)
-    figure = new_figure(height=0.45 + 1.35 * lines)
+    figure = new_figure(height=0.45 + 1.5 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, row in zip(panels, rows, strict=False):
         values = vs.sel(content=row.content).to_numpy()
         _draw_histogram(axes, values[np.isfinite(values)], row.vs)
-        axes.set_title(f"{row.content:g} %", fontsize=8.5)
-    letter_panels(panels[: len(rows)])
+        axes.set_title(f"{row.content:g} %")
+    letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
     figure.supxlabel(VS_LABEL, fontsize=9)
-    figure.supylabel("probability density, each panel on its own scale", fontsize=9)
+    figure.supylabel("probability density (own scales)", fontsize=9)
     return figure
 
 
@@ -162,18 +162,10 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.plot(values, np.zeros_like(values), "|", clip_on=False, **ticks)
     p_value = row.normality.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
-    text = f"n = {row.n}\nS = {row.skewness:.2f}\nK = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
-    axes.text(
-        0.02,
-        0.98,
-        text,
-        transform=axes.transAxes,
-        fontsize=6,
-        va="top",
-        linespacing=1.25,
-        color=BLACK if p_value >= 0.05 else VERMILION,  # noqa: PLR2004 - the usual level
-    )
-    axes.set_ylim(0, axes.get_ylim()[1] * 1.12)
+    text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
+    colour = BLACK if p_value >= 0.05 else VERMILION  # noqa: PLR2004 - the usual level
+    axes.text(0, 1.03, text, transform=axes.transAxes, fontsize=6, color=colour)
+    axes.set_ylim(0, axes.get_ylim()[1] * 1.05)
 
 
 @apply_style
@@ -189,7 +181,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()
     reference = cells["vs_peak"].to_numpy()
-    for (name, (label, colour, marker)), width in zip(METHOD_STYLES.items(), (4.5, 2.2, 0.9), strict=True):
+    for (name, (label, colour, marker)), width in zip(METHOD_STYLES.items(), (3.6, 2.0, 0.9), strict=True):
         values = cells[f"vs_{name}"].to_numpy()
         ratio = 100 * (values / reference - 1)
         for axes, numbers in ((upper, values), (lower, ratio)):
