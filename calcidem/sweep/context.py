@@ -13,7 +13,9 @@ from calcidem.sweep.signals import StopRequest
 
 
 class Sink(Protocol):
-    """What the caller of a sweep gives to have its outcomes kept; used on rank 0 only.
+    """What the caller of a sweep gives to have its outcomes kept; used on rank 0 only, by one thread at a time.
+
+    Where there are workers it is not the main thread, so that no worker waits for the disk (`GroupCommit`).
 
     An outcome is acknowledged once `store` has returned, so it must be on disk by then. A sweep that was
     killed may have stored a batch that it computes again later: storing twice must equal storing once.
@@ -21,7 +23,7 @@ class Sink(Protocol):
     """
 
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
-        """Keep final outcomes, one or several that arrived together."""
+        """Keep final outcomes, one or several."""
 
     def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
         """Keep that a worker was lost over a batch; `batch.losses` counts this loss already.
@@ -53,7 +55,7 @@ class SweepContext(Generic[CellT]):
     options: SweepOptions
 
     def store(self, outcomes: list[BatchOutcome[CellT, Any]]) -> None:
-        """Store final outcomes together, so that a fast sweep pays for few transactions, and show them."""
+        """Store final outcomes and show them."""
         if not outcomes:
             return
         self.sink.store(outcomes)

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from calcidem.sweep.batch import CellT
 from calcidem.sweep.channel import tell_command
 from calcidem.sweep.context import SweepContext
+from calcidem.sweep.group_commit import GroupCommit
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.protocol import Backoff
 from calcidem.sweep.signals import StopLevel
@@ -37,7 +38,8 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     tell_command("sweeping")
     pool: WorkerPool[CellT] = WorkerPool(comm, options, fault_tolerant)
     try:
-        state, detail = _master_exec(pool, context)
+        with GroupCommit(context) as commits:
+            state, detail = _master_exec(pool, context, commits)
     except BaseException as error:
         _master_stop(pool, SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
         raise
@@ -46,7 +48,9 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     return _master_stop(pool, end, options.hurry_grace if context.stop_request.hurry() else options.stop_grace)
 
 
-def _master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple[SweepState, str]:
+def _master_exec(
+    pool: WorkerPool[CellT], context: SweepContext[CellT], commits: GroupCommit[CellT]
+) -> tuple[SweepState, str]:
     """Hand out batches and take in outcomes until there is a reason to end; return it."""
     backoff = Backoff()
     next_heartbeat = 0.0
@@ -56,10 +60,10 @@ def _master_exec(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> tuple
         outcomes = pool.receive()
         losses = pool.remove(lost)
         settled = (context.schedule.settle(outcome) for outcome in outcomes)
-        final = [outcome for outcome in settled if outcome is not None]
-        handed_out = level is StopLevel.NONE and _hand_out(pool, context)
-        context.store(final)  # after handing out, so that no worker waits for it
-        _account_for(losses, context)
+        commits.add(*(outcome for outcome in settled if outcome is not None))
+        handed_out = level is StopLevel.NONE and not commits.is_full and _hand_out(pool, context)
+        commits.advance()
+        _account_for(losses, context, commits)
 
         if (end := _reason_to_end(pool, context, level)) is not None:
             return end
@@ -89,18 +93,19 @@ def _hand_out(pool: WorkerPool[CellT], context: SweepContext[CellT]) -> bool:
     return handed_out
 
 
-def _account_for(losses: list[Loss[CellT]], context: SweepContext[CellT]) -> None:
+def _account_for(losses: list[Loss[CellT]], context: SweepContext[CellT], commits: GroupCommit[CellT]) -> None:
     """Store what the loss of workers means for the batches that they had."""
     for loss in losses:
         context.progress.on_loss(loss.place, loss.reason)
         # Once the sweep is to end at once, workers may be dying of the same signal: no cell is to blame.
         if loss.batch is None or context.stop_request.hurry():
             continue
-        context.sink.store_loss(loss.batch.with_another_loss(), loss.reason)
+        commits.add_loss(loss.batch.with_another_loss(), loss.reason)
         outcome: BatchOutcome[CellT, Any] | None = context.schedule.lose(
             loss.batch, loss.reason, loss.place, loss.seconds
         )
-        context.store([outcome] if outcome is not None else [])
+        if outcome is not None:
+            commits.add(outcome)
 
 
 def _reason_to_end(

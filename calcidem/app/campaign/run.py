@@ -187,7 +187,7 @@ class CampaignRun:
         self.record = self.store.use_campaign(plan.name)
         pending = self.store.pending(plan.seed_numbers, plan.contents)
         self.sink = StoreSink(self.store, pending)
-        self.lease_keeper = LeaseKeeper(self.store)
+        self.lease_keeper = LeaseKeeper(self.store, self.sink.busy)
         self.batches = plan_batches(
             [(key.seed, key.content) for key in pending],
             run.lanes,

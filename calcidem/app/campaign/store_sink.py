@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any
 
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
@@ -27,6 +28,8 @@ class StoreSink:
 
     def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
         self._store = store
+        self.busy = Lock()
+        """Held while outcomes are stored."""
         self._counts = store.attempt_counts(keys) if keys else {}
 
     @property
@@ -37,7 +40,8 @@ class StoreSink:
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
         """Write the outcomes in one transaction."""
         results = [result for outcome in outcomes for result in self._results(outcome)]
-        self._store.record_results(results)
+        with self.busy:
+            self._store.record_results(results)
         for result in results:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
@@ -72,17 +76,22 @@ class LeaseKeeper:
     ----------
     store
         Whose lease this process holds.
+    busy
+        Held while another thread uses the store.
     """
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
+    def __init__(self, store: Store, busy: Lock) -> None:
+        self._store, self._busy = store, busy
         self._next = time.monotonic() + _RENEWAL_INTERVAL
 
     def __call__(self) -> None:
-        """Renew the lease if it is time to."""
-        if time.monotonic() > self._next:
-            self._next = time.monotonic() + _RENEWAL_INTERVAL
-            self._store.renew_lease()
+        """Renew the lease if it is time to; storing outcomes renews it as well."""
+        if time.monotonic() > self._next and self._busy.acquire(blocking=False):
+            try:
+                self._next = time.monotonic() + _RENEWAL_INTERVAL
+                self._store.renew_lease()
+            finally:
+                self._busy.release()
 
 
 @dataclass(frozen=True, slots=True)

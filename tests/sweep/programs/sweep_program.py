@@ -36,7 +36,7 @@ class Sink:
     """Keeps outcomes in an SQLite file; can be told to kill the master around the n-th commit."""
 
     def __init__(self, path: Path, die: str, die_at: int) -> None:
-        self._connection = sqlite3.connect(path, isolation_level=None)
+        self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)  # one thread at a time
         self._connection.execute("pragma journal_mode = wal")
         self._connection.execute("pragma synchronous = full")
         self._connection.executescript(SCHEMA)

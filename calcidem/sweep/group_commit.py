@@ -1,0 +1,101 @@
+"""Outcomes are stored in groups, beside the exchange of messages: no worker waits for the disk."""
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Generic, Self
+
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.context import SweepContext
+from calcidem.sweep.outcome import BatchOutcome
+
+_INTERVAL = 0.1
+"""Seconds between the beginnings of two groups: a transaction costs as much as the rows of two or three batches."""
+
+_MOST_WAITING = 512
+"""Outcomes that may wait for the store before no more batches are handed out; some 200 kB each."""
+
+
+class GroupCommit(Generic[CellT]):
+    """Stores final outcomes on a thread of its own, in the order given, and acknowledges them once they are stored.
+
+    While a group is stored the next one gathers. As a context manager it stores in the end what has been added, unless
+    the sink has failed.
+
+    Parameters
+    ----------
+    context
+        With the sink, which is used by one thread at a time, and the progress display, which sees stored outcomes only.
+    """
+
+    def __init__(self, context: SweepContext[CellT]) -> None:
+        self._context = context
+        self._thread = ThreadPoolExecutor(1, "store")
+        self._waiting: list[BatchOutcome[CellT, Any]] = []
+        self._group: list[BatchOutcome[CellT, Any]] = []
+        self._stored: Future[None] | None = None
+        self._next_begin = 0.0
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so many outcomes wait that no more should be asked for."""
+        return len(self._waiting) > _MOST_WAITING
+
+    def add(self, *outcomes: BatchOutcome[CellT, Any]) -> None:
+        """Have outcomes stored, with others and before long."""
+        self._waiting.extend(outcomes)
+
+    def add_loss(self, batch: Batch[CellT], reason: str) -> None:
+        """Store that a worker was lost, at once and after all outcomes so far."""
+        self.flush()
+        self._context.sink.store_loss(batch, reason)
+
+    def advance(self) -> None:
+        """Acknowledge a group that is stored by now, and begin with the next one if it is time; does not wait.
+
+        Raises
+        ------
+        Exception
+            Whatever the sink has raised; the outcomes that wait are dropped.
+        """
+        if self._stored is not None and self._stored.done():
+            self._acknowledge()
+        if self._stored is None and self._waiting and time.monotonic() >= self._next_begin:
+            self._begin()
+
+    def flush(self) -> None:
+        """Return once all outcomes are stored and acknowledged; raises what `advance` does."""
+        while self._stored is not None or self._waiting:
+            if self._stored is None:
+                self._begin()
+            self._acknowledge()
+
+    def _begin(self) -> None:
+        self._next_begin = time.monotonic() + _INTERVAL
+        self._group, self._waiting = self._waiting, []
+        self._stored = self._thread.submit(self._context.sink.store, self._group)
+
+    def _acknowledge(self) -> None:
+        """Wait for the group that is being stored, and show its outcomes."""
+        stored, self._stored = self._stored, None
+        if stored is None:
+            return
+        try:
+            stored.result()
+        except BaseException:
+            self._waiting.clear()
+            raise
+        for outcome in self._group:
+            self._context.progress.on_outcome(outcome)
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Store what waits; an error that is on its way goes first."""
+        with self._thread, suppress(*(() if error is None else (Exception,))):
+            self.flush()
