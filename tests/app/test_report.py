@@ -1,19 +1,25 @@
 """The report, the folder of figures and tables, and the closer look at one cell, from a small real campaign."""
 
 import csv
+import json
 import re
+import zlib
+from base64 import b64decode
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.app.report import show_cell, write_report
+from calcidem.app.report import cell_data, show_cell, write_report
+from calcidem.app.report import page as page_of_report
+from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import parameter_table
-from calcidem.app.report.results import outcome_table, velocity_table
+from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
@@ -21,7 +27,9 @@ from calcidem.storage.errors import UnknownCellError
 
 pytestmark = pytest.mark.slow
 
-VOID = {"meta", "link", "img", "br"}
+VOID = {"meta", "link", "img", "br", "input"}
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
+"""A campaign on the published sand; the small one is on a sand of its own."""
 
 
 class PageReader(HTMLParser):
@@ -58,11 +66,10 @@ def page(small_report: Path) -> str:
 
 
 def test_page_is_well_formed_and_needs_nothing_else(page: str) -> None:
-    """All tags are closed, and every link leads into the page itself: no script, no file, no network."""
+    """All tags are closed, and every link and script is in the page itself: no file, no network."""
     reader = PageReader()
     reader.feed(page)
     assert reader.open == []
-    assert "script" not in reader.tags
     for link in reader.links:
         assert link.startswith("data:") or link[1:] in reader.anchors
 
@@ -90,28 +97,84 @@ def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: P
     assert "the worker ran out of memory" in page
 
 
-def test_calibrated_parameters_are_named(small_database: Path) -> None:
+def test_calibrated_parameters_are_named() -> None:
     """What differs from the published or the literal value is marked, what agrees is not."""
-    with open_stored_campaign(small_database) as campaign:
+    with open_stored_campaign(TUTORIAL) as campaign:
         table = parameter_table(campaign.config)
-    marked = {table.rows[place][0] for place in table.marked}
-    assert {"sand.wave_stiffness_factor", "pattern.p_share", "wave.amplitude", "packing.width"} <= marked
-    assert not {"sand.shear_modulus", "wave.damping", "pattern.cluster_area"} & marked
-
-
-def test_published_table_shows_disagreeing_verdicts(small_database: Path) -> None:
-    """At 0.34 % the published verdict and the one from the published moments differ, and both are shown."""
-    with open_stored_campaign(small_database) as campaign:
-        table = published_table(CampaignAnalysis(campaign))
     assert table is not None
-    row = dict(zip(table.header[6:], next(row for row in table.rows if row[0] == "0.34")[6:], strict=True))
-    assert row["printed as normal"] == "yes"
-    assert row["normal by printed moments"].startswith("no")
-    assert any("Table 3, 0.34 %" in finding[0] for finding in disagreement_table().rows)
+    marked = {table.rows[place][0] for place in table.marked}
+    assert {"sand.wave_stiffness_factor", "pattern.p_share", "wave.amplitude"} <= marked
+    assert not {"sand.shear_modulus", "wave.damping", "packing.width"} & marked
 
 
-def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path) -> None:
+def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:
+    """A sand in a box of its own has no row, column or remark about what was published."""
+    assert "published" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL).lower()
+    with open_stored_campaign(small_database) as campaign:
+        analysis = CampaignAnalysis(campaign)
+        assert parameter_table(campaign.config) is None
+        assert published_table(analysis) is None
+        assert disagreement_table(analysis) is None
+        assert growth_table(analysis) is None
+
+
+def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
+    """Signals to a step of the screen, arrivals, paths and every cemented contact come back from the page's blocks."""
+    with open_stored_campaign(small_database) as campaign:
+        analysis = CampaignAnalysis(campaign)
+        blocks = gather_cell_data(analysis).blocks
+        cell, graph = campaign.cell(seed=3, content=5.0), analysis.graphs[0]
+        path = analysis.sample(3, 5.0).path.grains
+    seed, packing, records = (
+        json.loads(zlib.decompress(b64decode(blocks[name]))) for name in ("seed-3", "packing-0", "records")
+    )
+    assert cell.signal is not None
+    assert cell.cement is not None
+    place = [described["content"] for described in seed].index(5.0)
+    described, kinds = seed[place], np.zeros(len(packing["second"]), dtype=np.uint8)
+    for earlier in seed[: place + 1]:
+        for kind, rows in enumerate(earlier["cement"]):
+            kinds[np.cumsum(rows, dtype=int)] = kind
+    assert np.array_equal(kinds, graph.kinds(cell.cement))
+    assert tuple(np.cumsum(described["path"])) == path
+    assert np.array_equal(np.cumsum(packing["first"]), graph.graph.pairs[:, 0])
+    received = described["signal"]["received"]
+    values = np.cumsum(received["steps"]) / 2000 * received["largest"]
+    stride = round(described["signal"]["interval"] / (1e3 * cell.signal.sampling_interval))
+    assert np.allclose(values, cell.signal.received_velocity[::stride], atol=1e-3 * received["largest"])
+    vs = records["columns"]["vs"][records["seeds"].index(3) * len(records["contents"]) + records["contents"].index(5.0)]
+    assert vs == pytest.approx(cell.vs, rel=1e-5)
+
+
+def test_large_campaigns_leave_out_what_a_page_cannot_hold(
+    small_database: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
+    monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
+    monkeypatch.setattr(cell_data, "_MOST_BYTES", 20_000)
+    with open_stored_campaign(small_database) as campaign:
+        found = gather_cell_data(CampaignAnalysis(campaign))
+    shown = [name for name in found.blocks if name.startswith("seed-")]
+    assert 0 < len(shown) < 6
+    assert sum(len(found.blocks[name]) for name in shown) <= 20_000
+    assert found.remarks[0].startswith("Of each of the 36 cells only 6 quantities")
+    assert found.remarks[1].startswith(f"Signals and samples of {len(shown)} of 6 seeds")
+
+
+def test_published_table_stands_beside_the_published_sand() -> None:
+    """The tutorial's contents have published rows, and what disagrees among these is listed."""
+    with open_stored_campaign(TUTORIAL) as campaign:
+        analysis = CampaignAnalysis(campaign)
+        table, findings = published_table(analysis), disagreement_table(analysis)
+    assert table is not None
+    assert findings is not None
+    assert [row[0] for row in table.rows] == ["0.66", "2.55", "5", "9"]
+    assert any("Table 3, 0.34 %" in finding[0] for finding in findings.rows)
+
+
+def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has the figures of the studies that it is given."""
+    monkeypatch.setattr(page_of_report, "SECTIONS", ())  # the other figures need not be drawn again
     studies = run_studies(small_database, ["damping"], contents=[0.66])
     text = write_report(small_database, tmp_path / "r.html", studies=studies).read_text(encoding="utf-8")
     assert '<figure id="figure-study_damping">' in text

@@ -4,6 +4,7 @@ import json
 import zlib
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -131,7 +132,8 @@ def _describe_cells(
             changed = kinds != before.get(cell.packing_index, np.zeros_like(kinds))
             before[cell.packing_index] = kinds
             described["cement"] = [_steps(np.flatnonzero(changed & (kinds == kind))) for kind in (0, 1, 2)]
-            described["path"] = _steps(cell.features.path if cell.features else ())
+            with suppress(ValueError):  # of samples through which no path leads
+                described["path"] = _steps(graph.path(kinds > 0, cell.features.path if cell.features else ()).grains)
         yield described
 
 

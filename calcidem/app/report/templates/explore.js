@@ -405,7 +405,7 @@
         one.cement.forEach((rows, kind) => sums(rows).forEach((row) => (kinds[row] = kind)));
         if (one === cell) break;
       }
-      Object.assign(details, { packing, kinds, path: sums(cell.path) });
+      Object.assign(details, { packing, kinds, path: sums(cell.path ?? []) });
     }
     if (opened === place) showCell(place);
   }
