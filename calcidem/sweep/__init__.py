@@ -12,7 +12,7 @@ from calcidem.sweep.context import Sink
 from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
-from calcidem.sweep.progress import BarProgress, LineProgress, Progress, progress_for
+from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Tally
 from calcidem.sweep.session import Session
@@ -32,7 +32,6 @@ __all__ = [
     "EXIT_COMPLETE",
     "EXIT_ERROR",
     "EXIT_RESUMABLE",
-    "BarProgress",
     "Batch",
     "BatchOutcome",
     "Cell",
@@ -40,7 +39,6 @@ __all__ = [
     "Failure",
     "FailureKind",
     "LaunchError",
-    "LineProgress",
     "MasterLostError",
     "Place",
     "Progress",
@@ -56,7 +54,6 @@ __all__ = [
     "Tally",
     "TimeLimitReached",
     "plan_batches",
-    "progress_for",
     "refuse_singletons",
     "run_sweep",
 ]

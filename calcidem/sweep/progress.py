@@ -1,14 +1,9 @@
-"""What a person sees while a sweep runs: a bar on a terminal, lines in a log."""
+"""What a sweep tells about itself while it runs, and words for durations, numbers and ends."""
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
-import rich.progress
-from rich.console import Console
-
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.forecast import Forecast
 from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.sweep_end import SweepEnd
 
@@ -32,126 +27,6 @@ class Progress:
         """Take note that the sweep has ended."""
 
 
-class _ConsoleProgress(Progress):
-    """Counts, and tells failures, lost workers and the end at once."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._forecast = Forecast([])
-
-    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:  # noqa: ARG002 - for those derived from it
-        """Begin to count."""
-        self._forecast = Forecast(batches)
-
-    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count, and tell of a failure."""
-        self._forecast.record(outcome)
-        if outcome.failure is not None:
-            cells, place = ", ".join(str(cell) for cell in outcome.batch.cells), outcome.place
-            self._tell(
-                f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
-            )
-
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Tell which worker is lost."""
-        self._tell(f"lost rank {place.rank} ({place.host}): {reason}")
-
-    def on_end(self, end: SweepEnd) -> None:
-        """Tell how it ended."""
-        self._tell(_end_line(end))
-
-    def _tell(self, line: str) -> None:
-        self._console.print(line, markup=False, highlight=False)
-
-
-class LineProgress(_ConsoleProgress):
-    """Writes a line now and then, for logs of batch systems.
-
-    The pause between two lines starts at `shortest` seconds and grows by half each time up to `longest`, so
-    that a short run shows something and a run of days doesn't fill its log.
-
-    Parameters
-    ----------
-    console
-        Where to write.
-    shortest, longest
-        Limits of the pause in s.
-    """
-
-    def __init__(self, console: Console, shortest: float = 5.0, longest: float = 600.0) -> None:
-        super().__init__(console)
-        self._pause = shortest
-        self._longest = longest
-        self._next = time.monotonic() + shortest
-
-    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Write how much there is to do."""
-        super().on_start(batches, workers)
-        self._tell(f"{self._forecast.total} cells in {len(batches)} batches on {pluralize(workers, 'worker')}")
-
-    def on_heartbeat(self, workers: int, running: int) -> None:  # noqa: ARG002 - the bar shows it
-        """Write how far the sweep is, if it is time to."""
-        if time.monotonic() < self._next:
-            return
-        self._pause = min(1.5 * self._pause, self._longest)
-        self._next = time.monotonic() + self._pause
-        done, total = self._forecast.settled, self._forecast.total
-        left = duration(self._forecast.seconds_left(workers))
-        self._tell(f"{done} of {total} cells ({done / max(total, 1):.0%}), {left} left, {pluralize(workers, 'worker')}")
-
-    def _tell(self, line: str) -> None:
-        self._console.print(f"{time.strftime('%H:%M:%S')} {line}", markup=False, highlight=False, soft_wrap=True)
-
-
-class BarProgress(_ConsoleProgress):
-    """Draws a bar with the time left on a terminal, and writes above it.
-
-    The bar is drawn at the sweep's own heartbeats and not by a thread, which would cost as much as the master.
-    """
-
-    def __init__(self, console: Console) -> None:
-        super().__init__(console)
-        self._bar = rich.progress.Progress(
-            rich.progress.TextColumn("{task.description}"),
-            rich.progress.BarColumn(),
-            rich.progress.MofNCompleteColumn(),
-            rich.progress.TextColumn("cells"),
-            rich.progress.TimeElapsedColumn(),
-            rich.progress.TextColumn("{task.fields[left]} left"),
-            rich.progress.TextColumn("{task.fields[workers]}"),
-            console=console,
-            auto_refresh=False,
-        )
-        self._task = self._bar.add_task("computing", total=None, left="?", workers="")
-
-    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Draw the empty bar."""
-        super().on_start(batches, workers)
-        self._bar.update(self._task, total=self._forecast.total, workers=pluralize(workers, "worker"))
-        self._bar.start()
-
-    def on_heartbeat(self, workers: int, running: int) -> None:
-        """Draw the bar again."""
-        self._bar.update(
-            self._task,
-            completed=self._forecast.settled,
-            left=duration(self._forecast.seconds_left(workers)),
-            workers=f"{running} of {pluralize(workers, 'worker')} busy",
-        )
-        self._bar.refresh()
-
-    def on_end(self, end: SweepEnd) -> None:
-        """Draw the bar for the last time and write how it ended."""
-        self._bar.update(self._task, completed=self._forecast.settled, left="0 s", workers="")
-        self._bar.stop()
-        super().on_end(end)
-
-
-def progress_for(console: Console) -> Progress:
-    """Return the display that suits a console: a bar on a terminal, lines anywhere else."""
-    return BarProgress(console) if console.is_terminal else LineProgress(console)
-
-
 def duration(seconds: float | None) -> str:
     """Return a duration for a person: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
     if seconds is None:
@@ -168,7 +43,7 @@ def duration(seconds: float | None) -> str:
     return f"{days} d {hours} h"
 
 
-def _end_line(end: SweepEnd) -> str:
+def end_line(end: SweepEnd) -> str:
     """Return one line about how a sweep ended."""
     tally = end.tally
     parts = [
@@ -183,6 +58,6 @@ def _end_line(end: SweepEnd) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def pluralize(number: int, noun: str) -> str:
+def pluralize(number: int, noun: str, plural: str = "") -> str:
     """Return a number with its noun: `1 worker`, `2 workers`."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+    return f"{number} {noun}" if number == 1 else f"{number} {plural or f'{noun}s'}"

@@ -96,6 +96,8 @@ class RankWatch:
         What rank 0 has said of its end: None if nothing, and the signal that asked for it.
     killed_at_start
         Whether a signal has ended a rank that had not joined.
+    progress
+        What rank 0 has said last of how far the run is; empty if nothing.
     """
 
     def __init__(self, size: int, start_timeout: float, silence_timeout: float) -> None:
@@ -114,6 +116,7 @@ class RankWatch:
         self.exit_code: int | None = None
         self.exit_reason = ""
         self.killed_at_start = False
+        self.progress = ""
         self._token = secrets.token_hex(16)
         port = self._listener.getsockname()[1]
         hosts = [*_own_addresses(), socket.gethostname()]
@@ -287,10 +290,12 @@ class RankWatch:
                 rank.joined = True
             case "sweeping":
                 self._sweeping = True
-            case "beat":
-                self._heartbeat = self._seconds
-            case "pause":
-                self._heartbeat = None
+            case "beat" | "pause":
+                self._heartbeat = self._seconds if word == "beat" else None
+            case "progress":
+                self.progress = rest
+                with suppress(OSError):
+                    rank.connection.send(b"heard\n")
             case "exit":
                 code, self.exit_reason = [*rest.split(), ""][:2]
                 self.exit_code, self._heartbeat, self._death = int(code), None, self._seconds

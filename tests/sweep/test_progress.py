@@ -1,21 +1,6 @@
-import io
-
 import pytest
-from rich.console import Console
 
-from calcidem.sweep import (
-    BarProgress,
-    Batch,
-    BatchOutcome,
-    Failure,
-    FailureKind,
-    LineProgress,
-    Place,
-    Progress,
-    SweepEnd,
-    SweepState,
-    progress_for,
-)
+from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.forecast import Forecast
 from calcidem.sweep.progress import duration
 
@@ -73,43 +58,3 @@ def test_no_time_is_left_in_the_end() -> None:
 def test_durations_read_well(seconds: float | None, text: str) -> None:
     """A duration is given in the two largest units that matter."""
     assert duration(seconds) == text
-
-
-def tell_a_story(progress: Progress) -> None:
-    """Let a display live through a sweep with a failure and a lost worker."""
-    progress.on_start(BATCHES, workers=2)
-    progress.on_outcome(done(BATCHES[0], 10.0))
-    failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
-    progress.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
-    progress.on_loss(PLACE, "its process ended")
-    progress.on_heartbeat(workers=1, running=1)
-    progress.on_end(SweepEnd(SweepState.STOPPED, "SIGUSR1: running batches were finished"))
-
-
-def test_lines_tell_what_matters() -> None:
-    """In a log there are lines for the start, a failure, a loss, the time left and the end, without colours."""
-    stream = io.StringIO()
-    tell_a_story(LineProgress(Console(file=stream, width=60), shortest=0.0))
-    text = stream.getvalue()
-    assert "3 cells in 3 batches on 2 workers" in text
-    assert "failed: 1 on rank 2 (node7): ZeroDivisionError: on order" in text
-    assert "lost rank 2 (node7): its process ended" in text
-    assert "2 of 3 cells (67%), 30 s left, 1 worker\n" in text
-    assert "stopped after 0 s, 0 cells settled, SIGUSR1: running batches were finished" in text
-    assert "\x1b" not in text
-
-
-def test_the_bar_shows_count_and_time_left() -> None:
-    """On a terminal the bar has the number of cells and the time left."""
-    stream = io.StringIO()
-    tell_a_story(BarProgress(Console(file=stream, force_terminal=True, width=120)))
-    text = stream.getvalue()
-    assert "2/3" in text
-    assert "30 s left" in text
-    assert "lost rank 2" in text
-
-
-def test_the_display_suits_the_console() -> None:
-    """A terminal gets a bar, anything else gets lines."""
-    assert isinstance(progress_for(Console(file=io.StringIO())), LineProgress)
-    assert isinstance(progress_for(Console(file=io.StringIO(), force_terminal=True)), BarProgress)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+from calcidem.app.campaign.screen import CommandScreen
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
 from calcidem.sweep.rank_watch import RankWatch
@@ -105,9 +106,9 @@ class Launch:
         mpirun = find_mpirun()
         failure, begun = "", False
         hosts: dict[str, int] = {}
-        with _Relay() as relay:
+        with _Relay() as relay, CommandScreen() as screen:
             for restart in range(self.restarts + 1):
-                end = self._once(mpirun, relay, hosts)
+                end = self._once(mpirun, relay, screen, hosts)
                 begun |= not end.failure_at_start
                 same_failure = bool(failure) and end.failure_at_start == failure
                 if not end.worth_a_restart or same_failure or restart == self.restarts:
@@ -115,10 +116,12 @@ class Launch:
                 failure, hosts = end.failure_at_start, end.hosts
                 if relay.wait_for_signal(_RESTART_PAUSE):
                     break
-                _say(f"Restart {restart + 1} of {self.restarts}.")
+                screen.say(f"Restart {restart + 1} of {self.restarts}.")
         return EXIT_RESUMABLE if begun and end.failure_at_start else end.code
 
-    def _once(self, mpirun: str, relay: "_Relay", hosts: dict[str, int], *, again: bool = True) -> "_LaunchEnd":
+    def _once(
+        self, mpirun: str, relay: "_Relay", screen: CommandScreen, hosts: dict[str, int], *, again: bool = True
+    ) -> "_LaunchEnd":
         """Start the launcher, ``again`` if it fails by itself, and see to its end.
 
         ``hosts`` are those to use, with their numbers of ranks, if some of the former start are lost; else it is empty.
@@ -126,31 +129,35 @@ class Launch:
         name = Path(mpirun).name
         ranks = sum(hosts.values()) or self.ranks
         with RankWatch(ranks, self.start_timeout, self.silence_timeout) as watch:
-            process = self._start(mpirun, watch.address, ranks, hosts)
-            why = _attend(process, watch, relay)
+            process = self._start(mpirun, watch.address, ranks, hosts, screen.outputs)
+            screen.begin(process, ranks)
+            why = _attend(process, watch, relay, screen)
             killed_at_start = watch.killed_at_start
             watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
+            screen.end()
             if watch.exit_code is not None:
                 # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
                 asked = watch.exit_reason not in {"", signal.SIGTERM.name}
                 return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and not asked)
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
-                _say(f"{name} failed before any rank began; it is being started once more.")
-                return self._once(mpirun, relay, hosts, again=False)
+                screen.say(f"{name} failed before any rank began; it is being started once more.")
+                return self._once(mpirun, relay, screen, hosts, again=False)
             if process.returncode < 0:
                 why = why or f"{name} was killed by {signal.Signals(-process.returncode).name}"
             why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
             if watch.begun:
-                _say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
+                screen.say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
                 left = watch.ranks_left()
                 return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and sum(left.values()) != 1, hosts=left)
             if relay.asked:
-                _say("Ended at a signal before the ranks had begun; the same command begins anew.")
+                screen.say("Ended at a signal before the ranks had begun; the same command begins anew.")
                 return _LaunchEnd(EXIT_RESUMABLE)
-            _say(f"The run did not begin ({why}); nothing was computed.")
+            screen.say(f"The run did not begin ({why}); nothing was computed.")
             return _LaunchEnd(EXIT_ERROR, worth_a_restart=killed_at_start, failure_at_start=why)
 
-    def _start(self, mpirun: str, address: str, ranks: int, hosts: dict[str, int]) -> "subprocess.Popen[bytes]":
+    def _start(
+        self, mpirun: str, address: str, ranks: int, hosts: dict[str, int], outputs: tuple[int | None, int | None]
+    ) -> "subprocess.Popen[bytes]":
         """Start the launcher, in a group of its own: Ctrl-C reaches this process alone, which passes it on."""
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {starter.COMMAND_VARIABLE: address}
         if sys.stdout.isatty():
@@ -165,6 +172,8 @@ class Launch:
             ],
             env=environment,
             stdin=subprocess.DEVNULL,
+            stdout=outputs[0],
+            stderr=outputs[1],
             process_group=0,
             preexec_fn=starter.die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
         )
@@ -192,20 +201,16 @@ class _LaunchEnd:
     hosts: dict[str, int] = field(default_factory=dict)
 
 
-def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
-
-
-def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay") -> str:
+def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay", screen: CommandScreen) -> str:
     """Wait for the end of the launcher, and bring it about if it must be; return why, empty if it ended by itself."""
     while process.poll() is None:
         watch.listen(_POLL_INTERVAL)
+        screen.update(watch.progress)
         for number in relay.take():
             if watch.begun:
                 process.send_signal(number)
         if text := watch.describe_silent_master():
-            _say(text)
+            screen.say(text)
         why = watch.reason_to_end()
         if why is None and relay.asked and not watch.begun:
             why = "a signal asked for it"

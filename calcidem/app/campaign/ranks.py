@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NoReturn, Protocol
 
+from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
 from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.store_sink import HeartbeatProgress
 from calcidem.app.campaign.task import cell_computation, compile_kernels
@@ -13,7 +14,6 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.sweep import (
     EXIT_RESUMABLE,
-    Progress,
     Session,
     StopRequest,
     SweepEnd,
@@ -29,8 +29,8 @@ class RunView(Protocol):
     def say(self, text: str) -> None:
         """Tell a sentence."""
 
-    def progress(self) -> Progress:
-        """What follows the cells while they are computed."""
+    def display(self) -> ProgressDisplay:
+        """Whoever is told how far the run is."""
 
     def begin(self, work: CampaignRun) -> None:
         """Tell what is about to be computed."""
@@ -57,31 +57,66 @@ def run_on_ranks(load: Callable[[], Configuration], view: RunView) -> NoReturn:
     To be called on all ranks; the configuration is loaded on rank 0 only.
     """
     with Session() as session:
-        work: CampaignRun | None = None
-        code = 0
-        workers = session.gather(describe_worker(session.rank))
         if session.rank == 0:
-            try:
-                refuse_singletons(session.size)
-                work = CampaignRun(load(), workers, view.say, partial(_end_in_haste, session.stop_request))
-            except SweepInterrupted:
-                request = session.stop_request.explanation
-                view.say(f"{request}: ended before the packing was made; run it again to go on.")
-                code = EXIT_RESUMABLE
-            except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-                code = view.refuse(error)
-        code = session.broadcast(code)
-        if code:
-            session.end(code)
-        orders = session.broadcast(
-            None if work is None else _Orders(work.configuration, work.packing, bool(work.batches))
-        )
-        if work is None:
-            worker_end = _follow(session, orders)
-            session.end(worker_end.exit_code, worker_end)
-        with work:
-            code = _lead(session, orders, work, view)
-        session.end(code, work.end)
+            with view.display() as display:
+                code, end = _lead(session, load, view, ProgressReporter(display))
+        else:
+            code, end = _follow(session)
+        session.end(code, end)
+
+
+def _lead(
+    session: Session, load: Callable[[], Configuration], view: RunView, reporter: ProgressReporter
+) -> tuple[int, SweepEnd | None]:
+    """What rank 0 does: prepare, have the cells computed, store them, and report; returns exit code and end."""
+    workers = session.gather(describe_worker(session.rank))
+    code, work = 0, None
+    try:
+        refuse_singletons(session.size)
+        check = partial(_end_in_haste, session.stop_request)
+        work = CampaignRun(load(), workers, view.say, check, reporter.on_packing)
+    except SweepInterrupted:
+        request = session.stop_request.explanation
+        view.say(f"{request}: ended before the packing was made; run it again to go on.")
+        code = EXIT_RESUMABLE
+    except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
+        code = view.refuse(error)
+    session.broadcast(code)
+    if work is None:
+        return code, None
+    with work:
+        orders = session.broadcast(_Orders(work.configuration, work.packing, bool(work.batches)))
+        view.begin(work)
+        if orders.anything_to_do:
+            reporter.begin(RunStage.COMPILING)
+        _compile_on_nodes(session, orders)
+        try:
+            work.end = run_sweep(
+                session.comm,
+                work.batches,
+                cell_computation(orders.configuration, work.packing, work.lease_keeper),
+                work.sink,
+                options=sweep_options(orders.configuration),
+                progress=HeartbeatProgress(reporter, work.lease_keeper),
+                stop_request=session.stop_request,
+            )
+            reporter.begin(RunStage.WRITING)
+            view.finish(work, in_haste=session.stop_request.hurry())
+        except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
+            return view.refuse(error), work.end
+        return work.end.exit_code, work.end
+
+
+def _follow(session: Session) -> tuple[int, SweepEnd | None]:
+    """What a worker does; returns what the program returns, and how the sweep ended."""
+    session.gather(describe_worker(session.rank))
+    if code := session.broadcast(0):
+        return code, None
+    orders: _Orders = session.broadcast(None)
+    _compile_on_nodes(session, orders)
+    cells = cell_computation(orders.configuration, orders.packing)
+    end = run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
+    return end.exit_code, end
 
 
 def _end_in_haste(stop_request: StopRequest) -> None:
@@ -100,30 +135,3 @@ def _compile_on_nodes(session: Session, orders: _Orders) -> None:
     """Have the kernels compiled once on each node, so that no cell's cost or time limit has it."""
     if orders.anything_to_do:
         session.once_per_node(lambda: compile_kernels(orders.configuration, orders.packing))
-
-
-def _follow(session: Session, orders: _Orders) -> SweepEnd:
-    """What a worker does."""
-    _compile_on_nodes(session, orders)
-    cells = cell_computation(orders.configuration, orders.packing)
-    return run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
-
-
-def _lead(session: Session, orders: _Orders, work: CampaignRun, view: RunView) -> int:
-    """What rank 0 does: have the cells computed, store them, and report; returns the exit code."""
-    view.begin(work)
-    _compile_on_nodes(session, orders)
-    try:
-        work.end = run_sweep(
-            session.comm,
-            work.batches,
-            cell_computation(orders.configuration, work.packing, work.lease_keeper),
-            work.sink,
-            options=sweep_options(orders.configuration),
-            progress=HeartbeatProgress(view.progress(), work.lease_keeper),
-            stop_request=session.stop_request,
-        )
-        view.finish(work, in_haste=session.stop_request.hurry())
-    except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-        return view.refuse(error)
-    return work.end.exit_code

@@ -3,21 +3,24 @@
 import os
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Self
 
+from calcidem.app.campaign.display import choose_display
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
+from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
 from calcidem.app.campaign.task import cell_computation, compile_kernels, expected_effort
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
+from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
@@ -41,6 +44,8 @@ def run(
     *,
     db: str | os.PathLike[str] | None = None,
     output: str | os.PathLike[str] | None = None,
+    set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
+    progress: Callable[[RunProgress], object] | bool | None = None,
 ) -> "OpenedCampaign":
     """Compute a campaign, or what is left of it, in this process.
 
@@ -52,6 +57,11 @@ def run(
         SQLite file or database URL, instead of that of the configuration.
     output
         Folder for the results, instead of that of the configuration.
+    set
+        Values that replace those of the configuration, by section and key: ``{"wave.amplitude": 1e-4}``.
+    progress
+        A function that is told how far the run is, a few times a second at most; what it raises ends the run, and the
+        same call goes on later. True shows it, False does not; by default it is shown on a terminal and in a notebook.
 
     Returns
     -------
@@ -72,21 +82,26 @@ def run(
     >>> with calcidem.run("quick.toml", db="quick.db") as campaign:  # doctest: +SKIP
     ...     print(campaign.vs().mean("seed"))
     """
-    database, folder = (None if path is None else os.fspath(path) for path in (db, output))
-    if isinstance(configuration, Configuration):
-        own = configuration.run
-        options = replace(own, database=database or own.database, output=folder or own.output)
-        configuration = replace(configuration, run=options)
-    else:
-        configuration = load_configuration(configuration, {"database": database, "output": folder})
-    with CampaignRun(configuration, [describe_worker(rank=0)], tell=lambda _: None) as work:
-        if work.batches:
-            compile_kernels(configuration, work.packing)
-        compute = cell_computation(configuration, work.packing, work.lease_keeper)
-        # A request that no signal handler notes: an interrupt goes to the caller, as from any function.
-        work.end = run_sweep(
-            None, work.batches, compute, work.sink, options=sweep_options(configuration), stop_request=StopRequest()
-        )
+    values = dict(set or {})
+    values |= {"run.database": os.fspath(db)} if db is not None else {}
+    values |= {"run.output": os.fspath(output)} if output is not None else {}
+    if values or not isinstance(configuration, Configuration):
+        configuration = change_configuration(configuration, values)
+    with choose_display(progress) as display:
+        reporter = ProgressReporter(display)
+        with CampaignRun(configuration, [describe_worker(rank=0)], display.note, watch=reporter.on_packing) as work:
+            if work.batches:
+                reporter.begin(RunStage.COMPILING)
+                compile_kernels(configuration, work.packing)
+            work.end = run_sweep(
+                None,
+                work.batches,
+                cell_computation(configuration, work.packing, work.lease_keeper),
+                work.sink,
+                options=sweep_options(configuration),
+                progress=reporter,
+                stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
+            )
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - statistics, which the ranks do not need
 
     return open_campaign(configuration.database, configuration.campaign.name)
@@ -114,6 +129,8 @@ class CampaignRun:
         Takes sentences for the user.
     check
         Called every fraction of a second while the packing is made; may raise to end that.
+    watch
+        Told as often how far that is.
 
     Attributes
     ----------
@@ -135,12 +152,13 @@ class CampaignRun:
         workers: Sequence[WorkerRecord],
         tell: Tell,
         check: Callable[[], None] = lambda: None,
+        watch: Callable[[PackingStage], None] = lambda _: None,
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
-            self.packing = provide_packing(configuration, store, tell, check)
+            self.packing = provide_packing(configuration, store, tell, check, watch)
             check_against_packing(configuration, self.packing)
             store = store or self._master(tell, check)
             self.store: Store = store

@@ -1,5 +1,9 @@
 """What a person reads of a run."""
 
+import sys
+
+from calcidem.app.campaign.display import ChannelDisplay, LineDisplay, LiveDisplay
+from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
@@ -7,7 +11,8 @@ from calcidem.app.cli.terminal import printable
 from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
-from calcidem.sweep import Progress, progress_for
+from calcidem.sweep.channel import command_listens
+from calcidem.sweep.environment import available_cores, launcher
 
 
 class TerminalView:
@@ -21,14 +26,18 @@ class TerminalView:
         """Write a line as it is."""
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
-    def progress(self) -> Progress:
-        """Bar or lines that follow the cells."""
-        return progress_for(self.console)
+    def display(self) -> ProgressDisplay:
+        """A picture on a terminal, drawn here or by the command that started the ranks; lines in a log."""
+        if not self.console.is_terminal:
+            return LineDisplay(self.console)
+        return ChannelDisplay(self.console) if command_listens() else LiveDisplay(self.console)
 
     def begin(self, work: CampaignRun) -> None:
-        """Report on the packing."""
+        """Report on the packing, and on cores that stay idle."""
         for line in packing_lines(work.packing):
             self.say(line)
+        if work.batches and launcher() is None and sys.platform == "linux" and (cores := available_cores()) > 1:
+            self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
         """Show the velocities, export them and, if asked for, write the report; in haste show them only."""

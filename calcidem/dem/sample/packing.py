@@ -344,6 +344,7 @@ def relax(
     """
     state = start(scene, preload=preload, steps_per_contact=_IMPACT_STEPS if own else 0.0)
     ratios: list[float] = []
+    cost.watch(_stage_of(cost, rule, ratios))
     while True:
         check()
         try:
@@ -372,15 +373,16 @@ def relax(
 
 def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
     """How far a packing is that had these unbalanced-force ratios in its present stage."""
-    lowest = min(max(min(ratios), rule.unbalanced_force_ratio), _FILLING_RATIO)
+    lowest = min([_FILLING_RATIO, *(max(ratio, rule.unbalanced_force_ratio) for ratio in ratios)])
     pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
     expansion = 0.5 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
     if cost.expansion_step <= cost.expansion_steps:
         fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
     else:
         fraction = expansion + (1.0 - expansion) * pressed
+    ratio = ratios[-1] if ratios else 1.0  # disks that nothing holds yet
     return PackingStage(
-        cost.expansion_step, cost.expansion_steps, cost.steps, ratios[-1], rule.unbalanced_force_ratio, fraction
+        cost.expansion_step, cost.expansion_steps, cost.steps, ratio, rule.unbalanced_force_ratio, fraction
     )
 
 

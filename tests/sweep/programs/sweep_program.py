@@ -16,9 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from calcidem.sweep import Batch, BatchOutcome, Cell, LineProgress, Session, SweepOptions, plan_batches, run_sweep
+from calcidem.sweep import Batch, BatchOutcome, Cell, Session, SweepOptions, plan_batches, run_sweep
 
 CONTENTS = (0.0, 2.55, 9.0)
 
@@ -182,7 +180,6 @@ def main() -> None:
                 hurry_grace=1.0,
                 silence_floor=options.silence_floor,
             ),
-            progress=LineProgress(Console(stderr=True), shortest=0.5),
             stop_request=session.stop_request,
         )
         if sink is not None:

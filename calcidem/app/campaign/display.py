@@ -1,0 +1,262 @@
+"""Who is told how far a run is: a live picture at the foot of a terminal, lines in a log, a function of the caller."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from calcidem.app.campaign.progress import ProgressDisplay, RunProgress, RunStage
+from calcidem.sweep.channel import tell_progress
+from calcidem.sweep.progress import duration, pluralize
+
+_FRAMES_PER_SECOND = 4
+
+_BAR_WIDTH = 24
+
+_SPINNER = "|/-\\"
+
+_MOST_LINES_OF_CONTENTS = 4
+
+_SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 600.0
+"""Seconds between two lines of a log: the pause grows by half each time, so that a short run shows something and a run
+of days doesn't fill its log."""
+
+_VERBS = {
+    RunStage.STARTING: "Starting",
+    RunStage.PACKING: "Packing",
+    RunStage.COMPILING: "Compiling",
+    RunStage.COMPUTING: "Computing",
+    RunStage.WRITING: "Writing",
+}
+
+
+class SilentDisplay:
+    """A `calcidem.app.campaign.progress.ProgressDisplay` that shows nothing."""
+
+    def show(self, progress: RunProgress) -> None:
+        """Take it."""
+
+    def note(self, text: str) -> None:
+        """Take it."""
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Do nothing."""
+
+
+class CallbackDisplay(SilentDisplay):
+    """Hands everything to a function of the caller.
+
+    Parameters
+    ----------
+    callback
+        Takes each picture; what it raises ends the run.
+    """
+
+    def __init__(self, callback: Callable[[RunProgress], object]) -> None:
+        self._callback = callback
+
+    def show(self, progress: RunProgress) -> None:
+        """Hand it on."""
+        self._callback(progress)
+
+
+class LineDisplay(SilentDisplay):
+    """Writes a line now and then, for logs of batch systems and for pipes.
+
+    Parameters
+    ----------
+    console
+        Where to write.
+    shortest, longest
+        Limits of the pause between two lines, s.
+    """
+
+    def __init__(self, console: Console, shortest: float = _SHORTEST_PAUSE, longest: float = _LONGEST_PAUSE) -> None:
+        self._console = console
+        self._shortest, self._pause, self._longest = shortest, shortest, longest
+        self._next = time.monotonic() + shortest
+        self._stage = RunStage.STARTING
+
+    def show(self, progress: RunProgress) -> None:
+        """Write how far the run is, if it is time to."""
+        if progress.stage is not self._stage:
+            self._stage, self._pause = progress.stage, self._shortest
+            self._next = time.monotonic() + self._pause
+            if progress.stage is RunStage.COMPILING:  # it says nothing while it does, for up to half a minute
+                self.note("compiling the kernels, or taking them from the cache")
+        elif time.monotonic() >= self._next:
+            self._pause = min(1.5 * self._pause, self._longest)
+            self._next = time.monotonic() + self._pause
+            self.note(", ".join([*_described(progress), f"{_time_left(progress)} left"]))
+
+    def note(self, text: str) -> None:
+        """Write a line with the time."""
+        self._console.print(f"{time.strftime('%H:%M:%S')} {text}", markup=False, highlight=False, soft_wrap=True)
+
+
+class ChannelDisplay(SilentDisplay):
+    """Has the command that started the ranks draw the picture: its terminal is the real one.
+
+    Parameters
+    ----------
+    console
+        Where sentences are written that stay.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def show(self, progress: RunProgress) -> None:
+        """Send it; nothing waits for the command, and what it has no time for is lost."""
+        tell_progress(progress.to_json())
+
+    def note(self, text: str) -> None:
+        """Write a line."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+class LiveDisplay:
+    """Draws how far a run is at the foot of a terminal; all other text goes above it.
+
+    Parameters
+    ----------
+    console
+        The terminal.
+    by_itself
+        Whether a thread draws it again and again; else whoever has it calls `refresh`.
+    """
+
+    def __init__(self, console: Console, *, by_itself: bool = True) -> None:
+        self.console = console
+        self._progress: RunProgress | None = None
+        self._since = time.monotonic()
+        self._live = Live(
+            get_renderable=self._picture,
+            console=console,
+            auto_refresh=by_itself,
+            refresh_per_second=_FRAMES_PER_SECOND,
+            transient=True,
+            redirect_stdout=by_itself,
+            redirect_stderr=by_itself and sys.stderr.isatty(),
+        )
+        self._next = 0.0
+
+    def show(self, progress: RunProgress) -> None:
+        """Draw this from now on."""
+        self._progress, self._since = progress, time.monotonic()
+
+    def note(self, text: str) -> None:
+        """Write a line above the picture."""
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def refresh(self) -> None:
+        """Draw it again, if it is time to; a terminal that is gone is no error."""
+        if (now := time.monotonic()) >= self._next:
+            self._next = now + 1.0 / _FRAMES_PER_SECOND
+            with suppress(OSError):
+                self._live.refresh()
+
+    def __enter__(self) -> Self:
+        """Begin to draw."""
+        self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Take the picture away."""
+        with suppress(OSError):
+            self._live.stop()
+
+    def _picture(self) -> Group:
+        """The picture of this moment."""
+        if self._progress is None:
+            return Group()
+        progress, passed = self._progress, time.monotonic() - self._since
+        spinner = _SPINNER[int(_FRAMES_PER_SECOND * time.monotonic()) % len(_SPINNER)]
+        head = Table.grid(padding=(0, 1))
+        part = progress.finished / progress.total if progress.total else progress.fraction
+        bar = ProgressBar(
+            1.0, part, _BAR_WIDTH, pulse=not part, animation_time=time.monotonic()
+        )
+        summary, *details = _described(progress)
+        left = _time_left(progress, passed)
+        elapsed = duration(progress.seconds + passed) + ("" if left == "?" else f", {left} left")
+        head.add_row(spinner, Text(_VERBS[progress.stage], style="bold"), bar, summary, Text(elapsed, style="cyan"))
+        lines = [Text(f"  {', '.join(details)}", no_wrap=True, overflow="ellipsis")] if details else []
+        return Group(head, *lines, *self._contents(progress))
+
+    def _contents(self, progress: RunProgress) -> Iterator[Text]:
+        """Cells of each content, those that are complete faint, as far as a few lines hold them."""
+        words = [
+            Text(f"{content:g} %: {finished}/{total}", style="dim" if finished == total else "")
+            for content, finished, total in progress.contents
+        ]
+        width = max((len(word) for word in words), default=0) + 2
+        columns = max(1, (self.console.width - 2) // max(width, 1))
+        for start in range(0, min(len(words), columns * _MOST_LINES_OF_CONTENTS), columns):
+            line = Text("  ", no_wrap=True)
+            for word in words[start : start + columns]:
+                word.pad_right(width - len(word))
+                line.append(word)
+            yield line
+
+
+def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> ProgressDisplay:
+    """The display for what a caller in Python asks for: a function, something to see or not, or whatever suits."""
+    if callable(progress):
+        return CallbackDisplay(progress)
+    console = Console(highlight=False)
+    if progress is False or not (progress or console.is_terminal or console.is_jupyter):
+        return SilentDisplay()
+    return LiveDisplay(console) if console.is_terminal and not console.is_jupyter else LineDisplay(console)
+
+
+def _described(progress: RunProgress) -> list[str]:
+    """What there is to say of a run, the most important first."""
+    match progress.stage:
+        case RunStage.STARTING:
+            return [pluralize(progress.workers + 1, "rank")] if progress.workers else ["calcidem"]
+        case RunStage.PACKING:
+            return list(_describe_packing(progress))
+        case RunStage.COMPILING:
+            return ["the kernels, for this kind of processor", "once; then they are taken from a cache"]
+        case RunStage.COMPUTING:
+            percent = 100.0 * progress.finished / max(progress.total, 1)
+            outcomes = [f"{number} {name.replace('_', ' ')}" for name, number in progress.outcomes.items()]
+            workers = f"{progress.busy} of {pluralize(progress.workers, 'worker')} busy" if progress.workers else ""
+            return [
+                f"{progress.finished} of {progress.total} cells ({percent:.0f} %)",
+                *outcomes,
+                *filter(None, [workers]),
+            ]
+        case RunStage.WRITING:
+            return ["tables and files"]
+
+
+def _describe_packing(progress: RunProgress) -> Iterator[str]:
+    """How far a packing is."""
+    if progress.expansion_step <= progress.expansion_steps:
+        yield f"radius step {progress.expansion_step} of {progress.expansion_steps}"
+    else:
+        yield "pressed by the lid"
+    ratio = "" if progress.unbalanced_ratio is None else f"{progress.unbalanced_ratio:.1e}"
+    yield f"unbalanced-force ratio {ratio}" + (
+        f", at rest {progress.target_ratio:.0e}" if progress.target_ratio else ""
+    )
+    yield f"{progress.time_steps:,} time steps"
+
+
+def _time_left(progress: RunProgress, passed: float = 0.0) -> str:
+    """Time left some seconds after this was so."""
+    left = progress.seconds_left
+    return "?" if left is None else duration(max(left - passed, 0.0))

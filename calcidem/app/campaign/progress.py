@@ -1,0 +1,204 @@
+"""How far a run is: what happens on rank 0 turned into pictures of the whole, for displays, logs and callers.
+
+It loads nothing that is large: the command that starts the ranks reads it, too.
+"""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+from calcidem.sweep import Batch, BatchOutcome, Place, Progress, SweepEnd
+from calcidem.sweep.forecast import Forecast
+from calcidem.sweep.progress import end_line, pluralize
+
+if TYPE_CHECKING:
+    from calcidem.dem.sample.packing import PackingStage  # loads numba
+
+_PAUSE = 0.2
+"""Seconds between two pictures of the same stage, at least."""
+
+_LONGEST_TEXT = 3500
+"""Bytes of a picture that is sent; a larger one goes without the contents."""
+
+
+class RunStage(StrEnum):
+    """What a run is busy with."""
+
+    STARTING = "starting"
+    PACKING = "packing"
+    COMPILING = "compiling"
+    COMPUTING = "computing"
+    WRITING = "writing"
+
+
+@dataclass(frozen=True, slots=True)
+class RunProgress:
+    """How far a run is, as a whole: whoever misses one of these knows as much after the next.
+
+    Attributes
+    ----------
+    stage
+        What it is busy with.
+    seconds, seconds_left
+        Since this stage began, and until it ends; None where that is not known.
+    expansion_step, expansion_steps
+        Of a packing: radius step that is being taken, from 1, and their number; one more than it while the lid presses.
+    time_steps, unbalanced_ratio, target_ratio, fraction
+        Of a packing: time steps so far, unbalanced-force ratio now and at rest, part of the work that may be done.
+    finished, total
+        Cells with an outcome, of those that this run computes.
+    outcomes
+        How many of them have which, by the names of `calcidem.storage.records.CellStatus`.
+    contents
+        (content in percent, cells finished, cells of this run), in rising order.
+    workers, busy
+        Processes that compute cells, and those of them that have something to do.
+    """
+
+    stage: RunStage
+    seconds: float = 0.0
+    seconds_left: float | None = None
+    expansion_step: int = 0
+    expansion_steps: int = 0
+    time_steps: int = 0
+    unbalanced_ratio: float | None = None
+    target_ratio: float | None = None
+    fraction: float = 0.0
+    finished: int = 0
+    total: int = 0
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+    contents: tuple[tuple[float, int, int], ...] = ()
+    workers: int = 0
+    busy: int = 0
+
+    def to_json(self) -> str:
+        """Text of one line, short enough for `calcidem.sweep.channel`."""
+        text = json.dumps(asdict(self))
+        return text if len(text) <= _LONGEST_TEXT else replace(self, contents=()).to_json()
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """What `to_json` was called of; raises `ValueError`, `KeyError` or `TypeError` for anything else."""
+        values: dict[str, Any] = json.loads(text)
+        contents = tuple((content, finished, total) for content, finished, total in values.pop("contents"))
+        return cls(RunStage(values.pop("stage")), contents=contents, **values)
+
+
+class ProgressDisplay(Protocol):
+    """Whoever is told how far a run is; as a context manager it puts away in the end what it shows."""
+
+    def show(self, progress: RunProgress) -> None:
+        """Show how far the run is, in the place of what was shown before."""
+
+    def note(self, text: str) -> None:
+        """Tell a sentence that stays."""
+
+    def __enter__(self) -> Self:
+        """Begin."""
+
+    def __exit__(self, *exception: object) -> None:
+        """End."""
+
+
+class ProgressReporter(Progress):
+    """Tells a display how far a run is.
+
+    Parameters
+    ----------
+    display
+        Whom to tell.
+    """
+
+    def __init__(self, display: ProgressDisplay) -> None:
+        self._display = display
+        self._last = RunProgress(RunStage.STARTING)
+        self._began = time.monotonic()
+        self._next = 0.0
+        self._forecast = Forecast([])
+        self._contents: dict[float, list[int]] = {}
+        self._outcomes: Counter[str] = Counter()
+
+    def begin(self, stage: RunStage) -> None:
+        """Tell that a stage begins of which there is no more to tell."""
+        self._tell(RunProgress(stage))
+
+    def on_packing(self, packing: "PackingStage") -> None:
+        """Tell how far the packing is."""
+        seconds = time.monotonic() - self._began
+        self._tell(
+            RunProgress(
+                RunStage.PACKING,
+                seconds_left=seconds * (1.0 / packing.fraction - 1.0) if packing.fraction > 0.0 else None,
+                expansion_step=packing.expansion_step,
+                expansion_steps=packing.expansion_steps,
+                time_steps=packing.steps,
+                unbalanced_ratio=packing.unbalanced_ratio,
+                target_ratio=packing.target_ratio,
+                fraction=packing.fraction,
+            )
+        )
+
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Begin to count cells."""
+        self._forecast = Forecast(batches)
+        self._outcomes.clear()
+        self._contents = {content: [0, 0] for content in sorted({batch.cells[0][1] for batch in batches})}
+        for batch in batches:
+            self._contents[batch.cells[0][1]][1] += len(batch.cells)
+        total = pluralize(self._forecast.total, "cell")
+        parts = f"{pluralize(len(batches), 'batch', 'batches')} on {pluralize(workers, 'worker')}"
+        self._display.note(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
+        self._tell_cells(workers, 0)
+
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count, and tell of a failure."""
+        self._forecast.record(outcome)
+        self._contents[outcome.batch.cells[0][1]][0] += len(outcome.batch.cells)
+        if outcome.failure is None:
+            self._outcomes.update(str(result.status) for result in outcome.results or ())
+            return
+        self._outcomes[str(outcome.failure.kind)] += len(outcome.batch.cells)
+        cells, place = ", ".join(f"seed {seed}, {content:g} %" for seed, content in outcome.batch.cells), outcome.place
+        self._display.note(
+            f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
+        )
+
+    def on_loss(self, place: Place, reason: str) -> None:
+        """Tell which worker is lost."""
+        self._display.note(f"lost rank {place.rank} ({place.host}): {reason}")
+
+    def on_heartbeat(self, workers: int, running: int) -> None:
+        """Tell how far the cells are."""
+        self._tell_cells(workers, running)
+
+    def on_end(self, end: SweepEnd) -> None:
+        """Tell how it ended."""
+        self._tell_cells(0, 0, at_once=True)
+        self._display.note(end_line(end))
+
+    def _tell_cells(self, workers: int, running: int, *, at_once: bool = False) -> None:
+        progress = RunProgress(
+            RunStage.COMPUTING,
+            seconds_left=self._forecast.seconds_left(workers),
+            finished=self._forecast.settled,
+            total=self._forecast.total,
+            outcomes=dict(sorted(self._outcomes.items(), key=lambda item: (item[0] != "done", item[0]))),
+            contents=tuple((content, finished, total) for content, (finished, total) in self._contents.items()),
+            workers=workers,
+            busy=running,
+        )
+        self._tell(progress, at_once=at_once)
+
+    def _tell(self, progress: RunProgress, *, at_once: bool = False) -> None:
+        """Tell the display, but of the same stage not too often."""
+        now = time.monotonic()
+        if progress.stage is not self._last.stage:
+            self._began, at_once = now, True
+        if at_once or now >= self._next:
+            self._next = now + _PAUSE
+            self._last = replace(progress, seconds=now - self._began)
+            self._display.show(self._last)
