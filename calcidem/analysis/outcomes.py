@@ -53,10 +53,10 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
 
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
-    """Outcome of each cell as text along (seed, content), empty where it is not computed, from its `STATUS_CODES`."""
+    """Outcome of each cell as text along (seed, content), empty where there is none, from its `STATUS_CODES`."""
     names = np.full(max(STATUS_CODES.values()) + 1, _NOT_COMPUTED, dtype=object)
     for name, code in STATUS_CODES.items():
-        if name not in (CellStatus.PENDING, NOT_PLANNED):
+        if name not in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED):
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
 

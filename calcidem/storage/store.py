@@ -117,6 +117,25 @@ class LeaseHolder:
         return True
 
 
+@dataclass(frozen=True, slots=True)
+class Integrity:
+    """What of a campaign is no longer what was stored.
+
+    Attributes
+    ----------
+    cells : dict of CellKey to str
+        Damaged cells, and what is damaged of each.
+    others : tuple of str
+        Sentences on all other damage: packings, runs, attempts, the file as such.
+    late : int
+        Rows stored by an earlier calcidem, whose checksums are of what was there when the database was upgraded.
+    """
+
+    cells: dict[CellKey, str]
+    others: tuple[str, ...]
+    late: int
+
+
 class Store(ABC):
     """Campaigns, their cells and their outcomes, kept for good.
 
@@ -141,7 +160,9 @@ class Store(ABC):
        refuses to write. Writing without ever having asked for the lease is allowed, for imports and single
        commands.
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
-    11. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
+    11. A cell whose stored outcome is not what was stored is `CellStatus.DAMAGED` in whatever reads the damaged part;
+       nothing of it is given but its key and what is damaged. `retry_damaged` makes it pending.
+    12. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
         `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
         A `Selection` whose filter can't be understood raises `QueryError`.
 
@@ -305,6 +326,10 @@ class Store(ABC):
         """
 
     @abstractmethod
+    def retry_damaged(self, keys: Collection[CellKey]) -> None:
+        """Make damaged cells (of `integrity`) pending again, and drop their attempts that are damaged."""
+
+    @abstractmethod
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
         """Store a history as another store kept it (for imports); attempts that are there already stay.
 
@@ -363,8 +388,21 @@ class Store(ABC):
         """
 
     @abstractmethod
+    def integrity(self) -> Integrity:
+        """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
+
     def signal(self, key: CellKey) -> Signal | None:
-        """Return the signals of a cell, None if none were kept."""
+        """Return the signals of a cell, None if none were kept.
+
+        Raises
+        ------
+        DamagedStoreError
+            If they, or something else of the cell, are not what was stored.
+        """
+        found = next(self.results(Selection((key.seed,), (key.content,)), with_arrays=True), None)
+        if found is not None:
+            found.refuse_damage()
+        return None if found is None else found.signal
 
     @abstractmethod
     def table(

@@ -19,7 +19,7 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
     UnknownCellError,
 )
-from calcidem.storage.records import AttemptCount, CellKey, CellStatus
+from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, CellStatus
 from calcidem.storage.sql.store import SqlStore
 from calcidem.storage.store import Selection
 
@@ -136,7 +136,7 @@ def test_unplanned_cell_is_refused_as_a_whole(store: SqlStore, records: "Records
 
 def test_every_outcome_settles_until_retry(store: SqlStore, records: "Records") -> None:
     """All outcomes settle their cells; retry brings back failed and timed_out, and others on request."""
-    outcomes = [s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}]
+    outcomes = [s for s in STORED_STATUSES if s is not CellStatus.DONE]
     keys = [(seed, content) for seed in range(2) for content in (0.0, 0.3, 5.0)]
     store.record_results([records.failed(*key, status=status) for key, status in zip(keys, outcomes, strict=False)])
     assert len(store.pending()) == NUMBER_OF_CELLS - len(outcomes)

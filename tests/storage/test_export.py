@@ -17,6 +17,7 @@ import xarray as xr
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
+    DiskError,
     ForeignDatabaseError,
     NewerSchemaError,
     StoreUnavailableError,
@@ -218,7 +219,7 @@ def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monke
         raise RuntimeError("power cut")
 
     monkeypatch.setattr(export, "append_attempts", fail)
-    with pytest.raises(RuntimeError, match="power cut"):
+    with pytest.raises(DiskError, match="power cut"):
         export_netcdf(*filled, exported)
     assert exported.read_bytes() == before
     assert [path.name for path in exported.parent.iterdir() if path.name.startswith(".")] == []

@@ -15,7 +15,7 @@ from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
 
 _TROUBLES = (
-    *(CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
+    *(CellStatus.DAMAGED, CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
     *(CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
 )
 """Outcomes other than done, the most alarming first."""

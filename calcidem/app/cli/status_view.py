@@ -23,6 +23,7 @@ _STATUS_CHARACTERS = {
     CellStatus.FAILED: ("F", "bold red"),
     CellStatus.TIMED_OUT: ("T", "bold red"),
     CellStatus.QUARANTINED: ("Q", "bold white on red"),
+    CellStatus.DAMAGED: ("D", "bold white on red"),
 }
 """Character and style of each state of a cell; the characters tell them apart without colours."""
 

@@ -1,7 +1,7 @@
 """A campaign as an xarray Dataset over (seed, content), with CF attributes and provenance."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, RunRecord
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
@@ -59,7 +59,12 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
     return matrices
 
 
-def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str] | None = None) -> xr.Dataset:
+def campaign_dataset(
+    store: Store,
+    campaign: CampaignRecord,
+    names: Sequence[str] | None = None,
+    damaged: Mapping[CellKey, str] | None = None,
+) -> xr.Dataset:
     """Return scalar quantities of every cell, self-describing and with the provenance of the campaign.
 
     Parameters
@@ -69,6 +74,8 @@ def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str
     campaign : CampaignRecord
     names : sequence of str, optional
         Quantities, by default all.
+    damaged : mapping of CellKey to str, optional
+        Cells that are damaged though their numbers are not, and why: they are missing, with that flag.
 
     Returns
     -------
@@ -84,6 +91,12 @@ def campaign_dataset(store: Store, campaign: CampaignRecord, names: Sequence[str
     """
     wanted = QUANTITY_BY_NAME if names is None else names
     matrices = cell_matrices(store, [name for name in wanted if name not in _INDEX_NAMES])
+    known: dict[str, Any] = {"status": STATUS_CODES[CellStatus.DAMAGED]}
+    for key, reason in (damaged or {}).items():
+        for name, matrix in matrices.items():
+            missing = "" if matrix.dtype == object else np.nan
+            value = (known | {"reason": reason}).get(name, missing)
+            matrix.loc[{"seed": key.seed, "content": key.content}] = value
     if not any(matrix.size for matrix in matrices.values()):
         raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
     return xr.Dataset(matrices, attrs=_global_attributes(store, campaign))

@@ -157,8 +157,10 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
         )
 
 
-def append_packing(file: Group, packing: PackingRecord) -> None:
-    """Append a packing to the group ``packings``."""
+def append_packing(file: Group, packing: PackingRecord | None) -> None:
+    """Append a packing, if there is one, to the group ``packings``."""
+    if packing is None:
+        return
     group = file.createGroup("packings")
     state = np.frombuffer(packing.state, dtype=np.uint8)
     columns = {

@@ -45,7 +45,7 @@ _VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "
 _PATH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(PATH_PREFIX))
 _GRAPH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(GRAPH_PREFIX))
 _STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
-_WITHOUT_OUTCOME = (STATUS_CODES[CellStatus.PENDING], STATUS_CODES[NOT_PLANNED])
+_WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED))
 _CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
 
 

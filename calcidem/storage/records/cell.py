@@ -9,6 +9,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any
 
+from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
 
@@ -19,7 +20,11 @@ LARGEST_SEED = 2**63 - 1
 
 
 class CellStatus(StrEnum):
-    """What happened to a cell. The first two are never stored: they are the absence of an outcome."""
+    """What happened to a cell.
+
+    The first two are never stored: they are the absence of an outcome. Nor is the last: it is what is found where a
+    stored outcome was changed.
+    """
 
     PENDING = "pending"
     RUNNING = "running"
@@ -29,15 +34,18 @@ class CellStatus(StrEnum):
     FAILED = "failed"
     TIMED_OUT = "timed_out"
     QUARANTINED = "quarantined"
+    DAMAGED = "damaged"
 
 
-STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING})
+STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DAMAGED})
 """The outcomes a cell can have in the database."""
 
 NOT_PLANNED = "not_planned"
 """Flag of a (seed, content) that is in the matrix only because others of its row and column are planned."""
 
-STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED))}
+STATUS_CODES = {
+    name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED, CellStatus.DAMAGED))
+}
 """Values of the flag variable `status`; never renumbered, since old files hold them."""
 
 
@@ -103,7 +111,7 @@ class CellResult:
     key : CellKey
         Which cell.
     status : CellStatus
-        One of `STORED_STATUSES`.
+        One of `STORED_STATUSES`, or damaged in what a store gives.
     reason : str
         Sentence that says why the status is not `done`; empty only for `done`.
     vs : float or None
@@ -199,7 +207,7 @@ class CellResult:
         object.__setattr__(self, "status", CellStatus(self.status))
         object.__setattr__(self, "retry", self.retry or None)
         normalize_numbers(self)
-        if self.status not in STORED_STATUSES:
+        if self.status not in (*STORED_STATUSES, CellStatus.DAMAGED):
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
         if self.attempt < 1 or self.packing_index < 0:
             raise ValueError(
@@ -215,6 +223,14 @@ class CellResult:
             if value is not None and value < 0:
                 raise ValueError(f"CellResult.{name} is {value}; give a count of 0 or more, or None.")
         self._check_status()
+
+    def refuse_damage(self) -> None:
+        """Raise `DamagedStoreError` if the outcome is not what was stored."""
+        if self.status is CellStatus.DAMAGED:
+            raise DamagedStoreError(
+                f"What is stored of seed {self.key.seed} and content {self.key.content} % is damaged: {self.reason}.",
+                "'calcidem retry DB --damaged' has such cells computed anew.",
+            )
 
     def _check_status(self) -> None:
         if self.status is CellStatus.DONE:

@@ -2,11 +2,13 @@
 
 import os
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
@@ -32,6 +34,8 @@ _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction is going to write."""
 
 _PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
+
+_SQLITE_DAMAGE = {1, 11, 20, 26}  # SQLITE_ERROR, SQLITE_CORRUPT, SQLITE_MISMATCH, SQLITE_NOTADB
 
 _SQLITE_ERRORS: dict[int, type[StoreError]] = {
     5: StoreLockedError,  # SQLITE_BUSY
@@ -59,6 +63,12 @@ _POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
     ("3D", StoreUnavailableError),  # no such database
     ("57P", StoreUnavailableError),  # shutdown
 )
+
+UNREADABLE = (
+    *(SQLAlchemyError, DamagedStoreError),
+    *(ArithmeticError, AttributeError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error),
+)
+"""What reading a damaged row raises: the database itself, or whoever makes something of its values."""
 
 _CURE_OF_ERROR: dict[type[StoreError], str] = {
     StoreLockedError: "Try again when the other process has finished; it was not stored.",
@@ -157,6 +167,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the driver must not begin or commit: the listener below does
+        connection.text_factory = _read_any_text
         connection.execute("PRAGMA foreign_keys=ON")
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
@@ -170,6 +181,18 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def _read_any_text(content: bytes) -> str:
+    """Text, also of damaged bytes, which a checksum then finds."""
+    return content.decode("utf-8", "replace")
+
+
+def may_be_damage(error: BaseException) -> bool:
+    """Whether an error of reading is one of the rows that were read, and other rows may be good."""
+    if not isinstance(error, DBAPIError):
+        return True
+    return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
 
 
 def execute_on_connect(engine: Engine, statements: Sequence[str]) -> None:
@@ -207,6 +230,11 @@ def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Se
             yield session
     except SQLAlchemyError as error:
         raise _translate_error(error, address) from error
+    except UNREADABLE as error:
+        if write or isinstance(error, DamagedStoreError):
+            raise  # what is wrong may be what was to be written
+        problem = f"{address}: something that is stored can't be read ({type(error).__name__}: {error})."
+        raise DamagedStoreError(problem, _CURE_OF_ERROR[DamagedStoreError]) from error
 
 
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:

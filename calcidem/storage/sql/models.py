@@ -2,7 +2,8 @@
 
 One `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the `ResultRow` of the same id,
 with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `AttemptRow` keeps the history. The absence of a
-`ResultRow` is what "pending" means. Arrays are compressed NumPy ``.npz`` bytes (`calcidem.storage.records.arrays`).
+`ResultRow` is what "pending" means. `checksum` is explained in `calcidem.storage.sql.checksums`; a row without one is
+damaged. Arrays are compressed NumPy ``.npz`` bytes (`calcidem.storage.records.arrays`).
 """
 
 from datetime import UTC, datetime
@@ -142,6 +143,7 @@ class RunRow(Base):
     ended: Mapped[datetime | None]
     exit_state: Mapped[str | None]
     workers: Mapped[list[dict[str, Any]] | None]
+    checksum: Mapped[str | None]
 
 
 class PackingRow(Base):
@@ -177,6 +179,7 @@ class PackingRow(Base):
     seconds: Mapped[float]
     state: Mapped[bytes] = mapped_column(LargeBinary)
     content_hash: Mapped[str | None]
+    checksum: Mapped[str | None]
 
 
 class CellRow(Base):
@@ -216,6 +219,7 @@ class AttemptRow(Base):
     seconds: Mapped[float | None]
     recorded: Mapped[datetime]
     forgiven: Mapped[bool]
+    checksum: Mapped[str | None]
 
 
 class ResultRow(Base):
@@ -267,6 +271,7 @@ class ResultRow(Base):
     clusters: Mapped[int | None]
     bonded_contacts: Mapped[int | None]
     retry: Mapped[str | None]
+    checksum: Mapped[str | None]
 
 
 class SignalRow(Base):

@@ -1,20 +1,45 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from hashlib import sha256
 from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Select, UnaryExpression, and_, case, func, select, tuple_
+from sqlalchemy import (
+    ColumnElement,
+    Select,
+    SQLColumnExpression,
+    UnaryExpression,
+    and_,
+    case,
+    func,
+    or_,
+    select,
+    tuple_,
+)
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from calcidem.storage.errors import QueryError
-from calcidem.storage.records import AttemptCount, AttemptRecord, CampaignRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.errors import DamagedStoreError, QueryError
+from calcidem.storage.records import (
+    AttemptCount,
+    AttemptRecord,
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    CellStatus,
+    canonical_content,
+    checked_seed,
+)
 from calcidem.storage.sql import rows
+from calcidem.storage.sql.checksums import MIGRATED, UNCHECKED, covered_columns
+from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     LOST,
     AttemptRow,
+    Base,
     CampaignRow,
     CellRow,
     CementRow,
@@ -36,6 +61,8 @@ _KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 
 _LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
+
+_BY_KEY = (CellRow.seed, CellRow.content)
 
 KEYS_PER_QUERY = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
@@ -66,7 +93,7 @@ def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[boo
         found.append(_is_one_of(selection.seeds))
     if selection.contents is not None:
         found.append(CellRow.content.in_(selection.contents))
-    if selection.statuses is not None:
+    if selection.statuses is not None and CellStatus.DAMAGED not in selection.statuses:
         # Without pending the plain column will do, which has an index.
         status = STATUS if CellStatus.PENDING in selection.statuses else ResultRow.status
         found.append(status.in_([s.value for s in selection.statuses]))
@@ -103,16 +130,92 @@ def table(
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
-    statement = join_results(select(*(QUANTITY_BY_NAME[name].expression for name in names)))
-    statement = statement.where(*conditions(campaign_id, selection))
-    statement = statement.order_by(*map(_order_of, sort), CellRow.seed, CellRow.content).limit(limit)
+    outcome = rows.OutcomeColumns(names)
+    statement = join_results(select(*outcome.columns)).where(*conditions(campaign_id, selection))
+    ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
+    try:
+        # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
+        found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
+        return _listed_columns(found, outcome, names, selection)
+    except UNREADABLE as error:
+        if sort or limit is not None or not may_be_damage(error):
+            raise  # where a value can't be read there is no order
+    cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id).order_by(*_BY_KEY)).all()
+    one_by_one = (row for chunk in chunks(cells) for row in _outcome_rows(session, statement, chunk))
+    return _listed_columns(one_by_one, outcome, names, selection)
+
+
+def _listed_columns(
+    found: Iterable[Sequence[Any]], outcome: rows.OutcomeColumns, names: Sequence[str], selection: Selection
+) -> dict[str, NDArray[Any]]:
+    """Columns of rows; a damaged cell meets no filter, has no status but that, and no values."""
     types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
+    places = [outcome.place[name] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
-    # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
-    for rows_of_block in session.execute(statement, execution_options={"yield_per": _ROWS_READ_AT_ONCE}).partitions():
-        columns = zip(*rows_of_block, strict=True)
+    for block in chunks(found, _ROWS_READ_AT_ONCE):
+        listed: list[Sequence[Any]] = []
+        for row in filter(_has_key, block):
+            damage = outcome.find_damage(row)
+            status = CellStatus.DAMAGED if damage else row[outcome.place["status"]] or CellStatus.PENDING
+            if selection.statuses is not None and status not in selection.statuses:
+                continue
+            if not damage:
+                listed.append([row[place] for place in places])
+            elif selection.where is None:
+                known = {"seed": row[1], "content": row[2], "status": status.value, "reason": damage}
+                listed.append([known.get(name) for name in names])
+        columns = zip(*listed, strict=True) if listed else blocks[0]
         blocks.append([np.array(column, dtype=kind) for column, kind in zip(columns, types, strict=True)])
-    return {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
+    table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
+    if "status" in table:
+        table["status"][table["status"] == None] = CellStatus.PENDING.value  # noqa: E711 - of each element
+    return table
+
+
+def _has_key(row: Sequence[Any]) -> bool:
+    """Whether it can be told which cell a row belongs to: damage may have made something else of seed and content."""
+    return _is_possible(checked_seed, row[1]) and _is_possible(canonical_content, row[2])
+
+
+def _is_possible(normalize: Callable[[Any], object], value: object) -> bool:
+    """Whether a value is one that a function gives back as it is."""
+    try:
+        return bool(normalize(value) == value)
+    except (TypeError, ValueError):
+        return False
+
+
+def _outcome_rows(
+    session: Session, statement: Select[*tuple[Any, ...]], cell_ids: Sequence[int]
+) -> Iterator[Sequence[Any]]:
+    """Give the rows of some cells; of one that can't be read its number, seed and content, unless these can't be."""
+    key = select(CellRow.id, CellRow.seed, CellRow.content)
+    for cell_id, row in _readable_rows(session, statement, CellRow.id, cell_ids):
+        if row is not None:
+            yield row
+        else:
+            yield from (key for _, key in _readable_rows(session, key, CellRow.id, [cell_id]) if key is not None)
+
+
+def _readable_rows(
+    session: Session, statement: Select[*tuple[Any, ...]], number: SQLColumnExpression[Any], cell_ids: Sequence[int]
+) -> Iterator[tuple[int, Sequence[Any] | None]]:
+    """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
+    try:
+        found: list[tuple[int, Sequence[Any] | None]] = [
+            (row[0], row) for row in session.execute(statement.where(number.in_(cell_ids)))
+        ]
+    except UNREADABLE as error:
+        if not may_be_damage(error):
+            raise
+        if len(cell_ids) == 1:
+            found = [(cell_ids[0], None)]
+        else:
+            half = len(cell_ids) // 2
+            for part in (cell_ids[:half], cell_ids[half:]):
+                yield from _readable_rows(session, statement, number, part)
+            return
+    yield from found
 
 
 def _check_names(names: Iterable[str]) -> None:
@@ -135,36 +238,55 @@ def _order_of(name: str) -> UnaryExpression[Any]:
 
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
-    listed = CellRow.id.in_(cell_ids)
-    statement = join_results(select(CellRow.id, CellRow.seed, CellRow.content, *rows.RESULT_COLUMNS))
-    found = session.execute(
-        statement.where(listed, ResultRow.status.is_not(None)).order_by(CellRow.seed, CellRow.content)
-    )
-    signals: dict[int, SignalRow] = {}
-    cements: dict[int, CementRow] = {}
-    if with_arrays:
-        signals = {
-            row.cell_id: row for row in session.scalars(select(SignalRow).where(SignalRow.cell_id.in_(cell_ids)))
-        }
-        cements = {
-            row.cell_id: row for row in session.scalars(select(CementRow).where(CementRow.cell_id.in_(cell_ids)))
-        }
-    for row in found:
-        signal, cement = signals.get(row.id), cements.get(row.id)
-        yield rows.result_from_row(
-            row,
-            rows.signal_from_row(signal) if signal is not None else None,
-            rows.cement_from_row(cement) if cement is not None else None,
-        )
+    outcome = rows.OutcomeColumns()
+    statement = join_results(select(*outcome.columns)).where(ResultRow.cell_id.is_not(None)).order_by(*_BY_KEY)
+    arrays = {model: _arrays_of(session, model, cell_ids) for model in (SignalRow, CementRow)} if with_arrays else None
+    for row in filter(_has_key, _outcome_rows(session, statement, cell_ids)):
+        try:
+            yield outcome.result(row, arrays)
+        except UNREADABLE as error:
+            reason = error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
+            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, reason)
+
+
+def _arrays_of(session: Session, model: type[Base], cell_ids: Sequence[int]) -> dict[int, Sequence[Any]]:
+    """Columns of the rows with the arrays of some cells, by the cells' numbers; none where they can't be read."""
+    number: SQLColumnExpression[Any] = model.__table__.c.cell_id
+    statement = select(number, *(model.__table__.c[name] for name in covered_columns(model)))
+    return {cell: () if row is None else row[1:] for cell, row in _readable_rows(session, statement, number, cell_ids)}
 
 
 def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
-    """All attempts at the cells, by seed, content and number."""
-    statement = select(CellRow.seed, CellRow.content, *rows.ATTEMPT_COLUMNS).join(
-        CellRow, AttemptRow.cell_id == CellRow.id
-    )
-    statement = statement.where(CellRow.id.in_(cell_ids)).order_by(CellRow.seed, CellRow.content, AttemptRow.number)
-    yield from (rows.attempt_from_row(row) for row in session.execute(statement))
+    """All attempts at the cells that are as they were stored, by seed, content and number."""
+    statement = select(CellRow.id, *rows.ATTEMPT_COLUMNS).join(AttemptRow, AttemptRow.cell_id == CellRow.id)
+    statement = statement.order_by(*_BY_KEY, AttemptRow.number)
+    for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
+        attempt = None if row is None else rows.attempt_from_row(row[1:])
+        if attempt is not None:
+            yield attempt
+
+
+def other_damage(session: Session, campaign_id: int) -> list[str]:
+    """Sentences on damaged attempts of a campaign, and on what the database itself finds (PRAGMA integrity_check)."""
+    sentences = []
+    statement = select(CellRow.id, *rows.ATTEMPT_COLUMNS).join(AttemptRow, AttemptRow.cell_id == CellRow.id)
+    cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id)).all()
+    for chunk in chunks(cells):
+        for _, row in _readable_rows(session, statement, CellRow.id, chunk):
+            if row is None or rows.attempt_from_row(row[1:]) is None:
+                cell = "cell" if row is None else f"seed {row[1]}, {row[2]} %"
+                sentences.append(f"An attempt at {cell} is not what was stored.")
+    if session.connection().dialect.name == "sqlite":
+        found = session.connection().exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
+        sentences += [f"The file: {line}." for line in found if line != "ok"]
+    return sentences
+
+
+def count_late_checksums(session: Session, campaign_id: int) -> int:
+    """Outcomes of a campaign whose checksums were computed long after they had been stored, or not at all."""
+    is_late = or_(ResultRow.checksum.startswith(MIGRATED), ResultRow.checksum == UNCHECKED)
+    statement = select(func.count()).select_from(ResultRow).join(CellRow, CellRow.id == ResultRow.cell_id)
+    return session.scalar(statement.where(CellRow.campaign_id == campaign_id, is_late)) or 0
 
 
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
@@ -203,28 +325,29 @@ def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
 
 def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:
     """See `Store.status_counts`."""
-    statement = (
-        select(CellRow.content, STATUS, func.count())
-        .select_from(CellRow)
-        .outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
-        .where(CellRow.campaign_id == campaign_id)
-        .group_by(CellRow.content, STATUS)
-        .order_by(CellRow.content)
-    )
-    return {(content, CellStatus(status)): count for content, status, count in session.execute(statement)}
+    columns = table(session, campaign_id, ("content", "status"), Selection(), ())
+    counted = Counter(zip(columns["content"].tolist(), map(CellStatus, columns["status"]), strict=True))
+    return dict(sorted(counted.items()))
 
 
 def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
     """Build a campaign with the seeds and contents of its planned cells."""
 
-    def planned(column: InstrumentedAttribute[Any]) -> tuple[Any, ...]:
-        return tuple(session.scalars(select(column).where(CellRow.campaign_id == row.id).distinct()))
+    def planned(column: InstrumentedAttribute[Any], is_one: Callable[[Any], object]) -> tuple[Any, ...]:
+        """Values of a column; what damage has made of some others is left out."""
+        found = session.scalars(select(column).where(CellRow.campaign_id == row.id).distinct()).all()
+        return tuple(value for value in found if _is_possible(is_one, value))
 
+    if sha256(row.config.encode()).hexdigest() != row.hash:
+        raise DamagedStoreError(
+            f"The stored configuration of campaign '{row.name}' is not the one of its hash {row.hash[:12]}.",
+            "Its cells can't be told from those of another campaign: import an exported file into a new database.",
+        )
     return CampaignRecord(
         hash=row.hash,
         name=row.name,
         config=row.config,
-        contents=planned(CellRow.content),
-        seeds=planned(CellRow.seed),
+        contents=planned(CellRow.content, canonical_content),
+        seeds=planned(CellRow.seed, checked_seed),
         created=row.created,
     )

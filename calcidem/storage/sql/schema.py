@@ -9,6 +9,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, func, inspect, select
 
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
+from calcidem.storage.sql.checksums import UNCHECKED, seal_former_rows
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TIME
 from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
@@ -21,24 +22,29 @@ CREATE TEMP VIEW signal AS
 SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samples FROM main.signal AS signal
 """  # noqa: S608 - constants
 
-_RESULTS_OF_0005 = f"""
-CREATE TEMP VIEW result AS
-SELECT *, error_estimate AS error_bound, {", ".join(f"NULL AS {name}" for name in NEW_COLUMNS)} FROM main.result
-"""  # noqa: S608 - constants
-_RUNS_OF_0004 = "CREATE TEMP VIEW run AS SELECT *, NULL AS workers FROM main.run"
-_PACKINGS_OF_0004 = "CREATE TEMP VIEW packing AS SELECT *, NULL AS content_hash FROM main.packing"
-_PACKINGS_OF_0003 = """
-CREATE TEMP VIEW packing AS
-SELECT *, mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap, NULL AS content_hash
-FROM main.packing
-"""
+
+def _read_without_checksums(table: str, more: str = "") -> str:
+    """View of a former table as one of the current schema."""
+    return f"CREATE TEMP VIEW {table} AS SELECT *, '{UNCHECKED}' AS checksum{more} FROM main.{table}"  # noqa: S608 - constants
+
+
+_OF_0005 = (
+    _read_without_checksums("attempt"),
+    _read_without_checksums(
+        "result", f", error_estimate AS error_bound, {', '.join(f'NULL AS {name}' for name in NEW_COLUMNS)}"
+    ),
+)
+_OF_0004 = (*_OF_0005, _read_without_checksums("run", ", NULL AS workers"))
+_OVERLAPS = ", mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap"
 
 _READ_AS_CURRENT = {
-    "0003": (_SIGNALS_OF_0003, _PACKINGS_OF_0003, _RUNS_OF_0004, _RESULTS_OF_0005),
-    "0004": (_PACKINGS_OF_0004, _RUNS_OF_0004, _RESULTS_OF_0005),
-    "0005": (_RESULTS_OF_0005,),
+    "0003": (*_OF_0004, _SIGNALS_OF_0003, _read_without_checksums("packing", f"{_OVERLAPS}, NULL AS content_hash")),
+    "0004": (*_OF_0004, _read_without_checksums("packing", ", NULL AS content_hash")),
+    "0005": (*_OF_0005, _read_without_checksums("run"), _read_without_checksums("packing")),
 }
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
+
+_FIRST_WITH_CHECKSUMS = "0006"
 
 _UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
@@ -60,8 +66,11 @@ def prepare_schema(connection: Connection, address: Address) -> None:
     """
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
         connection.execute(select(func.pg_advisory_xact_lock(_UPGRADE_LOCK)))
-    if read_revision(connection, address) != head_revision():
+    revision = read_revision(connection, address)
+    if revision != head_revision():
         command.upgrade(_configuration(connection), "head")
+        if revision is not None and revision < _FIRST_WITH_CHECKSUMS:
+            seal_former_rows(connection)
 
 
 def prepare_reading(connection: Connection, address: Address) -> tuple[str, ...]:

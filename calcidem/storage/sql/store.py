@@ -11,7 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from typing_extensions import override
 
-from calcidem.storage.errors import StoreUnavailableError, UnknownCampaignError
+from calcidem.storage.errors import DamagedStoreError, ReadOnlyStoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.records import (
     AttemptCount,
     AttemptRecord,
@@ -22,16 +22,16 @@ from calcidem.storage.records import (
     PackedResult,
     PackingRecord,
     RunRecord,
-    Signal,
 )
 from calcidem.storage.records.campaign import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
+from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import Address, execute_on_connect, make_engine, parse_address, transaction
-from calcidem.storage.sql.models import CampaignRow, CellRow, LeaseRow, PackingRow, RunRow, SignalRow
+from calcidem.storage.sql.models import CampaignRow, LeaseRow, PackingRow, RunRow
 from calcidem.storage.sql.schema import prepare_reading, prepare_schema, read_revision
-from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, LeaseGrant, LeaseHolder, Selection, Store
+from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
 
-_NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE}
+_NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
 
 def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "SqlStore":
@@ -95,6 +95,8 @@ class SqlStore(Store):
     @contextmanager
     def _writing(self) -> Iterator[Session]:
         """Open a writing transaction that fails if the lease was lost."""
+        if self.read_only:
+            raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
         with transaction(self._engine, self.address, write=True) as session:
             if self._token is not None:
                 lease.renew_lease(session, self._token)
@@ -156,6 +158,7 @@ class SqlStore(Store):
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             row.exit_state, row.ended = exit_state, as_utc(ended)
+            row.checksum = checksum_of(RunRow, (), rows.run_columns(row))
         self._run_id = None
 
     @override
@@ -232,6 +235,11 @@ class SqlStore(Store):
             return writing.make_pending(session, self._campaign, statuses, None if keys is None else list(keys))
 
     @override
+    def retry_damaged(self, keys: Collection[CellKey]) -> None:
+        with self._writing() as session:
+            writing.drop_damaged(session, self._campaign, keys)
+
+    @override
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
         with self._writing() as session:
             writing.restore_attempts(session, self._campaign, attempts)
@@ -261,7 +269,7 @@ class SqlStore(Store):
     @override
     def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
         columns = self.table(("seed", "content", "status"), selection)
-        keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
+        keys = map(CellKey, columns["seed"].tolist(), columns["content"].tolist())
         return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
 
     @override
@@ -286,7 +294,11 @@ class SqlStore(Store):
         for chunk in self._chunks(selection):
             with self._reading() as session:
                 found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
-            yield from found
+            for result in found:
+                # A damaged one was chosen by what it is no longer.
+                is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
+                if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
+                    yield result
 
     def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, then let the caller fetch them piece by piece.
@@ -298,11 +310,21 @@ class SqlStore(Store):
         yield from reading.chunks(chosen)
 
     @override
-    def signal(self, key: CellKey) -> Signal | None:
+    def integrity(self) -> Integrity:
+        outcomes = self.results(with_arrays=True)
+        damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
+        others = [
+            f"Run {number}: {run.exit_state}" for number, run in self.runs() if run.exit_state == rows.DAMAGED_RUN
+        ]
+        for index in self.packing_indices():
+            try:
+                self.load_packing(index)
+            except DamagedStoreError as error:
+                others.append(f"Packing {index}: {error.problem}")
         with self._reading() as session:
-            statement = select(SignalRow).join(CellRow, CellRow.id == SignalRow.cell_id)
-            row = session.scalar(statement.where(CellRow.campaign_id == self._campaign, reading.cell_in([key])))
-            return None if row is None else rows.signal_from_row(row)
+            others += reading.other_damage(session, self._campaign)
+            late = reading.count_late_checksums(session, self._campaign)
+        return Integrity(damaged, tuple(others), late)
 
     @override
     def table(

@@ -22,20 +22,19 @@ from calcidem.storage.records import (
 from calcidem.storage.records.campaign import refuse_other_packing
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.sql import rows
+from calcidem.storage.sql.checksums import PARTS, checksum_of, covered_columns
 from calcidem.storage.sql.models import (
     LOST,
     AttemptRow,
     Base,
     CampaignRow,
     CellRow,
-    CementRow,
-    GraphRow,
     PackingRow,
-    PathRow,
     ResultRow,
-    SignalRow,
 )
-from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, cell_in, chunks
+from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, attempts_of, cell_in, chunks
+
+_TABLES_OF_OUTCOMES: tuple[type[Base], ...] = (*PARTS, ResultRow)
 
 
 def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
@@ -81,16 +80,20 @@ def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], content
 
 def save_packing(session: Session, campaign_id: int, packing: PackingRecord, *, replace_state: bool) -> None:
     """See `Store.save_packing`."""
-    row = session.scalar(
-        select(PackingRow).where(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
-    )
-    if row is None:
+    is_it = and_(PackingRow.campaign_id == campaign_id, PackingRow.number == packing.index)
+    stored = session.execute(select(PackingRow.content_hash).where(is_it)).first()
+    if replace_state and stored is not None and stored.content_hash == packing.content_hash is not None:
+        session.execute(delete(PackingRow).where(is_it))  # whatever else of it is damaged, this one is the same
+        stored = None
+    if stored is None:
         session.add(rows.row_from_packing(campaign_id, packing))
         return
+    row = session.scalars(select(PackingRow).where(is_it)).one()
     refuse_other_packing(rows.packing_from_row(row), packing)
     row.content_hash = row.content_hash or packing.content_hash
     if replace_state:
         row.state = packing.state
+    row.checksum = checksum_of(PackingRow, (), {name: getattr(row, name) for name in covered_columns(PackingRow)})
 
 
 class _Known(NamedTuple):
@@ -167,7 +170,9 @@ def _replace(
 
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
-    session.execute(delete(ResultRow).where(ResultRow.cell_id.in_([cell_id for cell_id, _ in accepted])))
+    ids = [cell_id for cell_id, _ in accepted]
+    for model in _TABLES_OF_OUTCOMES:  # parts without an outcome, which damage leaves, would be in the way
+        session.execute(delete(model).where(model.__table__.c.cell_id.in_(ids)))
     listed = attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
@@ -176,27 +181,16 @@ def _replace(
     if outdated:
         session.execute(delete(AttemptRow).where(attempt_in(outdated)))
     shared: dict[str, Any] = {"run_id": run_id, "recorded": recorded, "forgiven": False}
-    places = [
-        {"cell_id": i, "number": result.attempt, "rank": result.rank, "host": result.host} | shared for i, result in new
-    ]
-    _insert(session, AttemptRow, places, [result for _, result in new])
-    numbers = [{"cell_id": i, "attempt": result.attempt} for i, result in accepted]
-    _insert(session, ResultRow, numbers, [result for _, result in accepted])
-    for model in (PathRow, GraphRow, SignalRow, CementRow):
-        having = [(i, result) for i, result in accepted if model.__tablename__ in result.columns]
-        _insert(session, model, [{"cell_id": i} for i, _ in having], [result for _, result in having])
-
-
-def _insert(
-    session: Session, model: type[Base], own: Sequence[dict[str, Any]], results: Sequence[PackedResult]
-) -> None:
-    """Insert a row for each outcome: what is its own there, and the columns that came packed.
-
-    Below the ORM, whose bookkeeping of rows that nobody reads again takes longer than the database.
-    """
-    if own:
+    _insert(session, AttemptRow, [rows.attempt_row(i, result, shared) for i, result in new])
+    _insert(session, ResultRow, [rows.result_row(i, result) for i, result in accepted])
+    for model in PARTS:
         name = model.__tablename__
-        values = [first | result.columns[name] for first, result in zip(own, results, strict=True)]
+        _insert(session, model, [{"cell_id": i} | r.columns[name] for i, r in accepted if name in r.columns])
+
+
+def _insert(session: Session, model: type[Base], values: Sequence[dict[str, Any]]) -> None:
+    """Insert rows, below the ORM: its bookkeeping of rows that nobody reads again takes longer than the database."""
+    if values:
         session.connection().execute(insert(model), values)
 
 
@@ -226,7 +220,7 @@ def record_lost(
             }
             for key in chunk
         ]
-        session.execute(insert(AttemptRow), values)
+        _insert(session, AttemptRow, [rows.seal_attempt(key, row) for key, row in zip(chunk, values, strict=True)])
     return {key: AttemptCount(count.attempts + 1, count.losses + 1) for key, count in counts.items()}
 
 
@@ -241,12 +235,31 @@ def make_pending(
         .order_by(CellRow.seed, CellRow.content)
     )
     wanted = None if keys is None else set(keys)
-    found = [(row.id, CellKey(row.seed, row.content)) for row in session.execute(statement)]
-    chosen = [(cell_id, key) for cell_id, key in found if wanted is None or key in wanted]
-    for chunk in chunks(cell_id for cell_id, _ in chosen):
-        session.execute(delete(ResultRow).where(ResultRow.cell_id.in_(chunk)))
+    found = {CellKey(row.seed, row.content): row.id for row in session.execute(statement)}
+    chosen = {key: cell_id for key, cell_id in found.items() if wanted is None or key in wanted}
+    _drop_outcomes(session, chosen.values())
+    return tuple(chosen)
+
+
+def drop_damaged(session: Session, campaign_id: int, keys: Collection[CellKey]) -> None:
+    """Make damaged cells pending again, and drop attempts of theirs that are damaged."""
+    for chunk in chunks(keys):
+        known = _known_cells(session, campaign_id, chunk)
+        ids = {cell.cell_id: key for key, cell in known.items()}
+        _drop_outcomes(session, ids)
+        statement = select(AttemptRow.cell_id, AttemptRow.number).where(AttemptRow.cell_id.in_(ids))
+        good = {(attempt.key, attempt.number) for attempt in attempts_of(session, list(ids))}
+        numbered = [(cell, number) for cell, number in session.execute(statement) if (ids[cell], number) not in good]
+        if numbered:
+            session.execute(delete(AttemptRow).where(attempt_in(numbered)))
+
+
+def _drop_outcomes(session: Session, cell_ids: Collection[int]) -> None:
+    """Make cells pending, and forgive the losses counted for them."""
+    for chunk in chunks(cell_ids):
+        for model in _TABLES_OF_OUTCOMES:
+            session.execute(delete(model).where(model.__table__.c.cell_id.in_(chunk)))
         session.execute(update(AttemptRow).where(AttemptRow.cell_id.in_(chunk)).values(forgiven=True))
-    return tuple(key for _, key in chosen)
 
 
 def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[AttemptRecord]) -> None:
@@ -256,11 +269,11 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
         listed = attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(AttemptRow.cell_id, AttemptRow.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
-        names = ("number", "run_id", "outcome", "reason", "rank", "host", "seconds", "recorded", "forgiven")
+        names = (*covered_columns(AttemptRow), "forgiven")
         values = [
-            {"cell_id": known[attempt.key].cell_id} | {name: getattr(attempt, name) for name in names}
+            {"cell_id": known[attempt.key].cell_id}
+            | rows.seal_attempt(attempt.key, {name: getattr(attempt, name) for name in names})
             for attempt in chunk
             if (known[attempt.key].cell_id, attempt.number) not in existing
         ]
-        if values:
-            session.execute(insert(AttemptRow), values)
+        _insert(session, AttemptRow, values)

@@ -24,6 +24,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult
+from calcidem.storage.sql.checksums import seal_former_rows
 
 pytestmark = pytest.mark.slow
 
@@ -88,6 +89,7 @@ def change(small: Path, tmp_path: Path) -> Change:
             for table, values in assignments.items():
                 statement = f"UPDATE {table} SET {values} {OF_ONE_CELL}"  # noqa: S608 - from this file
                 connection.execute(text(statement))
+            seal_former_rows(connection)  # what was computed wrongly is stored in order
         engine.dispose()
         return path
 

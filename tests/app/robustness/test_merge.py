@@ -92,7 +92,7 @@ def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: P
     with open_store(other) as store:
         changed = record.config.replace('"damping":0.3', '"damping":0.2')
         assert changed != record.config
-        store.begin_campaign(replace(record, hash="other", config=changed))
+        store.begin_campaign(replace(record, hash=canonical_hash(json.loads(changed)), config=changed))
     with pytest.raises(CampaignMismatchError, match=r"wave\.damping: 0\.3 -> 0\.2"):
         merge_databases([str(first), str(other)], tmp_path / "out.db")
 

@@ -1,6 +1,8 @@
 """Cells say what their velocity means: on which distance, on how many wavelengths, how exact, in how much calcite.
 
 The estimated error of a velocity was a bound of it, and is called so. Of cells stored before, the rest is not known.
+
+Rows have checksums; those of rows stored before are computed after all migrations (`calcidem.storage.sql.checksums`).
 """
 
 import sqlalchemy as sa
@@ -28,3 +30,5 @@ def upgrade() -> None:
     for name, kind in NEW_COLUMNS.items():
         check = sa.CheckConstraint(_CHECKS_OF[kind].format(name), name=op.f(f"ck_result_{name}_{kind}"))
         op.add_column("result", sa.Column(name, sa.Double(), check, nullable=True))
+    for table in ("result", "attempt", "packing", "run"):
+        op.add_column(table, sa.Column("checksum", sa.Text(), nullable=True))

@@ -1,0 +1,177 @@
+"""What was changed behind the store's back is an outcome of its cell, and never taken for what was stored."""
+
+import shutil
+import sqlite3
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
+from calcidem.storage.sql.checksums import MIGRATED
+from calcidem.storage.sql.store import open_store
+
+if TYPE_CHECKING:
+    from conftest import Records
+
+BAD, GOOD = CellKey(1, 5.0), CellKey(2, 5.0)
+CELL_ID = "(SELECT id FROM cell WHERE seed = 1 AND content = 5.0)"
+
+
+@pytest.fixture
+def database(tmp_path: Path, records: "Records") -> Path:
+    """Create a closed database with a packing, and two cells that have everything."""
+    path = tmp_path / "one.db"
+    with open_store(path) as store:
+        store.begin_campaign(records.campaign())
+        store.save_packing(records.packing(content_hash="it"))
+        store.begin_run(records.run())
+        store.record_results([records.with_arrays(seed) for seed in (1, 2)])
+    return path
+
+
+def execute(path: Path, statement: str) -> None:
+    """Run a statement behind the store's back."""
+    with sqlite3.connect(path, isolation_level=None) as connection:
+        connection.execute("PRAGMA ignore_check_constraints=ON")
+        connection.execute(statement)
+    connection.close()
+
+
+def change(table: str, column: str, value: str, key: str = "cell_id") -> str:
+    """Statement that changes one column of the cell's row."""
+    return f"UPDATE {table} SET {column} = {value} WHERE {key} = {CELL_ID}"  # noqa: S608 - a test's own
+
+
+NUMBERS = [
+    change("result", "vs", "vs * (1 + 1e-15)"),
+    change("result", "status", "'unstable'"),
+    change("result", "steps", "steps + 1"),
+    change("result", "vs_first_arrival", "1000.0"),
+    change("result", "packing_index", "1"),
+    change("result", "energy_error", "'text'"),
+    change("result", "retry", "CAST(x'ff00' AS TEXT)"),
+    change("result", "checksum", "NULL"),
+    change("result", "checksum", "'unchecked '"),
+    change("result", "checksum", "replace(checksum, 'signal:', 'signal:1')"),
+]
+ARRAYS = [
+    change("signal", "samples", "substr(samples, 1, 20) || x'00' || substr(samples, 22)"),
+    change("signal", "start_time", "0.5"),
+    change("cement_pattern", "pattern", "x''"),
+    change("cement_pattern", "cell_id", f"{CELL_ID} + 1000"),
+    f"DELETE FROM signal WHERE cell_id = {CELL_ID}",  # noqa: S608 - a test's own
+]
+PARTS = [
+    change("attempt", "host", "'node8'"),
+    change("attempt", "recorded", "'yesterday'"),
+    change("path_features", "path", "'[4, 8, 15, 17]'"),
+    change("path_features", "path", "'[4, 8'"),
+    change("path_features", "connectivity", "2.67"),
+    change("graph_summary", "components", "5"),
+    f"DELETE FROM graph_summary WHERE cell_id = {CELL_ID}",  # noqa: S608 - a test's own
+]
+
+
+@pytest.mark.parametrize("statement", NUMBERS + PARTS + ARRAYS)
+def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "Records", statement: str) -> None:
+    """Whatever is changed of a cell, it is named, and made anew on request."""
+    execute(database, statement)
+    with open_stored_campaign(database) as campaign:
+        damaged = campaign.cell(seed=1, content=5.0)
+        assert (damaged.status, damaged.vs, damaged.signal) == (CellStatus.DAMAGED, None, None)
+        assert campaign.cell(seed=2, content=5.0) == records.with_arrays(2)
+        assert set(campaign.store.integrity().cells) == {BAD}
+        with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*retry DB --damaged"):
+            campaign.signal(seed=1, content=5.0)
+        if statement in NUMBERS:
+            assert campaign.store.statuses()[BAD] is CellStatus.DAMAGED
+            assert campaign.status_counts()[5.0, CellStatus.DAMAGED] == 1
+            assert campaign.vs().sel(seed=1, content=5.0).isnull()
+            assert [c.key for c in campaign.select(where="vs > 0")] == [GOOD]
+            assert [c.key for c in campaign.select(status="damaged")] == [BAD]
+    with open_store(database) as store:
+        store.use_campaign()
+        store.retry_damaged([BAD])
+        assert BAD in store.pending()
+        store.record_results([records.with_arrays(1)])
+        assert list(store.results(with_arrays=True)) == [records.with_arrays(seed) for seed in (1, 2)]
+        assert not store.integrity().cells
+
+
+@pytest.mark.parametrize("statement", [NUMBERS[0], PARTS[1], ARRAYS[0]])
+def test_a_damaged_cell_is_exported_as_missing(
+    database: Path, tmp_path: Path, records: "Records", statement: str
+) -> None:
+    """Its flag and its reason are in the file, all other cells are, and whoever imports it has the cell to compute."""
+    execute(database, statement)
+    with open_stored_campaign(database) as campaign:
+        exported = export_netcdf(campaign.store, campaign.record, tmp_path / "out.nc")
+    with open_store(tmp_path / "again.db") as again:
+        import_netcdf(exported, again)
+        assert BAD in again.pending()
+        assert list(again.results(with_arrays=True)) == [records.with_arrays(2)]
+    with xr.open_dataset(exported) as dataset:
+        cell = dataset.sel(seed=1, content=5.0)
+        assert int(cell["status"]) == STATUS_CODES[CellStatus.DAMAGED]
+        assert np.isnan([float(cell["vs"]), float(cell["steps"])]).all()
+        assert str(cell["reason"].values)
+        assert float(dataset["vs"].sel(seed=2, content=5.0)) == records.with_arrays(2).vs
+
+
+def test_provenance_and_configuration_are_checked(database: Path) -> None:
+    """A changed run is said to be damaged and blocks nothing; a changed configuration is refused."""
+    execute(database, "UPDATE run SET host = 'elsewhere'")
+    with open_stored_campaign(database) as campaign:
+        (_, run), *_ = campaign.runs()
+        assert (run.host, run.exit_state) == ("", "damaged: what was stored of this run was changed")
+        assert any("Run 1" in line for line in campaign.store.integrity().others)
+        assert campaign.store.integrity().cells == {}
+    execute(database, "UPDATE campaign SET config = replace(config, '0.2', '0.3')")
+    with pytest.raises(DamagedStoreError, match="configuration"):
+        open_stored_campaign(database)
+
+
+@pytest.mark.parametrize("column", ["grains", "state", "width", "wall_stress"])
+def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "Records", column: str) -> None:
+    """It is refused; one of its content hash takes its place, and no other."""
+    execute(database, f"UPDATE packing SET {column} = '0.2'")  # noqa: S608 - a test's own
+    with open_store(database) as store:
+        store.use_campaign()
+        with pytest.raises(DamagedStoreError):
+            store.load_packing()
+        assert any("Packing 0" in line for line in store.integrity().others)
+        with pytest.raises((CampaignMismatchError, DamagedStoreError)):
+            store.save_packing(records.packing(content_hash="another"), replace_state=True)
+        store.save_packing(records.packing(content_hash="it"), replace_state=True)
+        assert store.load_packing() == records.packing(content_hash="it")
+
+
+def test_rows_of_older_databases_get_marked_checksums(tmp_path: Path) -> None:
+    """An upgrade gives all rows checksums, which find later damage and are marked; read as it is nothing is checked."""
+    asset = Path(__file__).parent / "assets" / "schema_0004.db"
+    path = Path(shutil.copy(asset, tmp_path))
+    with open_stored_campaign(path) as campaign:
+        late = campaign.store.integrity().late
+        assert late == len(list(campaign.select()))
+    assert path.read_bytes() == asset.read_bytes()
+    open_store(path).close()
+    with open_stored_campaign(path) as campaign:
+        assert campaign.store.integrity().late == late
+        assert not campaign.store.integrity().cells
+        assert not campaign.store.integrity().others
+    with sqlite3.connect(path) as connection:
+        for table in ("result", "attempt", "packing", "run"):
+            found = connection.execute(f"SELECT checksum FROM {table}").fetchall()  # noqa: S608 - a constant
+            assert all(checksum.startswith(MIGRATED) for (checksum,) in found)
+    connection.close()
+    execute(path, change("result", "vs", "1000.0"))
+    with open_stored_campaign(path) as campaign:
+        assert campaign.cell(seed=1, content=5.0).status is CellStatus.DAMAGED
+        assert set(campaign.store.integrity().cells) == {BAD}
