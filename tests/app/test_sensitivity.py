@@ -1,12 +1,24 @@
 """The command `sensitivity`: variants of a small campaign, computed, continued and tabulated."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
+from calcidem.app.studies.sensitivity.sobol import (
+    evaluate_points,
+    indices_of_points,
+    load_sobol_plan,
+    parameters_out_of_reach,
+    sobol_table,
+    stored_points,
+)
 from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
+from calcidem.dem.sample.packing import Packing
+from calcidem.storage.errors import CampaignMismatchError
 
 pytestmark = pytest.mark.slow
 
@@ -42,6 +54,15 @@ choice = "calcite of a cluster"
 value = "Eq. 2"
 without = ["pattern.cluster_area"]
 against = "modulus: four times"
+"""
+
+RANGES = """
+configuration = "base.toml"
+contents = [0.66, 0.5]
+seeds = 8
+[ranges]
+"sand.wave_stiffness_factor" = [8.0, 20.0]
+"cement.bond_modulus" = [7.9e10, 8.1e10]
 """
 
 
@@ -102,7 +123,77 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:
-    """Every variant in the plan that the reproduction page was made with can be read."""
+    """Every variant and every range in the plans that the reproduction pages were made with can be read."""
     plans = Path(__file__).parents[2] / "docs" / "reproduction"
     for plan in plans.glob("*.toml"):
-        assert len(load_plan(plan, str(tmp_path / "all.db"))) > 1
+        if "[ranges]" in plan.read_text(encoding="utf-8"):
+            assert load_sobol_plan(plan, 4).ranges
+        else:
+            assert len(load_plan(plan, str(tmp_path / "all.db"))) > 1
+
+
+def test_ranges_that_cannot_be_varied_are_named(tmp_path: Path) -> None:
+    """A plan without ranges, a number of the packing, and odd numbers of points are refused before anything runs."""
+    for change, bases, named in (
+        (("[ranges]", "[[variant]]"), 8, "choice"),
+        (('"sand.wave_stiffness_factor"', '"packing.stress"'), 8, "packing.stress: is no number"),
+        (("[8.0, 20.0]", "[8.0]"), 8, "ranges"),
+        (("[8.0, 20.0]", "[20.0, 8.0]"), 8, "two rising"),
+        (("seeds = 8", "seeds = 8"), 12, "power of two"),
+    ):
+        with pytest.raises(ConfigurationError, match=named):
+            load_sobol_plan(planned(tmp_path, RANGES.replace(*change)), bases)
+
+
+def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Path) -> None:
+    """Velocities whose mean is linear in one parameter and deviation in the other give each its share, and no other."""
+    plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
+    points = stored_points(plan, tmp_path / "none.nc")
+    low, high = np.array(list(plan.ranges.values())).T
+    first, second = ((points["value"].to_numpy() - low) / (high - low)).T
+    signs = np.tile([1.0, -1.0], 4)
+    mean = 300.0 + 100.0 * first
+    points["vs"][:] = (mean[:, None] * (1.0 + 0.1 * second[:, None] * signs))[:, None, :]
+    points["vs"][:, 1, 0] = 100.0  # the second content varies differently; its last seed is never read
+    points["vs"][:, 1, 7] = np.nan
+    points["done"][:] = True
+    indices = indices_of_points(plan, points)
+    found = indices.sel(content=0.66)
+    for output, shares in (("mean", [1.0, 0.0]), ("relative_deviation", [0.0, 1.0])):
+        np.testing.assert_allclose(found["total"].sel(output=output), shares, atol=0.02)
+        np.testing.assert_allclose(found["first"].sel(output=output), shares, atol=0.1)
+    assert bool(indices["total"].sel(output="readable_share").isnull().all())
+    assert "does not vary" in sobol_table(indices)
+    only_mean = indices.where(indices["output"] != "relative_deviation", 0.0)
+    assert parameters_out_of_reach(only_mean.sel(content=[0.66])) == ["cement.bond_modulus"]
+
+
+def test_points_are_computed_once_and_of_one_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_packing: Packing
+) -> None:
+    """A file that lacks a point is completed to the same velocities; one of another plan is refused."""
+    plan = load_sobol_plan(planned(tmp_path, RANGES.replace("[0.66, 0.5]", "[0.66]")), 4)
+    file, told = tmp_path / "points.nc", []
+    complete = evaluate_points(plan, small_packing, file, say=told.append)
+    assert told[0].startswith("16 points of 8 cells each: about")
+    assert bool(complete["done"].all())
+    assert bool(complete["vs"].notnull().any("seed").all())
+    monkeypatch.setattr("calcidem.app.studies.sensitivity.sobol.trial_workers", None)  # nothing is left to compute
+    assert evaluate_points(plan, small_packing, file)["vs"].equals(complete["vs"])
+    with pytest.raises(CampaignMismatchError, match="another plan"):
+        stored_points(replace(plan, bases=8), file)
+    monkeypatch.undo()
+    partial = complete.copy(deep=True)
+    partial["done"][3], partial["vs"][3] = False, np.nan
+    partial.to_netcdf(file)
+    assert evaluate_points(plan, small_packing, file)["vs"].equals(complete["vs"])
+
+
+@pytest.mark.full
+def test_the_stiffness_of_the_sand_decides_where_little_is_cemented(tmp_path: Path, small_packing: Packing) -> None:
+    """Of a small real campaign the mean at 0.66 % is decided by the sand, not by 1 % of the modulus of the bonds."""
+    plan = load_sobol_plan(planned(tmp_path, RANGES.replace("0.5]", "0.4]")), 64)
+    points = evaluate_points(plan, small_packing, tmp_path / "points.nc", cores=2)
+    total = indices_of_points(plan, points)["total"].sel(output="mean", content=0.66)
+    assert float(total[0]) > 0.8  # seeds that some points do not read make the rest
+    assert float(total[1]) < 0.1

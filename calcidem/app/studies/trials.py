@@ -14,6 +14,7 @@ from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 
@@ -75,11 +76,12 @@ def _velocities(
     """Vs of one batch of seeds at each content, m/s, shape (seeds, contents)."""
     experiment = configuration.experiment(packing)
     ordering = lru_cache(experiment.ordering)
-    columns = [
-        [
-            np.nan if cell.vs is None else cell.vs
-            for cell in measure(experiment, content, seeds, lanes=configuration.run.lanes, ordering=ordering)
-        ]
-        for content in contents
-    ]
-    return np.array(columns).T
+
+    def column(content: float) -> list[float]:
+        try:
+            cells = measure(experiment, content, seeds, lanes=configuration.run.lanes, ordering=ordering)
+        except CementCapacityError:  # other values of the same plan leave more room
+            return [np.nan] * len(seeds)
+        return [np.nan if cell.vs is None else cell.vs for cell in cells]
+
+    return np.array([column(content) for content in contents]).T

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -40,7 +40,7 @@ class _ListedVariant(BaseModel):
 
 
 class _ListedPlan(BaseModel):
-    """The whole file: a TOML file, relative to this one, that is varied; percents and number of seeds; the variants."""
+    """The whole file: a TOML file, relative to this one, that is varied; percents, number of seeds; what is varied."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -48,6 +48,8 @@ class _ListedPlan(BaseModel):
     contents: list[float]
     seeds: int = Field(ge=2)
     variant: list[_ListedVariant] = Field(default_factory=list)
+    ranges: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=dict)
+    """Lowest and highest value by ``section.key``, for Sobol indices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +91,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
         With everything that is wrong with the file or with a configuration that comes of it.
     """
     source = os.fspath(path)
-    try:
-        listed = _ListedPlan.model_validate(parse_file(Path(path)))
-    except ValidationError as error:
-        found = ((".".join(map(str, detail["loc"])), phrase(detail)) for detail in error.errors())
-        raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
+    listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
     base["run"] = {**base.get("run", {}), "database": database, "store_signals": False}
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
@@ -108,6 +106,24 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
         raise ConfigurationError(source, problems)
     first = _ListedVariant(choice=REFERENCE, value="")
     return tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant))
+
+
+def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]:
+    """Read a file of variants or ranges, and its configuration with its cells; errors as `load_plan`."""
+    listed = _parse_plan(path)
+    base = parse_file(Path(path).parent / listed.configuration)
+    base["campaign"] = {**base.get("campaign", {}), "seeds": listed.seeds, "contents": listed.contents}
+    return listed, read_configuration(base, os.fspath(path))
+
+
+def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
+    """Read the file."""
+    source = os.fspath(path)
+    try:
+        return _ListedPlan.model_validate(parse_file(Path(path)))
+    except ValidationError as error:
+        found = ((".".join(map(str, detail["loc"])), phrase(detail)) for detail in error.errors())
+        raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
 
 
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
