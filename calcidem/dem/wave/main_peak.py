@@ -1,8 +1,9 @@
 """The main peak of a received signal, on which every reading of a travel time leans.
 
-Bare rules fail on real records: the largest value may be a reflection, and the first one above some level a precursor
-(a P wave of the near field) or noise. This search takes the first peak that nothing exceeds up to a horizon behind it,
-and looks no further. Its bounds were set on synthetic signals with a known delay (docs/reading.md).
+Bare rules fail on real records: the largest value may be a reflection or ringing, and the first one above some level a
+precursor (a P wave of the near field) or noise. This search asks of each top in turn what it can be by the speeds and
+signs of P and S waves, and looks no further than it has to. Its bounds were set on synthetic signals with a known delay
+(docs/reading.md).
 """
 
 from dataclasses import dataclass
@@ -16,15 +17,19 @@ from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
 _PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
-_BEHIND_P = 0.5  # of the largest value; the first peak as high as this behind a P wave of opposite sign is the S wave
-_TROUGH = 1.6  # over the height of a peak; what goes deeper behind it is no part of the same pulse
+_BEFORE_P = 0.75  # periods between the beginning and the top of a P wave, which widened on its way
+_LATE = 0.2  # periods by which the S wave's top may come later than the fastest P wave's tells
+_ENOUGH = 0.5  # of the largest value; behind a P wave of opposite sign, or before ringing, the first such top is read
+_RINGING = 0.6  # of a top; a P wave of the same sign swings back by less before the S wave comes
+_TROUGH = 1.6  # over the height of a top; what goes deeper behind it is no part of the same pulse, or ringing
+_FOOT = 0.2  # of the main peak; an earlier top like that, with ringing behind it, may be the S wave
 _TWIN = 0.05  # of the height of a top; step and regime change signals by a third of that (docs/accuracy.md)
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
-_BLUR = 0.14  # of the travel time that half the additional width of a peak may be ...
+_BLUR = 0.14  # of the travel time that the additional width of a peak may be ...
+_BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
-_SWING_REACH = 0.8  # periods between a swing and the peak that it runs into, or ...
-_BROAD_REACH = 0.65  # ... of the width of a broader peak, where it is more ...
-_RUNNING_INTO = 2.1  # ... in records with fewer periods on the way
+_FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
+_SHIFT = 0.03  # of the travel time by which a P wave of opposite sign may have moved the peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +83,7 @@ class MainPeak:
     Attributes
     ----------
     index, time
-        Nearest sample, and time in samples.
+        Its sample, and its time in samples; behind a P wave of opposite sign that of the peak without that wave.
     height, noise
         In the unit of the received signal.
     precursor
@@ -129,67 +134,119 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
 
 
 def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
-    """Find the first peak that nothing up to its horizon exceeds, by more than twice if a deep swing came before it.
-
-    A deep swing of opposite sign is the P wave; what follows it is the S wave, and what is larger still a reflection.
-    """
-    rule, smooth = record.rule, record.smooth
+    """Find the first top that can be the S wave's, looking no further than its horizon."""
+    smooth = record.smooth
     if not np.isfinite(record.received).all():
         return PickFailure.NOT_FINITE
-    peaks, found = find_peaks(smooth, height=record.signals.floor, prominence=0.0)
-    # Of the whole record, and so at least as large as in the view up to the horizon.
-    stands_out = found["prominences"] >= rule.prominence * found["peak_heights"]
-    travel = peaks - record.sent_peak
-    for index in peaks[stands_out & (travel > record.earliest) & (travel < record.latest)].tolist():
-        time = index + parabola_vertex(smooth, index)
-        horizon = int(np.ceil(time + max((rule.horizon - 1.0) * (time - record.sent_peak), record.period)))
-        if horizon + record.reach > len(smooth):
+    tops = find_peaks(smooth, height=record.signals.floor)[0]
+    travel = tops - record.sent_peak
+    for index in tops[(travel > record.earliest) & (travel < record.latest)].tolist():
+        peak = _judge_peak(record, index)
+        if peak is PickFailure.TOO_SHORT:
             return _why_no_peak(record, cut_off=True)
-        peak = _judge_peak(record, index, time, horizon)
         if peak is not None:
             return peak
     return _why_no_peak(record, cut_off=False)
 
 
-def _judge_peak(record: PreparedSignals, index: int, time: float, horizon: int) -> MainPeak | None:
-    """Weigh a peak against the record up to its horizon; None if it cannot be the main one."""
-    rule, view, periods = record.rule, record.smooth[:horizon], (time - record.sent_peak) / record.period
-    height = float(view[index])
-    trough = int(np.argmin(view[: index + 1]))
-    behind_p = -float(view[trough]) > rule.precursor * height
-    if height < float(view.max()) * (_BEHIND_P if behind_p else 1.0) or -float(view[index:].min()) > _TROUGH * height:
+def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure | None:
+    """Weigh a top against the record up to its horizon; None if it cannot be the main one."""
+    rule, smooth, sent = record.rule, record.smooth, record.sent_peak
+    time, height = index + parabola_vertex(smooth, index), float(smooth[index])
+    travel = time - sent
+    trough = int(np.argmin(smooth[: index + 1]))
+    s_wave = rule.horizon * (trough - sent)  # latest travel time if the trough is a P wave
+    behind_p = -float(smooth[trough]) > rule.precursor * height and travel <= s_wave + _LATE * record.period
+    until = (
+        max(s_wave, travel + 0.5 * record.period) if behind_p else max(rule.horizon * travel, travel + record.period)
+    )
+    horizon = int(np.ceil(sent + until))
+    low = index + int(np.argmin(smooth[index:horizon]))
+    ringing = -float(smooth[low]) > _TROUGH * height
+    if ringing:  # or a P wave whose foot the top is: look until the S wave has come
+        horizon = int(np.ceil(sent + rule.horizon * (low - sent)))
+    view = smooth[:horizon]
+    largest, prominence = float(view.max()), float(peak_prominences(view, [index])[0][0])
+    if height < _ENOUGH * largest or prominence < rule.prominence * height:
+        return None  # which a longer record cannot change
+    end = max(horizon, int(np.ceil(time + record.period)))
+    if end + record.reach > len(smooth):
+        return PickFailure.TOO_SHORT
+    if not ringing and float(view[index:].max()) > height:
+        larger = index + int(np.argmax(view[index:] > height))
+        ringing = -float(view[index:larger].min()) > _RINGING * height
+    if height < largest and not (behind_p or ringing):
         return None
-    noise = _noise_level(record, horizon, periods * record.period / _FASTEST_P)
-    prominence = float(peak_prominences(view, [index])[0][0])
+    quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period if behind_p else np.inf)
+    noise = _noise_level(record, horizon, quiet)
     width = float(peak_widths(view, [index], rel_height=0.5)[0][0]) / (record.period / 2.0)
-    if (
-        prominence < rule.prominence * height
-        or width < rule.width
-        or height * min(1.0, _PERIODS_FOR_NOISE * periods) <= rule.signal_to_noise * noise
-    ):
+    heard = height * min(1.0, _PERIODS_FOR_NOISE * travel / record.period)
+    if width < rule.width or heard <= rule.signal_to_noise * noise:
         return None
     precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
-    doubt = None
-    if _has_twin(view[:index] if behind_p else view, height, index, _APART * periods * record.period):
-        doubt = PickFailure.UNSURE
-    elif periods < _BLURRED and 0.5 * (width - 1.0) > _BLUR * periods:
-        doubt = PickFailure.BROAD
-    elif (
-        behind_p
-        and periods < _RUNNING_INTO
-        and index - trough < max(_SWING_REACH, _BROAD_REACH * width) * record.period
-    ):
-        doubt = PickFailure.PRECURSOR
     return MainPeak(
         index=index,
-        time=time,
+        time=_top_without_p(smooth[:end], trough, index) if behind_p else time,
         height=height,
         noise=noise,
         precursor=precursor,
-        quality=min(prominence, height) / float(np.abs(view).max()) * max(0.0, 1.0 - precursor),
-        doubt=doubt,
-        end=horizon + record.reach,
+        quality=min(prominence, height) / largest * max(0.0, 1.0 - precursor),
+        doubt=_doubt(record, view, index, trough, end, behind_p=behind_p, ringing=ringing),
+        end=end + record.reach,
     )
+
+
+def _doubt(
+    record: PreparedSignals, view: Floats, index: int, trough: int, end: int, *, behind_p: bool, ringing: bool
+) -> PickFailure | None:
+    """Tell why the time of a main peak would be chance; ``trough`` is the deepest sample before it."""
+    height, travel = float(view[index]), index - record.sent_peak
+    if _has_twin(view[:index] if behind_p or ringing else view, height, index, _APART * travel):
+        return PickFailure.UNSURE
+    foot = float(view[: trough + 1].max())
+    if foot > _FOOT * height and -float(view[trough]) > _RINGING * foot:
+        return PickFailure.UNSURE
+    if travel < _BLURRED * record.period and _is_broad(record, view, index):
+        return PickFailure.BROAD
+    if behind_p and index - _top_without_p(record.smooth[:end], trough, index) > _SHIFT * travel:
+        return PickFailure.PRECURSOR
+    return None
+
+
+def _is_broad(record: PreparedSignals, view: Floats, index: int) -> bool:
+    """Whether a faster wave may be part of a peak: it began too early, and not only ended late."""
+    width, _, left, _ = peak_widths(view, [index], rel_height=0.5)
+    travel = index - record.sent_peak
+    before = index - float(left[0]) - record.period / 4.0
+    wide = float(width[0]) - record.period / 2.0 > _BLUR * travel
+    return wide and (before > _BLUR_BEFORE * travel or travel < _FEWEST_PERIODS * record.period)
+
+
+def _top_without_p(view: Floats, trough: int, index: int) -> float:
+    """Time of the peak once the P wave before it is taken off.
+
+    What leads a P wave is free of the S wave, and what trails an S wave free of the P wave. With pulses that are the
+    same before and after their tops, each is its free half and the mirror image of that, taken off the record in turn.
+    """
+    trailing = np.zeros(len(view))
+    for _ in range(2):
+        rest = view - trailing
+        trough = int(np.argmin(rest[: index + 1]))
+        alone = view + _mirrored(-rest, trough)
+        index = trough + int(np.argmax(alone[trough : index + 2]))
+        trailing = _mirrored(alone[::-1], len(view) - 1 - index)[::-1]
+    return index + (parabola_vertex(alone, index) if 0 < index < len(alone) - 1 else 0.0)
+
+
+def _mirrored(signal: Floats, top: int) -> Floats:
+    """Pulse that is the lobe of a signal before a top, and its mirror image behind it."""
+    reach = min(top, len(signal) - 1 - top)
+    below = np.flatnonzero(signal[top - reach : top] <= 0.0)
+    begin = top - reach + (int(below[-1]) + 1 if len(below) else 0)
+    pulse, lobe = np.zeros(len(signal)), signal[begin : top + 1]
+    pulse[begin : top + 1] = lobe
+    pulse[top : 2 * top - begin + 1] = lobe[::-1]
+    return pulse
 
 
 def _has_twin(view: Floats, height: float, index: int, apart: float) -> bool:

@@ -17,10 +17,10 @@ class PickFailure(StrEnum):
     SILENT = "nothing above the noise was received"
     TOO_SHORT = "the record ends before the main peak is certain: record for longer"
     NO_PEAK = "no peak stands out of the received signal"
-    PRECURSOR = "a swing of opposite sign runs into the main peak and may have moved it: send a higher frequency"
+    PRECURSOR = "a swing of opposite sign runs into the main peak and has moved it: send a higher frequency"
     BROAD = "the main peak is so broad that a faster wave may be part of it: send a higher frequency"
     UNSURE = "two tops are of nearly the same height, either may be the peak: send another frequency"
-    DISAGREEMENT = "differs by more than a tenth from the other readings: look at the signal, send a higher frequency"
+    DISAGREEMENT = "differs by more than a tenth from the peak: read the peak, or send a higher frequency"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
     UNLIKE = "the received signal does not resemble the sent pulse"
@@ -41,10 +41,11 @@ class PickRule:
         Smallest width of the main peak at half its prominence, relative to the sent pulse's: grains widen a
         pulse, and what is much narrower is noise.
     precursor
-        Swings of opposite sign of this size, relative to the main peak, make it doubtful if they run into it.
+        Swings of opposite sign of this size, relative to a peak, count as the P wave before it.
     horizon
         How far the record is judged, as a multiple of the travel time of a peak, but at least one period
-        behind it. P waves are 1.3 to 2 times as fast as S waves (in a hexagonal lattice
+        behind it; or of that of the P wave of opposite sign before it. P waves are 1.3 to 2 times as fast as S waves
+        (in a hexagonal lattice
         ``sqrt((3 k_n + k_s) / (k_n + k_s))`` times, 1.4 to 1.5 for k_s / k_n of 1 to 0.86), so a P wave is not taken
         for the larger S wave that is still to come.
     onset
@@ -156,7 +157,7 @@ class Picks:
     ----------
     peak
         From the peak sent to the main peak received. Quality: how far that peak stands out (its prominence, not
-        counting what lies below zero, over the largest absolute value up to the horizon), times how little of its sign
+        counting what lies below zero, over the largest value up to the horizon), times how little of its sign
         came before (one less the largest earlier bump over the peak).
     first_arrival
         From the sent to the received signal's last rise through the onset level before their peaks. Using
