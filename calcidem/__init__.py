@@ -1,7 +1,15 @@
 """Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand.
 
-`run` computes a campaign in this process, `open_campaign` reads one, `load_paper_campaign` gives the numbers of the one
-that comes with the package; `calcidem.dem` simulates scenes of your own.
+Compute a campaign in this process, look at it, and find what it is:
+
+>>> import calcidem
+>>> with calcidem.run("quick.toml", set={"campaign.seeds": 2}) as campaign:  # doctest: +SKIP
+...     print(campaign.summary())
+
+`run` computes, `open_campaign` reads a stored campaign, `load_paper_campaign` gives the numbers of the one that comes
+with the package. `load_configuration` reads and checks a TOML file without computing anything, `preset_text` gives one
+of the examples in `PRESETS` to start from. Errors that name what is wrong and what helps are `ConfigurationError`,
+`PackingError`, `StoreError` and `LaunchError`. `calcidem.dem` simulates scenes of your own.
 """
 
 from importlib import import_module
@@ -9,15 +17,50 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
+    from calcidem import dem
     from calcidem.app.campaign.opened import OpenedCampaign, load_paper_campaign, open_campaign
+    from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
+    from calcidem.app.config.errors import ConfigurationError
+    from calcidem.app.config.presets import PRESETS, preset_text
+    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.config.schema import Configuration
+    from calcidem.dem.sample.packing import PackingError
+    from calcidem.storage.errors import StoreError
+    from calcidem.sweep import LaunchError
 
-__all__ = ["OpenedCampaign", "load_paper_campaign", "open_campaign", "run"]
+__all__ = [
+    "PRESETS",
+    "Configuration",
+    "ConfigurationError",
+    "LaunchError",
+    "OpenedCampaign",
+    "PackingError",
+    "RunProgress",
+    "RunStage",
+    "StoreError",
+    "dem",
+    "load_configuration",
+    "load_paper_campaign",
+    "open_campaign",
+    "preset_text",
+    "run",
+]
 
 _HOMES = {
+    "PRESETS": "calcidem.app.config.presets",
+    "Configuration": "calcidem.app.config.schema",
+    "ConfigurationError": "calcidem.app.config.errors",
+    "LaunchError": "calcidem.sweep",
     "OpenedCampaign": "calcidem.app.campaign.opened",
+    "PackingError": "calcidem.dem.sample.packing",
+    "RunProgress": "calcidem.app.campaign.progress",
+    "RunStage": "calcidem.app.campaign.progress",
+    "StoreError": "calcidem.storage.errors",
+    "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",
+    "preset_text": "calcidem.app.config.presets",
     "run": "calcidem.app.campaign.run",
 }
 
@@ -26,6 +69,13 @@ def __getattr__(name: str) -> object:
     """Import on first use: whoever needs the kernels alone does not wait for the database."""
     if name == "__version__":
         return import_module("importlib.metadata").version("calcidem")
+    if name == "dem":
+        return import_module("calcidem.dem")
     if name not in _HOMES:
         raise AttributeError(f"module 'calcidem' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Names of what there is, imported or not."""
+    return sorted([*globals(), *__all__, "__version__"])

@@ -4,9 +4,12 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 """
 
 import os
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -22,7 +25,7 @@ from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_configuration
-from calcidem.app.campaign.packing import content_hash_of, stored_packing
+from calcidem.app.campaign.packing import content_hash_of, readable_packing
 from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
@@ -127,6 +130,26 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
 
 class OpenedCampaign(StoredCampaign):
     """A campaign as its readers see it; `calcidem.storage.campaign.StoredCampaign` has the rest of its methods."""
+
+    def __repr__(self) -> str:
+        """Name, size and how many cells have which outcome, as of now."""
+        counts: Counter[str] = Counter()
+        with suppress(StoreError):  # it is closed
+            for (_, status), number in self.status_counts().items():
+                counts[status.replace("_", " ")] += number
+        size = f"{len(self.record.seeds)} seeds x {len(self.record.contents)} contents"
+        cells = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+        return f"<calcidem campaign '{self.record.name}': {size}; cells: {cells or 'not readable any more'}>"
+
+    def _repr_html_(self) -> str:
+        """The same with a table of Vs at each content, for notebooks."""
+        head = f"<p>{escape(repr(self)[1:-1])}</p>"
+        try:
+            found = self.summary()[["n", "missing", "failed", "mean", "standard_deviation"]].to_dataframe()
+        except StoreError:
+            return head
+        found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
+        return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content.
@@ -297,8 +320,8 @@ class OpenedCampaign(StoredCampaign):
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        packing = stored_packing(self.packing(packing_index))
-        return Configuration.from_physics(self.config).experiment(packing)
+        configuration = Configuration.from_physics(self.config)
+        return configuration.experiment(readable_packing(self.store, packing_index, configuration.packing_hash))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
@@ -320,6 +343,7 @@ class OpenedCampaign(StoredCampaign):
     def _cement(self, seed: int, content: float) -> tuple[int, CementPattern]:
         """Return the index of a cell's packing, and its cement."""
         cell = self.cell(seed=seed, content=content)
+        cell.refuse_damage()
         if cell.cement is None:
             raise UnknownCellError(
                 f"The cement of seed {seed} and content {content} % is not stored.",

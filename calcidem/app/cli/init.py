@@ -7,16 +7,10 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION
-from calcidem.app.config.presets import preset_text
+from calcidem.app.config.presets import PRESETS, preset_text
 
-
-class Preset(StrEnum):
-    """Example configurations that come with calcidem."""
-
-    QUICK = "quick"
-    PAPER = "paper"
-    PAPER_LITERAL = "paper-literal"
-    PAPER_LOCKED = "paper-locked"
+Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})
+_FIRST = next(iter(Preset))
 
 
 def init_command(
@@ -27,9 +21,14 @@ def init_command(
             help="quick: 6 contents x 4 seeds; paper: all 17 x 116; paper-literal: Table 1 as printed; "
             "paper-locked: stress of preparation locked in, nothing calibrated."
         ),
-    ] = Preset.QUICK,
+    ] = _FIRST,
 ) -> None:
     """Write an example configuration to start from."""
-    with file.open("x", encoding="utf-8") as target:
-        target.write(preset_text(preset))
+    try:
+        with file.open("x", encoding="utf-8") as target:
+            target.write(preset_text(preset))
+    except FileExistsError:
+        other = file.with_stem(f"{file.stem}-{preset}")
+        problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or write another "
+        raise typer.BadParameter(f"{problem}with 'calcidem init {other} --preset {preset}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")

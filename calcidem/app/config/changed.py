@@ -6,6 +6,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from calcidem.app.config.reader import SECTIONS, parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 
@@ -55,11 +57,18 @@ def _as_document(configuration: Configuration) -> dict[str, Any]:
 
 
 def _put_values(document: dict[str, Any], values: Mapping[str, object]) -> None:
-    """Put each value in the place of its name; arrays of numbers become lists."""
+    """Put each value in the place of its name."""
     for name, value in values.items():
         *sections, key = name.split(".")
         table = document
         for section in sections:
             inner = table.setdefault(section, {})
             table[section] = table = inner if isinstance(inner, dict) else {}
-        table[key] = value.tolist() if hasattr(value, "tolist") else value
+        table[key] = _as_written(value)
+
+
+def _as_written(value: object) -> object:
+    """A value with lists in the place of arrays, all the way down."""
+    if isinstance(value, Mapping):
+        return {key: _as_written(inner) for key, inner in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

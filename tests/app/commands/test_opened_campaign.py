@@ -57,6 +57,14 @@ def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:
     ]
 
 
+def test_a_campaign_says_what_it_is(campaign: OpenedCampaign) -> None:
+    """At the prompt there are name, size and outcomes, in a notebook also the mean of every content."""
+    seeds, contents = len(campaign.record.seeds), len(campaign.record.contents)
+    assert f"'{campaign.record.name}': {seeds} seeds x {contents} contents; cells: " in repr(campaign)
+    page = campaign._repr_html_()
+    assert all(f"<td>{mean:.1f}</td>" in page for mean in campaign.summary()["mean"].values)
+
+
 def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
     """The networkx graph has the contacts, bonds and components that are stored with the cell."""
     import networkx as nx  # noqa: PLC0415 - this test alone needs it

@@ -2,9 +2,12 @@
 
 from importlib.resources import files
 
+PRESETS = ("quick", "paper", "paper-literal", "paper-locked")
+"""Names of the example configurations that come with calcidem."""
+
 
 def preset_text(name: str) -> str:
-    """Text of an example configuration: ``quick``, ``paper``, ``paper-literal`` or ``paper-locked``."""
+    """Text of one of the example configurations in `PRESETS`; `FileNotFoundError` for another name."""
     return files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
 
 
