@@ -175,15 +175,17 @@ def draw_sobol(indices: xr.Dataset) -> Figure:
             chosen = indices.sel(output=output, content=content)
             for name, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
                 width = chosen[f"{name}_half_width"].to_numpy()
-                axes.barh(places + shift, chosen[name], 0.34, xerr=width, color=colour, label=f"{name} index")
+                bars = {"color": colour, "error_kw": {"elinewidth": 1.0, "ecolor": GREY}, "label": f"{name} index"}
+                axes.barh(places + shift, chosen[name], 0.34, xerr=width, **bars)
             if chosen["total"].isnull().all():
                 axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center", va="center", fontsize=8)
             axes.set_title(f"{label}, {content:g} %", fontsize=8)
-    panels[0, 0].set_yticks(places, names, fontsize=7)
+    for axes in panels[:, 0]:
+        axes.set_yticks(places, names, fontsize=7)
     panels[0, 0].invert_yaxis()
     panels[0, 0].set_xlim(-0.1, 1.15)
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure.legend(handles, labels, loc="outside upper center", ncols=2)
     figure.supxlabel("share of the variance", fontsize=9)
     return figure
 
