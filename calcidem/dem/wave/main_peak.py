@@ -20,6 +20,7 @@ _PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there
 _BEFORE_P = 0.75  # periods between the beginning and the top of a P wave, which widened on its way
 _LATE = 0.2  # periods by which the S wave's top may come later than the fastest P wave's tells
 _ENOUGH = 0.5  # of the largest value; behind a P wave of opposite sign, or before ringing, the first such top is read
+_OUT_OF_CODA = 0.5  # of the prominence that is asked for; behind a large P wave scattered ones run into the S wave
 _RINGING = 0.6  # of a top; a P wave of the same sign swings back by less before the S wave comes
 _TROUGH = 1.6  # over the height of a top; what goes deeper behind it is no part of the same pulse, or ringing
 _FOOT = 0.2  # of the main peak; an earlier top like that, with ringing behind it, may be the S wave
@@ -29,7 +30,7 @@ _BLUR = 0.14  # of the travel time that the additional width of a peak may be ..
 _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
-_SHIFT = 0.03  # of the travel time by which a P wave of opposite sign may have moved the peak
+_SHIFT = 0.04  # of the travel time by which a P wave of opposite sign may have moved the peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +168,7 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         horizon = int(np.ceil(sent + rule.horizon * (low - sent)))
     view = smooth[:horizon]
     largest, prominence = float(view.max()), float(peak_prominences(view, [index])[0][0])
-    if height < _ENOUGH * largest or prominence < rule.prominence * height:
+    if height < _ENOUGH * largest or prominence < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
         return None  # which a longer record cannot change
     end = max(horizon, int(np.ceil(time + record.period)))
     if end + record.reach > len(smooth):
