@@ -20,7 +20,7 @@ from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellSt
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
 
-sys.path.append(str(Path(__file__).parent))  # marked_processes.py, which tests of several folders use
+sys.path.append(str(Path(__file__).parent))  # marked_processes.py and chromium.py, which tests use
 
 SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)

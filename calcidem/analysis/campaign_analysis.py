@@ -1,7 +1,7 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,8 +47,8 @@ class CampaignReader(Protocol):
     def to_xarray(self) -> xr.Dataset:
         """All scalar quantities along (seed, content)."""
 
-    def select(self, *, with_arrays: bool) -> Iterator[CellResult]:
-        """All outcomes by seed, then content."""
+    def select(self, *, seed: Collection[int] | None = None, with_arrays: bool) -> Iterator[CellResult]:
+        """All outcomes, or those of some seeds, by seed, then content."""
 
     def cell(self, *, seed: int, content: float) -> CellResult:
         """One outcome with its arrays; `UnknownCellError` if there is none."""
@@ -131,9 +131,12 @@ class CampaignAnalysis:
     ----------
     campaign
         An open campaign.
+    most_samples
+        If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
     """
 
     campaign: CampaignReader
+    most_samples: int | None = None
 
     @cached_property
     def cells(self) -> xr.Dataset:
@@ -179,8 +182,16 @@ class CampaignAnalysis:
             return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
 
     @cached_property
+    def analysed_seeds(self) -> tuple[int, ...]:
+        """Seeds whose samples are read."""
+        seeds = tuple(self.vs["seed"].to_numpy().tolist())
+        if self.most_samples is None or self.vs.size <= self.most_samples:
+            return seeds
+        return seeds[: max(1, self.most_samples // self.vs.sizes["content"])]
+
+    @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
-        """All computed cells whose cement pattern is stored, by seed, then content."""
+        """All computed cells of these seeds whose cement pattern is stored, by seed, then content."""
         samples = tuple(self._read_samples())
         if not samples:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
@@ -289,7 +300,7 @@ class CampaignAnalysis:
 
     def _read_samples(self) -> Iterator[MeasuredSample]:
         with _translate_refusals():
-            for cell in self.campaign.select(with_arrays=True):
+            for cell in self.campaign.select(seed=self.analysed_seeds, with_arrays=True):
                 if cell.cement is not None:
                     yield self._sample(cell, cell.cement)
 

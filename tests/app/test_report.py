@@ -154,6 +154,8 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     monkeypatch.setattr(cell_data, "_MOST_BYTES", 20_000)
     with open_stored_campaign(small_database) as campaign:
         found = gather_cell_data(CampaignAnalysis(campaign))
+        analysis = CampaignAnalysis(campaign, most_samples=12)
+        assert {sample.seed for sample in analysis.samples} == set(analysis.analysed_seeds) == {1, 2}
     shown = [name for name in found.blocks if name.startswith("seed-")]
     assert 0 < len(shown) < 6
     assert sum(len(found.blocks[name]) for name in shown) <= 20_000

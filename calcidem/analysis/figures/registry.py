@@ -20,6 +20,7 @@ from calcidem.storage.records import CellResult
 _DEFAULT_ONSET = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
+_SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
 """Content, or the nearest one that the campaign has, at which preferential paths are compared."""
@@ -166,7 +167,8 @@ def _plot_range(analysis: CampaignAnalysis) -> Figure:
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
     if not _measured_contents(analysis):
         raise UnavailableError("no sample has a velocity")
-    return draw_histograms(analysis.vs, analysis.distributions)
+    shown = _pick_evenly(_measured_contents(analysis), _SHOWN_HISTOGRAMS)
+    return draw_histograms(analysis.vs, [row for row in analysis.distributions if row.content in shown])
 
 
 def _plot_methods(analysis: CampaignAnalysis) -> Figure:

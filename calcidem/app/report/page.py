@@ -27,6 +27,9 @@ _FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
 
 
+_MOST_SAMPLES = 5000
+"""Paths of so many samples are analysed; it takes a minute."""
+
 _MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
 
 
@@ -115,7 +118,7 @@ def write_report(
     """
     target = Path(out)
     with open_stored_campaign(database, campaign_name) as campaign:
-        text = _render_page(CampaignAnalysis(campaign), studies or {})
+        text = _render_page(CampaignAnalysis(campaign, _MOST_SAMPLES), studies or {})
     write_text_atomically(target, text)
     return target
 
@@ -166,6 +169,9 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
 def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
     """Make the tables and figures of a section, as far as the campaign allows."""
     remarks = _velocity_remarks(analysis) if plan.anchor == "velocities" else []
+    read, planned = len(analysis.analysed_seeds), analysis.vs.sizes["seed"]
+    if plan.anchor == "paths" and read < planned:
+        remarks.append(f"Samples of {read:,} of {planned:,} seeds are analysed here.")
     tables: dict[str, Table] = {}
     for name in (*plan.tables, *plan.folded):
         table, reason = make_or_explain(TABLES[name], analysis)
