@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import LawFit
@@ -18,7 +19,6 @@ from calcidem.analysis.figures.style import (
     BLUE,
     CONTENT_MAP,
     CORRELATION_MAP,
-    GREY,
     PALE,
     SKY,
     VERMILION,
@@ -28,11 +28,15 @@ from calcidem.analysis.figures.style import (
     new_figure,
 )
 from calcidem.analysis.fits import power_law
+from calcidem.analysis.predictor import fit_predictor
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan
 
 _VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
 _READABLE_ON_DARK = 0.6
+_SAMPLES_OF_AN_INTERVAL = 4
+"""Samples at a content below which no interval is drawn."""
+
 _SAME_RATIO = 0.02
 """C_d,n of weight ratios further apart than this are different quantities."""
 
@@ -148,10 +152,11 @@ def draw_laws(
         known = law.connectivity[np.isfinite(vs)]
         grid = np.linspace(known.min(), known.max(), 200)
         fit = law.fit
-        axes.fill_between(
-            grid, *fit.prediction_bounds(grid), color=GREY, alpha=0.18, linewidth=0, label="95 % of new samples"
-        )
-        axes.plot(grid, fit.predict(grid), color=BLACK, label=law_text(fit.a, fit.b, fit.c))
+        outlined = [Stroke(linewidth=2.6, foreground="white"), Normal()]
+        bars = {"color": BLACK, "linewidth": 1.0, "path_effects": outlined, "zorder": 3}
+        label = "95 % of new samples at each content"
+        axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
+        axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=law_text(fit.a, fit.b, fit.c))
         for other in published:
             if abs(other.weights.ratio - law.weights.ratio) < _SAME_RATIO:
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
@@ -175,6 +180,21 @@ def draw_laws(
     colour_bar.set_label("calcite content (%)")
     colour_bar.outline.set_edgecolor("none")
     return figure
+
+
+def _intervals_by_content(
+    connectivity: NDArray[np.float64], vs: NDArray[np.float64], contents: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean connectivity of each content, and ends of the interval (m/s) that is predicted there, (contents, 3)."""
+    found = []
+    for content in np.unique(contents):
+        known = (contents == content) & np.isfinite(vs) & np.isfinite(connectivity)
+        if known.sum() < _SAMPLES_OF_AN_INTERVAL:
+            continue
+        mean = float(np.mean(connectivity[known]))
+        interval = fit_predictor(connectivity[known, None], vs[known]).predict([mean]).interval
+        found.append((mean, interval.low, interval.high))
+    return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
 def law_text(a: float, b: float, c: float) -> str:
