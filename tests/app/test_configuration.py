@@ -35,7 +35,7 @@ IDENTITIES = {
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-locked.toml"): (
-        "5f197f768beed5515137419f1c876707d34a349801c5dcc74c30cdbb050b89c8",
+        "86427a55981b003f7b25c371ec956d72f79dc07345ecc4f2b5860275930cb74e",
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (

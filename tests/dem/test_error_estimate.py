@@ -11,7 +11,7 @@ from scenes import LINEAR, SOFT, SOFT_CEMENT, bare_packing, pair_scene
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Bonds
 from calcidem.dem.engine.state import start
-from calcidem.dem.wave.error_estimate import ErrorParts, error_bound, error_parts, expected_error, slip_ratio
+from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, error_parts, expected_error, slip_ratio
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import nonlinear_share
 from calcidem.dem.wave.pick import Signals
@@ -170,6 +170,19 @@ def test_grains_without_friction_have_no_velocity_in_the_linear_regime() -> None
     smooth = replace(EXPERIMENT, sand=Sand(friction=0.0))
     assert error_bound(smooth, RECORD, FREQUENCY, TRAVEL_TIME) == np.inf
     assert error_bound(waves(smooth, regime="small"), RECORD, FREQUENCY, TRAVEL_TIME) < 0.05
+
+
+def test_the_cure_of_a_large_bound_works() -> None:
+    """Contacts that overlap by 1.8 % of a radius are too much at any amplitude, others only for a loud pulse."""
+    locked, loud = pressed(EXPERIMENT, 0.018 * RADIUS), waves(EXPERIMENT, amplitude=2e-3)
+    for experiment, quieter_helps in ((locked, False), (loud, True)):
+        cure = cure_of(experiment, parts(experiment), 0.05)
+        quieter, finite = waves(experiment, amplitude=1e-6), waves(experiment, regime="finite", damping=0.0)
+        assert error_bound(experiment, RECORD, FREQUENCY, TRAVEL_TIME) > 0.05
+        assert (error_bound(quieter, RECORD, FREQUENCY, TRAVEL_TIME) < 0.05) == quieter_helps
+        assert error_bound(finite, RECORD, FREQUENCY, TRAVEL_TIME) < 0.05
+        assert ("lower amplitude" in cure) == quieter_helps
+        assert "regime = 'finite'" in cure
 
 
 def received(stretch: float = 1.0) -> Signals:

@@ -74,6 +74,28 @@ def error_bound(
     return float(np.sqrt(sum(part * part for part in parts)))
 
 
+_CURES = {
+    "step": "make step_fraction smaller",
+    "sampling": "make samples_per_period larger",
+    "precision": "choose precision = 'float64'",
+    "noise": "noise moves the peak; lower amplitude or the frequency",
+    "chatter": "make step_fraction or damping smaller",
+    "unbalanced": "raise amplitude, or make the packing's unbalanced_force_ratio smaller",
+}
+
+
+def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
+    """What makes the largest part of a bound smaller; ``most`` is what the bound may be."""
+    largest = max(parts._fields, key=lambda name: getattr(parts, name))
+    if np.sqrt(np.sum(np.square(parts))) <= most:  # then the signal's shape makes it
+        largest = "regime" if experiment.wave.regime == "linear" else "noise"
+    if largest != "regime":
+        return _CURES[largest]
+    if _turning_error(experiment) > most:
+        return "the contacts overlap too far for a fixed geometry, at any amplitude; choose regime = 'finite'"
+    return "lower amplitude, or choose regime = 'finite'"
+
+
 def expected_error(
     experiment: Experiment,
     record: WaveRecord,
@@ -164,8 +186,14 @@ def _geometry_error(experiment: Experiment, frequency: float) -> float:
     if wave.regime == "finite":
         return 0.0
     overlap = packing.report.mean_overlap
-    turning = _TURNING * overlap / float(np.mean(packing.radius))
-    return turning + (_STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0)
+    return _turning_error(experiment) + (
+        _STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
+    )
+
+
+def _turning_error(experiment: Experiment) -> float:
+    """First part of `_geometry_error`."""
+    return _TURNING * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
 
 
 def _slip_error(experiment: Experiment, frequency: float, travel_time: float) -> float:

@@ -8,7 +8,7 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import error_bound, expected_error
+from calcidem.dem.wave.error_estimate import cure_of, error_bound, error_parts, expected_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
@@ -16,8 +16,7 @@ from calcidem.dem.wave.recorder import WaveRecord
 
 _LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
-_INEXACT = "the numerical error may be above 5 %: lower amplitude, or choose regime = 'finite'"
-_NOISY = "the numerical error may be above 5 %: noise moves the peak; lower amplitude or the frequency"
+_INEXACT = "the numerical error may be above 5 %"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 _MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
 _MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
@@ -172,5 +171,6 @@ def interpret_record(
     bound = error_bound(experiment, record, frequency, reading.travel_time, noisy=noisy)
     bound = max(bound, _WORST_OF_HUNDRED * expected)
     if bound > _LARGEST_BOUND:
-        return Outcome.NO_ARRIVAL, _NOISY if noisy else _INEXACT, *unread
+        parts = error_parts(experiment, record, frequency, reading.travel_time, noisy=noisy)
+        return Outcome.NO_ARRIVAL, f"{_INEXACT}: {cure_of(experiment, parts, _LARGEST_BOUND)}", *unread
     return Outcome.DONE, "", reading.velocity, picks, expected, bound
