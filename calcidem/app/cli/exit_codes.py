@@ -16,7 +16,7 @@ from calcidem.storage.errors import (
     StoreError,
     StoreLockedError,
 )
-from calcidem.sweep import EXIT_ERROR, LaunchError
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""
@@ -45,6 +45,8 @@ _CURE_OF_ERRNO = {
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
+    if isinstance(error, StoreLockedError):
+        return EXIT_RESUMABLE
     if isinstance(error, OSError):
         return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR
     is_input = isinstance(error, _BAD_INPUT) and not isinstance(error, _CIRCUMSTANCES) and type(error) is not StoreError
@@ -71,7 +73,8 @@ def _sentence(error: OSError) -> str:
     """Name of the file, what is wrong with it, and what helps; other words of Python's as they are."""
     if error.errno is None or error.strerror is None:
         return str(error)
-    named = "" if error.filename is None else f"{error.filename}: "
+    name = error.filename if error.filename2 is None else error.filename2  # of two, the second is to be replaced
+    named = "" if name is None else f"{name}: "
     return f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; " + _CURE_OF_ERRNO.get(
         error.errno, "check the name and the disk"
     )

@@ -1,6 +1,7 @@
 """Measured means and scatter of Vs that a calibration is to meet, and the file that they are in."""
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -39,6 +40,9 @@ _COLUMNS = {
 }
 """Columns of a file of targets and what they hold; the last two, and entries of them, may be missing."""
 
+_LONGEST = 1_000_000
+"""Characters of a file: far more than a table of all contents has."""
+
 _REQUIRED = ("content", "vs")
 
 
@@ -52,7 +56,12 @@ def read_targets(file: Path) -> tuple[Target, ...]:
         that stand twice.
     """
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
-        lines = [[entry.strip() for entry in line] for line in csv.reader(source) if any(line)]
+        text = source.read(_LONGEST)  # no device fills the memory
+    try:
+        lines = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text)) if any(line)]
+    except csv.Error as error:
+        problem = f"no table of targets ({error}); give a line for each content, numbers with commas between them"
+        raise ConfigurationError(str(file), [Problem(problem)]) from error
     header, rows = (lines[0], lines[1:]) if lines else ([], [])
     problems = list(_header_problems(header, rows))
     targets: list[Target] = []

@@ -1,11 +1,12 @@
 """Shared by the tests of robustness: small stored campaigns, and the commands as users type them."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from workbench import Workbench, open_workbench
 
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
@@ -64,3 +65,10 @@ def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return make
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    """Give a folder with good and bad files, and commands that compute nothing."""
+    with open_workbench(tmp_path_factory.mktemp("bench")) as opened:
+        yield opened

@@ -1,0 +1,138 @@
+"""Bad input that was reported once, stored text that tries to control a terminal, and errors nobody foresaw."""
+
+import io
+import sys
+from contextlib import redirect_stderr
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from workbench import DISKS, EVIL_STORED, OWN_DISKS, Workbench
+
+from calcidem.app.cli.main import main
+from calcidem.app.config.presets import preset_text
+
+# What was reported once: command, file own.toml or own.csv, and words of the answer
+REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
+    "brackets too deep": (("run", "own.toml"), {"own_toml": b"a = " + b"[" * 5000}, "own.toml"),
+    "tables too deep": (
+        ("run", "own.toml"),
+        {"own_toml": b"wave." + b"a." * 900 + b"a = 1"},
+        "tables or lists in one another",
+    ),
+    "a number of 401 digits": (
+        ("run", "own.toml"),
+        {"own_toml": b"[campaign]\nseeds = 1" + b"0" * 400},
+        "more than 64 bits",
+    ),
+    "a number of 4,400 digits": (("run", "own.toml"), {"own_toml": b"[campaign]\nseeds = 1" + b"0" * 4400}, "not TOML"),
+    "a box of 1e308 m": (
+        ("run", "own.toml"),
+        {"own_toml": b"[packing]\nwidth = 1e308"},
+        "packing.width = 1e+308: is out of range",
+    ),
+    "a box of 1e6 m": (("run", "own.toml"), {"own_toml": b"[packing]\nwidth = 1e6"}, "4.66e+10 disks fit into the box"),
+    "a billion seeds": (("run", "own.toml"), {"own_toml": b"[campaign]\nseeds = 1000000000"}, "at most 1000000 seeds"),
+    "a zero byte in a path": (("run", "own.toml"), {"own_toml": b'[run]\noutput = "a\\u0000b"'}, "run.output"),
+    "a name of 300 letters": (
+        ("run", "own.toml"),
+        {"own_toml": b'[run]\noutput = "' + b"a" * 300 + b'"'},
+        "run.output",
+    ),
+    "colours in a name": (("run", "own.toml"), {"own_toml": b'[campaign]\nname = "\\u001b[31m"'}, "control characters"),
+    "colours in a key": (("run", "own.toml"), {"own_toml": b'["\\u001b[31m"]'}, "unknown section"),
+    "UTF-16": (
+        ("run", "own.toml"),
+        {"own_toml": preset_text("quick").encode("utf-16")},
+        "not UTF-8 text; save the file as UTF-8",
+    ),
+    "a program": (("run", "own.toml"), {"own_toml": Path(sys.executable).read_bytes()}, "own.toml"),
+    "a device": (("run", "/dev/zero"), {}, "more than 4000000 bytes"),
+    "a folder": (("run", "folder"), {}, "this is a folder"),
+    "a field of 131,073 letters": (
+        ("run", "disks.toml"),
+        {"own_csv": b"x,y,radius\n" + b"a" * 131_073},
+        "line 2: field larger than",
+    ),
+    "an open quote": (("run", "disks.toml"), {"own_csv": b'x,y,radius\n"1,2,3\n4,5,6\n'}, "line 2"),
+    "a disk at 1e308 m": (
+        ("run", "disks.toml"),
+        {"own_csv": b"x,y,radius\n0.01,1e308,0.001\n"},
+        "line 2: x = 0.01, y = 1e+308",
+    ),
+    "disks on a device": (
+        ("run", "device.toml"),
+        {"device_toml": OWN_DISKS.replace("own.csv", "/dev/zero").encode()},
+        "device",
+    ),
+    "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is no content"),
+    "a width that is none": (
+        ("plan", "quick.db", "--content", "5", "--halfwidth", "nan"),
+        {},
+        "'nan' is not a number above 0",
+    ),
+    "a seed of 401 digits": (("query", "quick.db", "--seed", "1" + "0" * 400), {}, "--seed"),
+    "a filter of a huge number": (("query", "quick.db", "--where", f"vs < 0x{'f' * 3000}"), {}, "40 cells"),
+    "a filter that is none": (("query", "quick.db", "--where", "vs >"), {}, "can't be read"),
+    "text and number": (("query", "quick.db", "--where", "status > 3"), {}, "status"),
+    "colours in an argument": (("status", "\x1b[31m.db"), {}, "control characters"),
+    "a file that is there": (("init", "good.toml"), {}, "good.toml"),
+    "no file for NetCDF": (("export", "quick.db", "folder"), {}, "folder"),
+}
+
+
+@pytest.mark.parametrize("case", REPORTED)
+def test_what_was_reported_is_said_in_a_sentence(bench: Workbench, case: str) -> None:
+    """Each input that once ended in a traceback, or in none that helps, is answered in words that name it."""
+    words, files, said = REPORTED[case]
+    files |= {"disks_toml": OWN_DISKS.encode()} if "disks.toml" in words else {}
+    assert said in " ".join(bench.judge(*words, **files).replace("│", " ").split())
+
+
+@pytest.mark.parametrize("name", ["own.toml", "own.csv"])
+def test_a_byte_order_mark_is_no_matter(bench: Workbench, name: str) -> None:
+    """Files as Windows saves them are read: nothing is said until computing begins."""
+    mark = b"\xef\xbb\xbf"
+    contents = {"own.toml": OWN_DISKS.encode(), "own.csv": DISKS.encode()}
+    contents[name] = mark + contents[name]
+    said = bench.judge("run", "own.toml", **{key.replace(".", "_"): content for key, content in contents.items()})
+    assert said.startswith("Packing: the disks in")
+
+
+SHOWN = (
+    "status",
+    "status --json",
+    "query --columns all",
+    "query --format csv --columns reason,host",
+    "verify",
+    "retry",
+)
+
+
+@pytest.mark.parametrize(
+    "line", [*SHOWN, "show --seed 1 --content 0", "query --campaign none", "plan --content 0 --halfwidth 1"]
+)
+def test_stored_text_does_not_control_a_terminal(bench: Workbench, line: str) -> None:
+    """Texts of a database are shown with their control characters as escapes, and are no markup."""
+    command, *options = line.split()
+    bench.judge(command, "evil.db", *options)
+
+
+def test_what_nobody_foresaw_leaves_a_log(bench: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any other error ends with 1, one message without a traceback, and the path of a file that has it."""
+
+    def fail(*_arguments: object, **_options: object) -> NoReturn:
+        raise ZeroDivisionError(EVIL_STORED)
+
+    monkeypatch.setattr("calcidem.app.campaign.status.read_status", fail)
+    with pytest.raises(AssertionError, match="ZeroDivisionError"):
+        bench.judge("status", "quick.db")
+    (log,) = bench.folder.glob("calcidem-error-*.log")
+    assert "Traceback" in log.read_text()
+    monkeypatch.setattr("sys.argv", ["calcidem", "status", "quick.db"])
+    with redirect_stderr(io.StringIO()) as said, pytest.raises(SystemExit, match="1"):
+        main()
+    assert "ZeroDivisionError" in said.getvalue()
+    assert "calcidem-error-" in said.getvalue()
+    assert "\x1b" not in said.getvalue()
+    assert "Traceback" not in said.getvalue()

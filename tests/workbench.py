@@ -1,0 +1,162 @@
+"""A folder with files of many kinds, in which commands are used up to where they would begin to compute."""
+
+import io
+import shutil
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from calcidem.app.cli.main import main
+from calcidem.app.config.presets import preset_text
+from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql.store import open_store
+
+TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial" / "quick.db"
+
+TARGETS = b"content,vs\n0.0,210\n0.66,640\n5.0,1300\n"
+
+EVIL_STORED = "\x1b]0;title\x07\x1b[31m[/red]\x9b2J\r\b[bold]"
+
+OWN_DISKS = """
+[campaign]
+contents = [0.66]
+[packing]
+file = "own.csv"
+width = 0.021
+[wave]
+transmitter_half_width = 0.004
+receiver_half_width = 0.005
+listening_depth = 0.006
+boundary_thickness = 0.004
+"""
+DISKS = "x,y,radius\n" + "".join(
+    f"{0.0011 + 0.0022 * (k % 9):.4f},{0.0011 + 0.0022 * (k // 9):.4f},0.001\n" for k in range(90)
+)
+
+
+_CONTROL = {chr(code) for code in (*range(32), *range(127, 160))} - {"\n", "\t"}
+
+
+class ComputingBeginsError(BaseException):
+    """The command has accepted its input."""
+
+
+def begin_computing(*_arguments: object, **_options: object) -> NoReturn:
+    """Stand in the place of whatever takes long."""
+    raise ComputingBeginsError
+
+
+LONG = (
+    "calcidem.app.campaign.launch.Launch.run",
+    "calcidem.app.campaign.packing.make_packing",
+    "calcidem.app.campaign.packing.packing_from_csv",
+    "calcidem.app.campaign.run.CampaignRun._begin",
+    "calcidem.app.doctor.checkup.findings",
+    "calcidem.app.studies.stability.command.random_scenes",
+    "calcidem.app.studies.stability.command.stability",
+    "calcidem.app.cli.status.time.sleep",
+    "calcidem.app.report.folder.CampaignAnalysis",
+    "calcidem.app.report.one_cell.CampaignAnalysis",
+    "calcidem.app.report.page.CampaignAnalysis",
+    "calcidem.app.studies.frequency_and_damping.send_waves",
+    "calcidem.app.studies.trials.ProcessPoolExecutor",
+    "calcidem.app.studies.verify.measure",
+    "calcidem.dem.wave.measurement.send_waves",
+)
+"""Where computing begins."""
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """A folder with files of many kinds, good and bad, in which commands are used.
+
+    Attributes
+    ----------
+    files
+        Content of each file by its name: they are as at first before every command.
+    """
+
+    folder: Path
+    files: dict[str, bytes]
+
+    def restore(self) -> None:
+        """Put everything back where it was."""
+        for path in self.folder.iterdir():
+            if path.name not in self.files:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        (self.folder / "folder").mkdir()
+        for name, content in self.files.items():
+            path = self.folder / name
+            if not path.is_file() or path.read_bytes() != content:
+                path.write_bytes(content)
+
+    def judge(self, *words: str, **files: bytes) -> str:
+        """Use a command on the files and some more; whatever happens is told in sentences."""
+        self.restore()
+        for name, content in files.items():
+            (self.folder / name.replace("_", ".")).write_bytes(content)
+        output = io.TextIOWrapper(io.BytesIO(), "utf-8", newline="", write_through=True)
+        sys.argv = ["calcidem", *words]
+        code: object = 0
+        with redirect_stdout(output), redirect_stderr(output), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("always", FutureWarning)
+            try:
+                main()
+            except SystemExit as ended:
+                code = ended.code
+            except ComputingBeginsError:
+                pass
+        text = output.buffer.getvalue().decode()
+        log = next(self.folder.glob("calcidem-error-*"), None)
+        assert log is None, log.read_text()
+        assert code in {0, None, 2, 75}, text
+        assert "Traceback" not in text
+        assert not set(text) & _CONTROL, repr(text)
+        assert code != 2 or ":" in text, text
+        return text
+
+
+def make_databases(folder: Path) -> None:
+    """Make a good database, its exported file, and a database whose texts try to control a terminal."""
+    open_store(shutil.copy(TUTORIAL, folder / "quick.db")).close()
+    with open_stored_campaign(folder / "quick.db") as good, open_store(folder / "evil.db") as store:
+        export_netcdf(good.store, good.record, folder / "quick.nc")
+        store.begin_campaign(replace(good.record, name=f"evil{EVIL_STORED}"))
+        store.begin_run(replace(good.runs()[0][1], host=EVIL_STORED, exit_state=EVIL_STORED))
+        store.save_packing(good.packing())
+        failed = CellResult(CellKey(1, 0.0), CellStatus.FAILED, f"why{EVIL_STORED}", host=EVIL_STORED)
+        store.record_results([failed, *good.select(seed=2)])
+
+
+@contextmanager
+def open_workbench(folder: Path) -> Iterator[Workbench]:
+    """Fill a folder with files, and give it as a workbench on which nothing is computed."""
+    files = {
+        "good.toml": preset_text("quick").encode(),
+        "empty": b"",
+        "noise": bytes(range(256)) * 8,
+        "plan.toml": b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"',
+        "good.json": b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}',
+        "targets.csv": TARGETS,
+        "good.csv": DISKS.encode(),
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("sys.argv", [])
+        patch.setattr("warnings.formatwarning", warnings.formatwarning)
+        patch.setenv("CALCIDEM_CACHE", str(folder / "cache"))
+        for place in LONG:
+            patch.setattr(place, begin_computing)
+        make_databases(folder)
+        names = ("quick.db", "quick.nc", "evil.db")
+        files |= {name: (folder / name).read_bytes() for name in names}
+        yield Workbench(folder, files)
