@@ -31,6 +31,8 @@ _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
 _SHIFT = 0.04  # of the travel time by which a P wave of opposite sign may have moved the peak
+_LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
+_CUTTING = 1.6  # ... in records with fewer periods on the way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,9 +211,18 @@ def _doubt(
         return PickFailure.UNSURE
     if travel < _BLURRED * record.period and _is_broad(record, view, index):
         return PickFailure.BROAD
-    if behind_p and index - _top_without_p(record.smooth[:end], trough, index) > _SHIFT * travel:
+    near = record.smooth[:end]
+    moved = behind_p and index - _top_without_p(near, trough, index) > _SHIFT * travel
+    if moved or (behind_p and travel < _CUTTING * record.period and _lean(near, index) > _LEAN * record.period):
         return PickFailure.PRECURSOR
     return None
+
+
+def _lean(view: Floats, index: int) -> int:
+    """Samples by which a peak is longer behind its top than before it, at half its height."""
+    low = view < 0.5 * view[index]
+    before, behind = low[:index][::-1], low[index:]
+    return int(np.argmax(behind) if behind.any() else len(behind)) - int(np.argmax(before)) - 1
 
 
 def _is_broad(record: PreparedSignals, view: Floats, index: int) -> bool:
