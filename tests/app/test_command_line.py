@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 import calcidem
+from calcidem.app.cli.main import COMMANDS
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -25,20 +26,20 @@ def test_help_and_typos_do_not_wait_for_numerical_libraries() -> None:
     program = """
 import sys
 from typer.testing import CliRunner
-from calcidem.app.cli.main import COMMANDS, build_application
+from calcidem.app.cli.main import build_application
 application = build_application()
 heavy = {"matplotlib", "mpi4py.MPI", "numba", "pandas", "scipy", "sqlalchemy", "xarray"}
 for *words, code, said in [
     ("--help", 0, "sensitivity"),
     ("--version", 0, "calcidem "), ("rnu", 2, "'run'"),
-    ("run", "--rank", "3", 2, "--ranks"),
-    *((name, "--help", 0, f"calcidem {name} ") for name in ("init", "run")),
+    ("query", "--lmit", "3", 2, "--limit"),
+    *((name, "--help", 0, f"calcidem {name} ") for name in sys.argv[1:]),
 ]:
     shown = CliRunner().invoke(application, words, prog_name="calcidem")
     assert (shown.exit_code, said in shown.output) == (code, True), (words, shown.output)
     assert not heavy & set(sys.modules), (words, heavy & set(sys.modules))
 """
-    command = [sys.executable, "-c", program]
+    command = [sys.executable, "-c", program, *COMMANDS]
     variables = os.environ | {"PYTHONPATH": str(CHECKOUT)}
     done = subprocess.run(command, check=False, env=variables, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -46,7 +47,7 @@ for *words, code, said in [
 
 @pytest.mark.parametrize(
     ("words", "found"),
-    [("st", "status study stability"), ("run --ra", "--ranks")],
+    [("st", "status study stability"), ("query --co", "--content --columns")],
 )
 def test_the_shell_completes_commands_and_options(words: str, found: str) -> None:
     """`calcidem st<TAB>` has status, study and stability, and does not wait for numerical libraries."""

@@ -12,10 +12,6 @@ from calcidem.app.cli.arguments import (
     StudyAsJson,
     StudyFolder,
 )
-from calcidem.app.cli.tables import tell
-from calcidem.app.config.checks import plan_contents
-from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
 
 
 def accuracy_command(
@@ -41,6 +37,11 @@ def accuracy_command(
     With --db these are cells of the campaign in the database, on its own packing, and the scatter of the samples is
     that of its velocities. A campaign of another configuration is refused.
     """
+    from calcidem.app.cli.tables import tell
+    from calcidem.app.config.checks import plan_contents
+    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
+
     loaded = load_configuration(configuration)
     task = plan_task(plan_contents(loaded, content or loaded.campaign.contents), (), seeds, db, tell)
     try:

@@ -7,7 +7,6 @@ import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.terminal import printable
-from calcidem.app.report import analyse
 
 
 def analyse_command(
@@ -18,6 +17,8 @@ def analyse_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF) of a campaign to a folder."""
+    from calcidem.app.report import analyse
+
     missing = analyse(database, out, campaign_name=campaign)
     for name, reason in missing.items():
         typer.echo(printable(f"Left out {name}: {reason}"))

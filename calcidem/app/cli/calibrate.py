@@ -3,24 +3,15 @@
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.cli.arguments import ConfigurationFile, StudyCores
-from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.calibrate import (
-    FITTED_BY_DEFAULT,
-    FitPlan,
-    FittedContent,
-    FittedParameters,
-    UnreadableTrialError,
-    calibrate,
-)
-from calcidem.app.studies.parameters import parse_range, text_with_values
-from calcidem.app.studies.targets import read_targets
 from calcidem.sweep.environment import available_cores
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.studies.calibrate import FittedContent, FittedParameters
 
 
 def calibrate_command(
@@ -38,7 +29,8 @@ def calibrate_command(
             "--free",
             "--parameter",
             metavar="SECTION.KEY[=LOW:HIGH]",
-            help=f"Number to fit, in its range; may be repeated. By default {', '.join(FITTED_BY_DEFAULT)}.",
+            help="Number to fit, in its range; may be repeated. By default what the presets are calibrated by: "
+            "sand.wave_stiffness_factor, pattern.p_share, pattern.cluster_area.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=3, help="Number of seeds at each content, the same in every trial.")] = 16,
@@ -53,6 +45,12 @@ def calibrate_command(
     cores: StudyCores = 0,
 ) -> None:
     """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, UnreadableTrialError, calibrate
+    from calcidem.app.studies.parameters import parse_range, text_with_values
+    from calcidem.app.studies.targets import read_targets
+
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, typer.echo)
@@ -68,7 +66,7 @@ def calibrate_command(
     typer.echo(f"Wrote {out}")
 
 
-def _calibration_lines(fitted: FittedParameters) -> Iterator[str]:
+def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
     """Report on a calibration."""
     for name, value in fitted.values.items():
         limit = ", at a limit of its range" if name in fitted.at_limit else ""
@@ -79,7 +77,7 @@ def _calibration_lines(fitted: FittedParameters) -> Iterator[str]:
         yield _content_line(row, fitted.trials)
 
 
-def _content_line(row: FittedContent, trials: int) -> str:
+def _content_line(row: "FittedContent", trials: int) -> str:
     """One content: what was wanted, what came, and how many seeds it rests on."""
     target = row.target
     mean, sd = f"mean {row.mean:.1f} +- {row.mean_error:.1f} m/s", f"sd {row.sd:.1f} m/s"

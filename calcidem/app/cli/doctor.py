@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.text import Text
 
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding, FindingLevel
-from calcidem.app.doctor.checkup import findings
 
 _STYLES = {OK: "green", WARNING: "yellow", PROBLEM: "bold red"}
 
@@ -23,6 +22,8 @@ def doctor_command(
 
     Ends with 1 if there is a problem. Takes a few seconds, since it starts two ranks and writes a small database.
     """
+    from calcidem.app.doctor.checkup import findings
+
     console = Console(highlight=False)
     levels: Counter[FindingLevel] = Counter()
     for finding in findings(folder):

@@ -2,21 +2,18 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from calcidem.app.campaign.opened import open_campaign_of
-from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase, OnlyContents
-from calcidem.app.cli.tables import make_console
 from calcidem.app.cli.terminal import printable
-from calcidem.app.config.checks import check_against_packing, plan_contents
-from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.accuracy.findings import MeasuredErrors, measured_errors
-from calcidem.app.studies.explain import Explanation, explain
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.studies.accuracy.findings import MeasuredErrors
+    from calcidem.app.studies.explain import Explanation
 
 _DEFAULT_CELLS = 8
 """Seeds of one content that are measured, one batch."""
@@ -35,6 +32,14 @@ def explain_command(
     Times and differences are measured now, on cells of the campaign, with --db on the packing in the database; errors
     are those that 'calcidem accuracy' measured against a converged reference. By default three contents are shown.
     """
+    from calcidem.app.campaign.opened import open_campaign_of
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.cli.tables import make_console
+    from calcidem.app.config.checks import check_against_packing, plan_contents
+    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.studies.accuracy.findings import measured_errors
+    from calcidem.app.studies.explain import explain
+
     loaded = load_configuration(configuration)
     contents = sorted(loaded.campaign.contents)
     loaded = plan_contents(loaded, content or {contents[0], contents[len(contents) // 2], contents[-1]})
@@ -64,7 +69,7 @@ def explain_command(
     console.print(printable(_errors_source(measured, str(configuration))), markup=False)
 
 
-def _errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
+def _errors_source(measured: "MeasuredErrors | None", configuration: str) -> str:
     """Where the errors are from, or how to get them."""
     if measured is None:
         return (
@@ -74,7 +79,7 @@ def _errors_source(measured: MeasuredErrors | None, configuration: str) -> str:
     return f"Errors: largest of the cells that calcidem accuracy measured, from {measured.source}."
 
 
-def _explanation_table(content: float, rows: Iterable[Explanation]) -> Table:
+def _explanation_table(content: float, rows: "Iterable[Explanation]") -> Table:
     """Table of one content."""
     table = Table("part", "needed", "why", title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
     for name in ("time of the alternative", "change of Vs", "error of Vs, own and of the alternative"):

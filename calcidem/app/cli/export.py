@@ -7,8 +7,6 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.storage.campaign import open_stored_campaign
-from calcidem.storage.netcdf.export import export_netcdf
 
 _ArrayGroup = StrEnum("_ArrayGroup", ["PATHS", "SIGNALS", "CEMENT"])
 """Arrays of single cells in an exported file."""
@@ -24,5 +22,8 @@ def export_command(
     ] = None,
 ) -> None:
     """Write a campaign to a NetCDF file."""
+    from calcidem.storage.campaign import open_stored_campaign
+    from calcidem.storage.netcdf.export import export_netcdf
+
     with open_stored_campaign(database, campaign) as opened:
         typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf, without=without or ())}")

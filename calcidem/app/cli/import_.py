@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.campaign.packing import identify_packing
 from calcidem.app.cli.terminal import printable
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.sql.store import open_store
 
 
 def import_command(
@@ -21,6 +18,10 @@ def import_command(
 
     A file that was changed, and one whose cells are on another packing than the database's, are refused.
     """
+    from calcidem.app.campaign.packing import identify_packing
+    from calcidem.storage.netcdf.import_netcdf import import_netcdf
+    from calcidem.storage.sql.store import open_store
+
     with open_store(database) as store:
         campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"

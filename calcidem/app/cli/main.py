@@ -79,7 +79,7 @@ def main() -> None:
     try:
         build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message
-        from calcidem.app.cli.exit_codes import tell_error  # noqa: PLC0415 - loads numerical libraries
+        from calcidem.app.cli.exit_codes import tell_error
 
         sys.exit(tell_error(error))
 

@@ -1,13 +1,15 @@
 """``calcidem merge``: one database from several of the same campaign."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.merge import Merged, conflict_lines, merge_databases
 from calcidem.app.cli.arguments import CampaignName
 from calcidem.app.cli.terminal import printable
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.campaign.merge import Merged
 
 
 def merge_command(
@@ -24,14 +26,18 @@ def merge_command(
     Done cells win over all others. Where two databases have different values for the same done cell, nothing is written
     unless --prefer says which to take.
     """
+    from calcidem.app.campaign.merge import merge_databases
+
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
     typer.echo(printable("\n".join(_merge_lines(merged, sources, out))))
 
 
-def _merge_lines(merged: Merged, sources: list[str], out: Path) -> list[str]:
+def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     """What was done, for a person."""
+    from calcidem.app.campaign.merge import conflict_lines
+
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
     lines = [f"Merged {merged.settled} finished cells, of {merged.planned} planned, into {out}:", *taken]
     if merged.shared:

@@ -5,9 +5,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from calcidem.analysis.planning import plan_seeds
 from calcidem.app.cli.arguments import CampaignName, Database, OneContent, parse_positive
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
@@ -34,6 +32,9 @@ def plan_command(
     campaign: CampaignName = None,
 ) -> None:
     """Estimate how many more seeds bring the mean of Vs at a content to a given interval, and how long they take."""
+    from calcidem.analysis.planning import plan_seeds
+    from calcidem.storage.campaign import open_stored_campaign
+
     with open_stored_campaign(database, campaign) as opened:
         columns = opened.store.table(("vs", "status", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)

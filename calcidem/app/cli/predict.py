@@ -3,19 +3,18 @@
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from calcidem.analysis.predictor import Prediction, PredictorCheck
-from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.prediction import check_predictions
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.tables import make_console
 from calcidem.storage.records import P_CONTACT, CementPattern
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.analysis.predictor import Prediction, PredictorCheck
 
 
 def _parse_level(text: object) -> float:
@@ -51,6 +50,10 @@ def predict_command(
     Every prediction comes with a check on samples left out one by one: how many fall into their interval, and whether
     path features make it better than the content alone.
     """
+    from calcidem.app.campaign.opened import open_campaign
+    from calcidem.app.campaign.prediction import check_predictions
+    from calcidem.app.cli.tables import make_console
+
     given = [option for option in (seed, pattern, feature) if option is not None]
     if len(given) > 1 or (given and content is None):
         raise typer.BadParameter("give --content, and one of --seed, --pattern and --feature or none of them")
@@ -89,7 +92,7 @@ def _read_feature(text: str) -> tuple[str, float]:
         raise typer.BadParameter(f"'{text}': write NAME=VALUE, such as normalized_connectivity=0.6") from error
 
 
-def _prediction_line(content: float, prediction: Prediction, level: float) -> str:
+def _prediction_line(content: float, prediction: "Prediction", level: float) -> str:
     """What is predicted, and from what."""
     interval = prediction.interval
     source = "content and path features" if prediction.uses_features else "the content alone"
@@ -99,7 +102,7 @@ def _prediction_line(content: float, prediction: Prediction, level: float) -> st
     )
 
 
-def _check_line(check: PredictorCheck) -> str:
+def _check_line(check: "PredictorCheck") -> str:
     """How such predictions fare on samples that were left out."""
     text = (
         f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
@@ -108,7 +111,7 @@ def _check_line(check: PredictorCheck) -> str:
     return text if check.features_help else f"{text} Path features add nothing within this content."
 
 
-def _check_table(checks: Mapping[float, PredictorCheck]) -> Table:
+def _check_table(checks: "Mapping[float, PredictorCheck]") -> Table:
     """Table of all contents."""
     table = Table(box=SIMPLE_HEAD)
     for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "path features"):
@@ -120,7 +123,7 @@ def _check_table(checks: Mapping[float, PredictorCheck]) -> Table:
     return table
 
 
-def _overall_line(checks: Mapping[float, PredictorCheck]) -> str:
+def _overall_line(checks: "Mapping[float, PredictorCheck]") -> str:
     """Coverage and scores over all samples."""
     counts = [check.n for check in checks.values()]
     if not counts:

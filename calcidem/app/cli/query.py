@@ -18,11 +18,8 @@ from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.app.cli.terminal import printable
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
-from calcidem.storage.files import write_atomically, write_text_atomically
 from calcidem.storage.records import CellStatus
-from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
 
 _DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_bound", "seconds")
@@ -48,6 +45,9 @@ def query_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show the cells of a campaign that meet all given conditions."""
+    from calcidem.storage.files import write_text_atomically
+    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+
     selection = Selection(seed or None, content or None, status or None, where)
     names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
     names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
@@ -71,6 +71,8 @@ def find(
     campaign_name: str | None = None,
 ) -> Columns:
     """Columns of the selected cells, and what is refused: see `calcidem.storage.store.Store.table`."""
+    from calcidem.storage.campaign import open_stored_campaign
+
     with open_stored_campaign(database, campaign_name) as campaign:
         return campaign.store.table(columns, selection, sort=sort, limit=limit)
 
@@ -96,6 +98,8 @@ def as_text(columns: Columns, layout: Format) -> str:
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     """Values of a column as Python's own, None where missing."""
+    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+
     kind = QUANTITY_BY_NAME[name].kind
     if kind == "text":
         return list(values)
@@ -105,6 +109,8 @@ def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
 
 def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     """Rows in aligned columns with the units in the head; no wider than the numbers need."""
+    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in names:
         quantity = QUANTITY_BY_NAME[name]
@@ -130,7 +136,10 @@ def _format_value(value: object) -> str:
 
 def _write_parquet(columns: Columns, out: Path) -> None:
     """Write columns into a Parquet file, replaced in one step."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second to import, and only this format needs it
+    import pandas as pd
+
+    from calcidem.storage.files import write_atomically
+    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
 
     frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
     frame = frame.astype({name: "Int64" for name in columns if QUANTITY_BY_NAME[name].kind == "whole"})

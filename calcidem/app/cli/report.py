@@ -6,8 +6,6 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.report import write_report
-from calcidem.app.studies.frequency_and_damping import run_studies
 
 
 def report_command(
@@ -19,5 +17,8 @@ def report_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
+    from calcidem.app.report import write_report
+    from calcidem.app.studies.frequency_and_damping import run_studies
+
     studies = run_studies(database, campaign_name=campaign) if with_studies else None
     typer.echo(f"Wrote {write_report(database, out, campaign_name=campaign, studies=studies)}")

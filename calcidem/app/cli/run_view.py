@@ -53,7 +53,7 @@ class TerminalView:
         else:
             self.say(f"NetCDF:   {export_netcdf(work.store, work.record, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
-            from calcidem.app.report import write_report  # noqa: PLC0415 - drawing libraries take seconds to load
+            from calcidem.app.report import write_report
 
             page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
             self.say(f"Report:   {page}")

@@ -1,33 +1,22 @@
 """``calcidem sensitivity``: how the choices of a campaign change mean and scatter of Vs, one by one or together."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.analysis.figures.sensitivity import draw_sobol
-from calcidem.analysis.figures.style import save
-from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.cli.arguments import StudyCores
-from calcidem.app.studies.sensitivity.plan import load_plan
-from calcidem.app.studies.sensitivity.sobol import (
-    SobolPlan,
-    evaluate_points,
-    indices_of_points,
-    load_sobol_plan,
-    sobol_table,
-    stored_points,
-)
-from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
-from calcidem.storage.files import write_text_atomically
 from calcidem.sweep.environment import available_cores
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.studies.sensitivity.sobol import SobolPlan
 
 
 def sensitivity_command(
     plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Variants or ranges of a configuration.")],
     database: Annotated[
         str,
-        typer.Option("--db", metavar="FILE", help="Database for all variants; with --sobol a NetCDF file of points."),
+        typer.Option("--db", metavar="DB", help="Database for all variants; with --sobol a NetCDF file of points."),
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="TABLE.md", help="File for the table, and beside it the figure of --sobol.")
@@ -47,6 +36,11 @@ def sensitivity_command(
 
     With --sobol the numbers in the plan's [ranges] are varied all together, and shares of the variance are shown.
     """
+    from calcidem.app.studies.sensitivity.plan import load_plan
+    from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
+    from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
+    from calcidem.storage.files import write_text_atomically
+
     if sobol is None:
         variants = load_plan(plan, database)
         if not only_table:
@@ -63,8 +57,13 @@ def sensitivity_command(
         typer.echo(f"Wrote {out}")
 
 
-def _sobol_study(plan: SobolPlan, file: Path, out: Path | None, cores: int) -> str:
+def _sobol_study(plan: "SobolPlan", file: Path, out: Path | None, cores: int) -> str:
     """Table of Sobol indices, of what is stored if there are no cores to compute on; the figure goes beside ``out``."""
+    from calcidem.analysis.figures.sensitivity import draw_sobol
+    from calcidem.analysis.figures.style import save
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.studies.sensitivity.sobol import evaluate_points, indices_of_points, sobol_table, stored_points
+
     if cores:
         packing = provide_packing(plan.configuration, None, lambda text: typer.echo(text, err=True))
         points = evaluate_points(plan, packing, file, cores, lambda text: typer.echo(text, err=True))

@@ -9,9 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSeed
-from calcidem.app.cli.tables import make_console
 from calcidem.app.cli.terminal import printable
-from calcidem.app.report import show_cell
 
 
 def show_command(
@@ -22,6 +20,9 @@ def show_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show one cell: what was measured and, with --out, its packing, cement, path and signals as figures."""
+    from calcidem.app.cli.tables import make_console
+    from calcidem.app.report import show_cell
+
     described, figures = show_cell(database, seed, content, out, campaign_name=campaign)
     table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
     for row in described.rows:

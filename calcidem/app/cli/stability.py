@@ -5,9 +5,6 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import StudyAsJson, StudyFolder
-from calcidem.app.cli.tables import tell
-from calcidem.app.studies.stability.command import random_scenes, stability
-from calcidem.app.studies.stability.verdict import StabilityVerdict
 
 
 def stability_command(
@@ -19,6 +16,10 @@ def stability_command(
     as_json: StudyAsJson = False,
 ) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
+    from calcidem.app.cli.tables import tell
+    from calcidem.app.studies.stability.command import random_scenes, stability
+    from calcidem.app.studies.stability.verdict import StabilityVerdict
+
     if scenes:
         judgements = random_scenes(scenes, draw, json=as_json, say=typer.echo, progress=tell)
         if any(judgement.verdict == StabilityVerdict.WRONG for judgement in judgements):

@@ -3,16 +3,16 @@
 import json
 import time
 from collections.abc import Iterator
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console, Group
 from rich.live import Live
 
-from calcidem.app.campaign.status import CampaignStatus, read_status
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.status_view import status_as_json, status_view
-from calcidem.app.cli.tables import PLAIN_WIDTH
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.campaign.status import CampaignStatus
 
 
 def status_command(
@@ -27,6 +27,8 @@ def status_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show the progress of a campaign, even while it is running: every cell, Vs so far, time left, what went wrong."""
+    from calcidem.app.campaign.status import read_status
+
     found = _watch_status(database, campaign, interval) if watch else iter([read_status(database, campaign)])
     try:
         _show_status(found, as_json=as_json, one_per_line=watch)
@@ -34,8 +36,10 @@ def status_command(
         typer.echo()
 
 
-def _watch_status(database: str, campaign_name: str | None, interval: float) -> Iterator[CampaignStatus]:
+def _watch_status(database: str, campaign_name: str | None, interval: float) -> "Iterator[CampaignStatus]":
     """Status of a campaign every so many seconds, until all its cells have finished."""
+    from calcidem.app.campaign.status import read_status
+
     while True:
         found = read_status(database, campaign_name)
         yield found
@@ -44,8 +48,11 @@ def _watch_status(database: str, campaign_name: str | None, interval: float) -> 
         time.sleep(interval)
 
 
-def _show_status(statuses: Iterator[CampaignStatus], *, as_json: bool, one_per_line: bool) -> None:
+def _show_status(statuses: "Iterator[CampaignStatus]", *, as_json: bool, one_per_line: bool) -> None:
     """Show each status of a campaign, on a terminal in the place of the former."""
+    from calcidem.app.cli.status_view import status_as_json, status_view
+    from calcidem.app.cli.tables import PLAIN_WIDTH
+
     if as_json:
         for found in statuses:
             typer.echo(json.dumps(status_as_json(found), indent=None if one_per_line else 1))

@@ -6,11 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.analysis.figures.style import save
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents
-from calcidem.app.studies.frequency_and_damping import run_studies
-from calcidem.storage.netcdf.export import write_netcdf
 
 _StudyName = StrEnum("_StudyName", ["FREQUENCY", "DAMPING"])
 
@@ -25,6 +21,11 @@ def study_command(
     campaign: CampaignName = None,
 ) -> None:
     """Study how Vs depends on excitation frequency, method of reading and damping, on samples of a campaign."""
+    from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+    from calcidem.analysis.figures.style import save
+    from calcidem.app.studies.frequency_and_damping import run_studies
+    from calcidem.storage.netcdf.export import write_netcdf
+
     chosen = [name.value for name in names or _StudyName]
     results = run_studies(database, chosen, contents=content, campaign_name=campaign)
     for name, result in results.items():

@@ -233,7 +233,7 @@ def test_explain_judges_the_packing_of_the_database(
         judged.append(experiment)
         return [Explanation(content, precision(experiment), None, None) for content in contents]
 
-    monkeypatch.setattr("calcidem.app.cli.explain.explain", note)
+    monkeypatch.setattr("calcidem.app.studies.explain.explain", note)
     assert "double precision" in invoke("explain", toml, "--db", small, "--content", 0.66)
     assert [experiment.packing.content_hash for experiment in judged] == [small_packing.content_hash]
 
