@@ -21,6 +21,7 @@ from calcidem.app.campaign.packing import (
     packing_record,
     packing_to_bytes,
     provide_packing,
+    readable_packing,
     stored_packing,
 )
 from calcidem.app.cli.init import Preset
@@ -30,7 +31,7 @@ from calcidem.app.config.presets import preset_packing, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.canonical import canonical_json
@@ -175,7 +176,25 @@ def test_a_damaged_state_is_replaced_by_the_same_packing(store: SqlStore, told: 
     put_into_cache(packing)
     assert same_bits(provide_packing(TINY, store, told.append), packing)
     assert "can't be used: the checksum does not fit" in told[0]
-    assert "its state in the database has been replaced" in told[-1]
+    assert "the one in the database has been replaced" in told[-1]
+    record = store.load_packing()
+    assert record is not None
+    assert same_bits(stored_packing(record), packing)
+
+
+@pytest.mark.parametrize("column", ["grains", "width", "state"])
+def test_a_changed_row_is_replaced_by_the_same_packing(
+    store: SqlStore, told: list[str], packing: Packing, column: str
+) -> None:
+    """A packing whose row was changed is not used: readers take the same one of the cache, and a run puts it back."""
+    with store._engine.begin() as connection:
+        connection.exec_driver_sql(f"UPDATE packing SET {column} = '0.5'")  # noqa: S608 - a test's own
+    with pytest.raises(DamagedStoreError):
+        readable_packing(store, 0)
+    put_into_cache(packing)
+    assert same_bits(readable_packing(store, 0), packing)
+    assert same_bits(provide_packing(TINY, store, told.append), packing)
+    assert "the one in the database has been replaced" in told[-1]
     record = store.load_packing()
     assert record is not None
     assert same_bits(stored_packing(record), packing)

@@ -18,6 +18,7 @@ from calcidem.storage.errors import (
     ForeignDatabaseError,
     NewerSchemaError,
     OlderSchemaError,
+    ReplacedStoreError,
     StoreError,
     StoreLockedError,
     StoreUnavailableError,
@@ -143,6 +144,26 @@ def test_lock_of_another_process(database: Path, records: "Records", monkeypatch
         other.rollback()
         other.close()
         assert store.record_results([records.done(2)]) == 1
+
+
+@pytest.mark.parametrize("what", ["removed", "replaced", "without its folder"])
+def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records: "Records", what: str) -> None:
+    """Whoever writes a file that has no name any more, or not that one, is told before anything is stored."""
+    path = tmp_path / "results" / "one.db"
+    path.parent.mkdir()
+    with open_store(path) as store:
+        store.begin_campaign(records.campaign())
+        store.acquire_lease()
+        if what == "without its folder":
+            shutil.rmtree(path.parent)
+        else:
+            path.unlink()
+        if what == "replaced":
+            open_store(path).close()
+        word = "replaced" if what == "replaced" else "removed"
+        for write in (store.renew_lease, lambda: store.record_results([records.done(0)])):
+            with pytest.raises(ReplacedStoreError, match=rf"one\.db was {word}"):
+                write()
 
 
 @pytest.mark.parametrize(("on_network", "journal"), [(False, "wal"), (True, "delete")])

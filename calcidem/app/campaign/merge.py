@@ -230,7 +230,7 @@ def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int,
     for position, source in enumerate(sources):
         columns = source.store.table(("seed", "content", "status", *DECIDED_BY_PHYSICS))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
-            if status != CellStatus.PENDING:
+            if status not in {CellStatus.PENDING, CellStatus.DAMAGED}:
                 known = tuple(None if math.isnan(value) else value for value in values)
                 settled[CellKey(int(seed), content)][position] = known if status == CellStatus.DONE else None
     return settled

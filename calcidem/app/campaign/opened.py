@@ -320,8 +320,7 @@ class OpenedCampaign(StoredCampaign):
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        configuration = Configuration.from_physics(self.config)
-        return configuration.experiment(readable_packing(self.store, packing_index, configuration.packing_hash))
+        return Configuration.from_physics(self.config).experiment(readable_packing(self.store, packing_index))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.presets import preset_packing
+from calcidem.app.config.presets import preset_packing, preset_packings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, PackingStage, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.storage.errors import DamagedStoreError
+from calcidem.storage.errors import DamagedStoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.store import Store
@@ -73,35 +73,56 @@ def provide_packing(
     CampaignMismatchError
         If the stored one is damaged and what is found or made is another one.
     """
-    record = store.load_packing() if store is not None else None
-    if store is None or record is None:
+    if store is None:
         return _find_packing(configuration, tell, check, watch)
     try:
-        packing = stored_packing(record)
+        record = store.load_packing()
+        packing = None if record is None else stored_packing(record)
     except DamagedStoreError as error:
         tell(f"Packing: {error.problem}")
     else:
+        if packing is None:
+            return _find_packing(configuration, tell, check, watch)
         tell("Packing: taken from the database.")
         return packing
     packing = _find_packing(configuration, tell, check, watch)
-    found = packing_record(packing, index=record.index, packing_hash=configuration.packing_hash)
-    store.save_packing(found, replace_state=True)
-    tell("Packing: it is the same, and its state in the database has been replaced.")
+    store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash), replace_state=True)
+    tell("Packing: it is the same, and the one in the database has been replaced.")
     return packing
+
+
+def readable_packing(store: Store, index: int) -> Packing:
+    """The stored packing; where it is damaged the same one, by its content hash, of calcidem or of the cache.
+
+    Raises
+    ------
+    DamagedStoreError
+        If it is damaged, and nobody else has it.
+    UnknownCellError
+        If there is none of that index.
+    """
+    try:
+        record = store.load_packing(index)
+        if record is not None:
+            return stored_packing(record)
+    except DamagedStoreError:
+        content_hash = store.content_hashes().get(index)
+        cached = sorted(cache_folder().glob("packing-*.npz"))
+        for archive in (*preset_packings(), *cached):
+            with suppress(OSError, DamagedPackingError):
+                found = packing_from_bytes(archive.read_bytes())
+                if found.content_hash == content_hash:
+                    return found
+        raise
+    raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {store.packing_indices()}.")
 
 
 def _find_packing(
     configuration: Configuration, tell: Tell, check: Callable[[], None], watch: Callable[[PackingStage], None]
 ) -> Packing:
     """The packing that comes with calcidem or is in the cache, or else a new one; see `provide_packing`."""
-    archive = preset_packing(configuration.packing_hash)
-    if archive is not None:
-        tell("Packing: comes with calcidem.")
-        return packing_from_bytes(archive)
-    path = cache_folder() / f"packing-{configuration.packing_hash[:32]}.npz"
-    packing = _read_cache(path, tell)
+    packing = kept_packing(configuration.packing_hash, tell)
     if packing is not None:
-        tell(f"Packing: taken from the cache, {path}.")
         return packing
     draw = configuration.packing_draw
     if draw.file is not None:
@@ -111,8 +132,25 @@ def _find_packing(
         tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
         generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
         packing = make_packing(configuration.packing, configuration.sand, generator, check, watch)
-    _write_cache(path, packing, tell)
+    _write_cache(_cached_file(configuration.packing_hash), packing, tell)
     return packing
+
+
+def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
+    """The packing that comes with calcidem or is in the cache; None if neither has it."""
+    archive = preset_packing(packing_hash)
+    if archive is not None:
+        tell("Packing: comes with calcidem.")
+        return packing_from_bytes(archive)
+    path = _cached_file(packing_hash)
+    packing = _read_cache(path, tell)
+    if packing is not None:
+        tell(f"Packing: taken from the cache, {path}.")
+    return packing
+
+
+def _cached_file(packing_hash: str) -> Path:
+    return cache_folder() / f"packing-{packing_hash[:32]}.npz"
 
 
 def _read_cache(path: Path, tell: Tell) -> Packing | None:

@@ -100,6 +100,7 @@ def _lead(
                 progress=HeartbeatProgress(reporter, work.lease_keeper),
                 stop_request=session.stop_request,
             )
+            work.store.renew_lease()  # nothing is complete whose database is no longer there
             reporter.begin(RunStage.WRITING)
             view.finish(work, in_haste=session.stop_request.hurry())
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure

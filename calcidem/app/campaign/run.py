@@ -4,6 +4,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Self
@@ -21,7 +22,7 @@ from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.storage.errors import LeaseHeldError
+from calcidem.storage.errors import LeaseHeldError, StoreError
 from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.engine import parse_address
@@ -102,6 +103,7 @@ def run(
                 progress=reporter,
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
             )
+            work.store.renew_lease()  # what was stored is still there
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - statistics, which the ranks do not need
 
     return open_campaign(configuration.database, configuration.campaign.name)
@@ -156,6 +158,7 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
+        configuration.output.mkdir(parents=True, exist_ok=True)  # before hours are spent on what is written there
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
             self.packing = provide_packing(configuration, store, tell, check, watch)
@@ -204,7 +207,7 @@ class CampaignRun:
         self.store.extend(plan.seed_numbers, plan.contents)
         self.record = self.store.use_campaign(plan.name)
         pending = self.store.pending(plan.seed_numbers, plan.contents)
-        self.sink = StoreSink(self.store, pending)
+        self.sink = StoreSink(self.store, pending, tell)
         self.lease_keeper = LeaseKeeper(self.store, self.sink.busy)
         self.batches = plan_batches(
             [(key.seed, key.content) for key in pending],
@@ -223,12 +226,10 @@ class CampaignRun:
 
     def __exit__(self, *exception: object) -> None:
         """Note how it ended and close the database."""
-        try:
+        with suppress(StoreError), self.store:  # a database that has gone was told of when it was last written
             if self.end is not None:
                 detail = f": {self.end.detail}" if self.end.detail else ""
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
-        finally:
-            self.store.close()
 
 
 def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> str | None:

@@ -1,11 +1,14 @@
 """Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
+from calcidem.app.campaign.packing import Tell
+from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.store import Store
@@ -13,6 +16,15 @@ from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
+
+_PAUSE = 1.0
+"""Seconds until a lock is asked for again; SQLite itself has waited for half a minute by then."""
+
+_MOST_PATIENCE = 600.0
+"""Seconds for which a lock of another process is waited for."""
+
+
+T = TypeVar("T")
 
 
 class StoreSink:
@@ -24,10 +36,12 @@ class StoreSink:
         With the campaign chosen.
     keys
         The cells that will be computed.
+    tell
+        Takes sentences for the user.
     """
 
-    def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
-        self._store = store
+    def __init__(self, store: Store, keys: Sequence[CellKey], tell: Tell = lambda _: None) -> None:
+        self._store, self._tell = store, tell
         self.busy = Lock()
         """Held while outcomes are stored."""
         self._counts = store.attempt_counts(keys) if keys else {}
@@ -41,14 +55,36 @@ class StoreSink:
         """Write the outcomes in one transaction."""
         results = [result for outcome in outcomes for result in self._results(outcome)]
         with self.busy:
-            self._store.record_results(results)
+            self._with_patience(lambda: self._store.record_results(results))
         for result in results:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
 
     def store_loss(self, batch: Batch[Cell], reason: str, /) -> None:
         """Count a lost attempt for each cell."""
-        self._counts |= self._store.record_lost([CellKey(*cell) for cell in batch.cells], reason)
+        keys = [CellKey(*cell) for cell in batch.cells]
+        self._counts |= self._with_patience(lambda: self._store.record_lost(keys, reason))
+
+    def _with_patience(self, write: Callable[[], T]) -> T:
+        """Write, and wait for another process that has locked the database: nothing that is computed is dropped.
+
+        Raises
+        ------
+        StoreLockedError
+            If it keeps the lock for more than ten minutes.
+        """
+        begin = time.monotonic()
+        while True:
+            try:
+                found = write()
+            except StoreLockedError as error:
+                waited = time.monotonic() - begin
+                if waited > _MOST_PATIENCE:
+                    raise
+                self._tell(f"Waiting for another process that has locked the database ({error.problem})")
+                time.sleep(_PAUSE)
+            else:
+                return found
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())
@@ -89,7 +125,8 @@ class LeaseKeeper:
         if time.monotonic() > self._next and self._busy.acquire(blocking=False):
             try:
                 self._next = time.monotonic() + _RENEWAL_INTERVAL
-                self._store.renew_lease()
+                with suppress(StoreLockedError):  # who has the lock can't take the lease either
+                    self._store.renew_lease()
             finally:
                 self._busy.release()
 

@@ -2,19 +2,17 @@
 
 import math
 from collections import Counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.exit_codes import EXIT_ROUNDING
 from calcidem.app.cli.terminal import printable
-from calcidem.app.studies.verify import Agreement, Verification, random_cells, verify, worst_agreement
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
 
-_EXIT_CODE_OF = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.studies.verify import Verification
 
 
 def verify_command(
@@ -24,15 +22,26 @@ def verify_command(
         int | None,
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice; by default a new one each time."),
     ] = None,
+    integrity: Annotated[
+        bool, typer.Option("--integrity", help="Compute nothing: compare everything stored with its checksums.")
+    ] = False,
     campaign: CampaignName = None,
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
 
-    Compared are status, readings, step, cement and (where stored) signals.
+    Compared are status, readings, step, cement and (where stored) signals. With --integrity nothing is computed: all
+    cells that are no longer what was stored are named; exit code 0 if there is no damage, 1 if there is.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 cells that
     can't be compared, such as those of another physics version.
     """
+    from calcidem.app.campaign.opened import open_campaign
+    from calcidem.app.cli.exit_codes import EXIT_ROUNDING
+    from calcidem.app.studies.verify import Agreement, random_cells, verify, worst_agreement
+
+    if integrity:
+        _verify_integrity(database, campaign)
+        return
     with open_campaign(database, campaign) as opened:
         keys = random_cells(opened, cells, choice)
         found = []
@@ -42,11 +51,35 @@ def verify_command(
     counts = Counter(verification.agreement for verification in found)
     verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
     typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
-    if code := _EXIT_CODE_OF[worst_agreement(found)]:
+    codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
+    if code := codes[worst_agreement(found)]:
         raise typer.Exit(code)
 
 
-def _verification_line(verification: Verification) -> str:
+def _verify_integrity(database: str, campaign_name: str | None) -> None:
+    """Name all that is no longer what was stored; exit code 1 if there is any."""
+    from calcidem.app.campaign.opened import open_campaign
+
+    with open_campaign(database, campaign_name) as opened:
+        found = opened.store.integrity()
+        cells = len(opened.store.statuses())
+    for key, damage in found.cells.items():
+        typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
+    for sentence in found.others:
+        typer.echo(printable(sentence))
+    text = f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages."
+    if found.late:
+        text += f" {found.late} were stored by an earlier calcidem: what was damaged before its upgrade shows not."
+    typer.echo(text)
+    if found.cells:
+        typer.echo(f"'calcidem retry {database} --damaged' and 'calcidem run' make the damaged cells anew.")
+    if found.others:
+        typer.echo(f"'calcidem export {database} OUT.nc' saves what is good; 'calcidem import' makes a database of it.")
+    if found.cells or found.others:
+        raise typer.Exit(EXIT_ERROR)
+
+
+def _verification_line(verification: "Verification") -> str:
     """What came of one cell, and which quantity differs most, by how much."""
     key, name = verification.stored.key, verification.most_different
     text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import xarray as xr
 
-from calcidem.app.campaign.packing import stored_packing
+from calcidem.app.campaign.packing import readable_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment, Method
@@ -240,6 +240,6 @@ def run_studies(
     if unknown:
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
     with open_stored_campaign(database, campaign_name) as campaign:
-        experiment = Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
+        experiment = Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, 0))
     chosen = {} if contents is None else {"contents": tuple(contents)}
     return {name: _STUDIES[name](experiment, check=check, **chosen) for name in names}

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from typing import Any
 
@@ -11,7 +11,14 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from typing_extensions import override
 
-from calcidem.storage.errors import DamagedStoreError, ReadOnlyStoreError, StoreUnavailableError, UnknownCampaignError
+from calcidem.storage.errors import (
+    DamagedStoreError,
+    ReadOnlyStoreError,
+    ReplacedStoreError,
+    StoreError,
+    StoreUnavailableError,
+    UnknownCampaignError,
+)
 from calcidem.storage.records import (
     AttemptCount,
     AttemptRecord,
@@ -83,6 +90,7 @@ class SqlStore(Store):
                     prepare_schema(session.connection(), address)
             if statements:
                 execute_on_connect(self._engine, statements)
+            self._file = None if address.path is None else address.path.stat()
         except BaseException:
             self._engine.dispose()
             raise
@@ -95,12 +103,31 @@ class SqlStore(Store):
     @contextmanager
     def _writing(self) -> Iterator[Session]:
         """Open a writing transaction that fails if the lease was lost."""
+        self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
         with transaction(self._engine, self.address, write=True) as session:
             if self._token is not None:
                 lease.renew_lease(session, self._token)
             yield session
+
+    def _refuse_replaced(self) -> None:
+        """Raise `ReplacedStoreError` if what is written would be in no file, or not in that of the name."""
+        path = self.address.path
+        if path is None or self._file is None:
+            return
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            found = None
+        except OSError:
+            return  # the next transaction has the words for it
+        if found is None or not os.path.samestat(found, self._file):
+            what = "removed" if found is None else "replaced by another file"
+            raise ReplacedStoreError(
+                f"{path} was {what} while it was being written.",
+                "Put the database back if you can, and run the same command again: it computes what is not in it.",
+            )
 
     @property
     def _campaign(self) -> int:
@@ -202,10 +229,13 @@ class SqlStore(Store):
     def release_lease(self) -> None:
         if self._token is not None:
             token, self._token = self._token, None
-            with transaction(self._engine, self.address, write=True) as session:
-                lease.drop_lease(session, token)
-        if self._lock is not None:
-            self._lock.release()
+            try:
+                self._refuse_replaced()
+                with transaction(self._engine, self.address, write=True) as session:
+                    lease.drop_lease(session, token)
+            finally:
+                if self._lock is not None:
+                    self._lock.release()
 
     # Writing
 
@@ -343,7 +373,8 @@ class SqlStore(Store):
     @override
     def close(self) -> None:
         try:
-            self.release_lease()
+            with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
+                self.release_lease()
         finally:
             self._engine.dispose()
 

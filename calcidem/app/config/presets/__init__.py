@@ -1,6 +1,7 @@
 """Example configurations, and the packings they are computed on."""
 
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 
 PRESETS = ("quick", "paper", "paper-literal", "paper-locked")
 """Names of the example configurations that come with calcidem."""
@@ -15,3 +16,8 @@ def preset_packing(packing_hash: str) -> bytes | None:
     """Archive of the packing with this `Configuration.packing_hash`, None if no example has it."""
     file = files(__name__).joinpath("packings", f"{packing_hash[:32]}.npz")
     return file.read_bytes() if file.is_file() else None
+
+
+def preset_packings() -> list[Traversable]:
+    """The files with the packings of all examples."""
+    return list(files(__name__).joinpath("packings").iterdir())

@@ -1,0 +1,264 @@
+"""Damage single places of a database and look at what reading it gives: what was stored, or a sentence, never else.
+
+    python benchmarks/damage/run.py --count 500
+
+For each damage a copy of a small real database is changed in one place (bytes of a row, blob, index, page or header; a
+value; a truncation), and everything that reads or writes it is tried. Two things must not happen: an exception that is
+no sentence for the user, and a value that is not the one that was stored.
+"""
+
+import argparse
+import random
+import shutil
+import signal
+import sqlite3
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner
+
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import packing_record, packing_to_bytes, readable_packing
+from calcidem.app.cli.main import build_application
+from calcidem.storage.errors import StoreError
+from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql.store import open_store
+
+SOURCE = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
+SEEDS = (1, 2)
+_SECONDS_FOR_ONE = 120
+
+Generator = random.Random
+Damage = Callable[[Path, Generator], str]
+
+
+def make_database(path: Path) -> None:
+    """Copy some seeds of the tutorial's campaign."""
+    with open_store(SOURCE, read_only=True) as whole, open_store(path) as store:
+        record = whole.use_campaign()
+        store.begin_campaign(replace(record, seeds=(*SEEDS, 99)))
+        store.begin_run(whole.runs()[0][1])
+        store.save_packing(packing_record(readable_packing(whole, 0), index=0, packing_hash="of no importance"))
+        store.record_results(result for result in whole.results(with_arrays=True) if result.key.seed in SEEDS)
+        store.record_results([CellResult(CellKey(99, 0.0), CellStatus.FAILED, "of no importance")])
+
+
+# Damages: each changes a file and says what it did
+
+
+def damage_bytes(path: Path, generator: Generator) -> str:
+    """Overwrite some bytes anywhere."""
+    count, place = generator.choice((1, 1, 1, 8, 64, 600)), generator.randrange(path.stat().st_size)
+    _write(path, place, generator.randbytes(count))
+    return f"{count} bytes at {place}"
+
+
+def damage_bit(path: Path, generator: Generator) -> str:
+    """Flip one bit of a page that holds rows or keys, or lists of them."""
+    content = path.read_bytes()
+    pages = [start for start in range(0, len(content), 4096) if content[start + 100 * (start == 0)] in {2, 5, 10, 13}]
+    place = generator.choice(pages) + generator.randrange(4096)
+    _write(path, place, bytes([content[place] ^ 1 << generator.randrange(8)]))
+    return f"one bit at {place}"
+
+
+def damage_header(path: Path, generator: Generator) -> str:
+    """Overwrite a byte of the file's header."""
+    place = generator.randrange(100)
+    _write(path, place, generator.randbytes(1))
+    return f"header byte {place}"
+
+
+def truncate(path: Path, generator: Generator) -> str:
+    """Cut the file off."""
+    size = generator.randrange(path.stat().st_size)
+    with path.open("r+b") as file:
+        file.truncate(size)
+    return f"cut off at {size}"
+
+
+def damage_page(path: Path, generator: Generator) -> str:
+    """Empty a page, or put another one in its place."""
+    pages = path.stat().st_size // 4096
+    place, other = generator.randrange(pages), generator.randrange(pages)
+    content = path.read_bytes()[other * 4096 : (other + 1) * 4096] if generator.randrange(2) else bytes(4096)
+    _write(path, place * 4096, content)
+    return f"page {place}" + (f" is page {other}" if any(content) else " is empty")
+
+
+def damage_value(path: Path, generator: Generator) -> str:
+    """Change a value of a row behind the constraints."""
+    with sqlite3.connect(path, isolation_level=None) as connection:
+        connection.execute("PRAGMA ignore_check_constraints=ON")
+        tables = ("result", "attempt", "signal", "cement_pattern", "path_features", "graph_summary", "packing", "run")
+        table = generator.choice((*tables, *tables, "cell", "campaign", "calcidem_schema"))
+        column = generator.choice([row[1] for row in connection.execute(f"PRAGMA table_info({table})")])
+        rowid, value = generator.choice(connection.execute(f"SELECT rowid, {column} FROM {table}").fetchall())  # noqa: S608 - of our own
+        changed = _changed(value, generator)
+        try:
+            connection.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (changed, rowid))  # noqa: S608 - of our own
+        except sqlite3.IntegrityError:
+            changed = value
+    connection.close()
+    return f"{table}.{column}: {str(value)[:20]!r} -> {str(changed)[:20]!r}"
+
+
+DAMAGES: tuple[Damage, ...] = (
+    damage_bytes,
+    damage_bit,
+    damage_header,
+    truncate,
+    damage_page,
+    damage_value,
+    damage_value,
+)
+
+
+def _changed(value: Any, generator: Generator) -> Any:  # noqa: ANN401 - whatever a database holds
+    if isinstance(value, bytes):
+        place = generator.randrange(len(value) or 1)
+        return value[:place] + generator.randbytes(1) + value[place + 1 :]
+    if isinstance(value, str) and value and generator.random() < 0.7:  # noqa: PLR2004 - most of the time
+        place = generator.randrange(len(value))
+        return value[:place] + generator.choice("\x1b\0x0]{9") + value[place + 1 :]
+    close = [value + 1, value * 1.0000000001, -value, value * 1e300] if isinstance(value, int | float) else []
+    return generator.choice([*close, None, "text", b"\xff\xfe", 0, -1, 2**62, 1e308, ""])
+
+
+def _write(path: Path, place: int, content: bytes) -> None:
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(content[: path.stat().st_size - place])
+
+
+# What is tried with a damaged file
+
+
+def original_values(path: Path) -> dict[str, Any]:
+    """Everything that is stored, to compare with."""
+    with open_campaign(path) as campaign:
+        return {
+            "results": {result.key: result for result in campaign.select(with_arrays=True)},
+            "attempts": list(campaign.store.history()),
+            "packing": packing_to_bytes(readable_packing(campaign.store, 0)),
+            "runs": [run for _, run in campaign.runs()],
+            "config": campaign.config,
+        }
+
+
+def wrong_values(path: Path, original: dict[str, Any]) -> Iterator[str]:
+    """Read everything, and name what is given as good and is not what was stored; `StoreError` if nothing is given."""
+    with open_campaign(path) as campaign:
+        if campaign.config != original["config"]:
+            yield "configuration"
+        yield from _wrong(campaign.select(with_arrays=True), original, with_arrays=True)
+        yield from _wrong(campaign.select(), original, with_arrays=False)
+        vs = campaign.vs()
+        for (seed, content), value in vs.stack(key=("seed", "content")).dropna("key").to_series().items():
+            found = original["results"].get(CellKey(seed, content))
+            if found is None or found.vs != value:
+                yield f"vs of {seed}, {content}"
+        for attempt in campaign.store.history():
+            if replace(attempt, forgiven=False) not in original["attempts"]:
+                yield f"attempt {attempt}"
+        for _, run in campaign.runs():
+            if run not in original["runs"] and not str(run.exit_state).startswith("damaged"):
+                yield f"run {run}"
+        if packing_to_bytes(readable_packing(campaign.store, 0)) != original["packing"]:
+            yield "packing"
+
+
+def _wrong(results: Iterator[CellResult], original: dict[str, Any], *, with_arrays: bool) -> Iterator[str]:
+    for result in results:
+        wanted = original["results"].get(result.key)
+        if wanted is not None and not with_arrays:
+            wanted = replace(wanted, signal=None, cement=None)
+        if result.status is not CellStatus.DAMAGED and result != wanted:
+            yield f"result of {result.key}"
+
+
+COMMANDS = (
+    ("status", "DB"),
+    ("query", "DB", "--columns", "all", "--format", "csv"),
+    ("query", "DB", "--where", "vs > 100", "--sort=-vs", "--limit", "3"),
+    ("export", "DB", "OUT"),
+    ("verify", "DB", "--integrity"),
+    ("retry", "DB", "--status", "failed"),
+    ("retry", "DB", "--damaged"),
+    ("status", "DB", "--json"),
+)
+
+
+def tracebacks(path: Path, out: Path) -> Iterator[str]:
+    """Run commands on a damaged file; name those that end with an exception that is no sentence for the user."""
+    for command in COMMANDS:
+        words = [{"DB": str(path), "OUT": str(out)}.get(word, word) for word in command]
+        found = CliRunner().invoke(build_application(), words).exception
+        if found is not None and not isinstance(found, SystemExit | StoreError):
+            yield f"{' '.join(command)}: {type(found).__name__}: {found}"
+
+
+def judge(path: Path, original: dict[str, Any], folder: Path) -> tuple[str, list[str]]:
+    """Whether a damaged file can be read, and what is wrong with what it gives."""
+    wrong = []
+    try:
+        wrong += [f"wrong: {what}" for what in wrong_values(path, original)]
+        readable = "read"
+    except StoreError as error:
+        readable = type(error).__name__
+    except Exception as error:  # noqa: BLE001 - it is what is looked for
+        readable = "traceback"
+        wrong.append(f"{type(error).__name__}: {error}")
+    wrong += tracebacks(path, folder / "out.nc")
+    (folder / "out.nc").unlink(missing_ok=True)
+    return readable, wrong
+
+
+def damage_and_judge(
+    original: Path, values: dict[str, Any], folder: Path, number: int
+) -> tuple[str, str, str, list[str]]:
+    """Do damage of a number, always the same, to a copy, and judge it: kind, place, how it is read, what is wrong."""
+    generator = random.Random(number)
+    damage = DAMAGES[number % len(DAMAGES)]
+    path = folder / "damaged.db"
+    for old in folder.glob("damaged.db*"):
+        old.unlink()
+    shutil.copy(original, path)
+    place = damage(path, generator)
+    readable, wrong = judge(path, values, folder)
+    return damage.__name__, place, readable, wrong
+
+
+def main() -> None:
+    """Do damages and count what comes of them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args()
+    counts: Counter[tuple[str, str]] = Counter()
+    bad = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_database(folder / "good.db")
+        values = original_values(folder / "good.db")
+        for number in range(options.first, options.first + options.count):
+            signal.alarm(_SECONDS_FOR_ONE)
+            kind, place, readable, wrong = damage_and_judge(folder / "good.db", values, folder, number)
+            counts[kind, readable] += 1
+            bad += bool(wrong)
+            for line in wrong:
+                print(f"{number} {kind} ({place}): {line}", flush=True)
+        signal.alarm(0)
+    for (kind, readable), count in sorted(counts.items()):
+        print(f"{kind:14} {readable:24} {count}")
+    print(f"{options.count} damages, {bad} with a traceback or a wrong value")
+    sys.exit(bool(bad))
+
+
+if __name__ == "__main__":
+    main()

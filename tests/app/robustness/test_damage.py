@@ -1,0 +1,91 @@
+"""A damaged database: what is good is read, what is not is named and made anew, and nobody sees a traceback."""
+
+import importlib.util
+import sqlite3
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.storage.records import STATUS_CODES, CellStatus
+from calcidem.storage.sql.store import open_store
+
+BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "damage" / "run.py"
+
+Invoke = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> ModuleType:
+    """Load the benchmark's module, which makes the damages."""
+    spec = importlib.util.spec_from_file_location("damage_benchmark", BENCHMARK)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def change(path: Path, *statements: str) -> None:
+    """Change the cell of seed 1 and 5 % behind the store's back."""
+    with sqlite3.connect(path, isolation_level=None) as connection:
+        for statement in statements:
+            connection.execute(f"{statement} WHERE cell_id = (SELECT id FROM cell WHERE seed = 1 AND content = 5.0)")  # noqa: S608 - a test's own
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE result SET vs = vs * (1 + 1e-15)",
+        "UPDATE signal SET samples = substr(samples, 1, 500) || x'00' || substr(samples, 502)",
+    ],
+)
+def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
+    complete: Path, tmp_path: Path, invoke: Invoke, statement: str
+) -> None:
+    """Verify --integrity names it, export flags it and has all others, retry --damaged makes it pending."""
+    assert "40 cells: 0 damaged, 0 other damages." in invoke("verify", complete, "--integrity")
+    change(complete, statement)
+    found = invoke("verify", complete, "--integrity", exit_code=1)
+    assert "seed 1, 5 %: its " in found
+    assert "40 cells: 1 damaged, 0 other damages." in found
+    invoke("export", complete, tmp_path / "out.nc")
+    with xr.open_dataset(tmp_path / "out.nc") as dataset:
+        assert int((dataset["status"] == STATUS_CODES[CellStatus.DAMAGED]).sum()) == 1
+        assert np.isnan(dataset["vs"].sel(seed=1, content=5.0))
+        assert int(dataset["vs"].count()) == 39
+    assert "1 cell is pending again:\n  seed 1, 5 %" in invoke("retry", complete, "--damaged")
+    assert "Nothing is damaged" in invoke("retry", complete, "--damaged")
+    with open_store(complete, read_only=True) as store:
+        store.use_campaign()
+        assert [(key.seed, key.content) for key in store.pending()] == [(1, 5.0)]
+
+
+def test_damaged_cells_are_shown_and_can_be_selected(complete: Path, invoke: Invoke) -> None:
+    """Status counts them, and a query by status lists them without any number."""
+    change(complete, "UPDATE result SET vs_peak = 1.0")
+    assert "1 damaged" in invoke("status", complete)
+    found = invoke("query", complete, "--status", "damaged", "--columns", "seed,content,vs,reason", "--format", "csv")
+    assert found.splitlines()[1:] == ["1,5.0,,its numbers were changed after they had been stored"]
+
+
+def test_damaged_stands_alone(complete: Path, invoke: Invoke) -> None:
+    """Retry --damaged goes with no other choice of cells."""
+    assert "stands alone" in invoke("retry", complete, "--damaged", "--seed", 1, exit_code=2)
+
+
+@pytest.mark.parametrize("count", [14, pytest.param(500, marks=pytest.mark.full)])
+def test_single_damages_give_neither_tracebacks_nor_wrong_values(
+    benchmark: ModuleType, tmp_path: Path, count: int
+) -> None:
+    """Of many single damages (bytes, pages, header, values, truncation) none is taken for what was stored."""
+    benchmark.make_database(tmp_path / "good.db")
+    values = benchmark.original_values(tmp_path / "good.db")
+    found = [benchmark.damage_and_judge(tmp_path / "good.db", values, tmp_path, number) for number in range(count)]
+    assert [(kind, place, wrong) for kind, place, _, wrong in found if wrong] == []
