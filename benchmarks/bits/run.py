@@ -27,6 +27,9 @@ sys.path.insert(0, str(PROGRAM.parent))
 
 from processors import PROCESSORS, environment, playable
 
+from calcidem.app.config import presets
+from calcidem.app.config.reader import load_configuration
+
 KINDS = ("packing", "step", "cement", "signal", "Vs")
 COMMAND = [sys.executable, "-c", "from calcidem.app.cli.main import main; main()"]
 CASES = (
@@ -105,11 +108,8 @@ def show_cost(against: Path, rounds: int) -> list[dict[str, object]]:
     """Print CPU time of a step, in turns."""
     with tempfile.TemporaryDirectory() as folder:
         packing = Path(folder, "packing.npz")
-        subprocess.run(
-            [sys.executable, str(PROGRAM), "paper", "--packing", str(packing), "--regimes"],
-            check=True,
-            stdout=subprocess.DEVNULL,
-        )
+        configuration = load_configuration(Path(presets.__file__).parent / "paper.toml")
+        packing.write_bytes(presets.preset_packing(configuration.packing_hash) or b"")
         before, after = Worker(against, packing), Worker(ROOT, packing)
         rows: list[dict[str, object]] = []
         print("| regime, lanes, content | before, us a step | now | change of the median | spread of repeats |")
