@@ -21,6 +21,8 @@ from calcidem.storage.sql.store import open_store
 
 TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial" / "quick.db"
 
+PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'
+ERRORS = b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}'
 TARGETS = b"content,vs\n0.0,210\n0.66,640\n5.0,1300\n"
 
 EVIL_STORED = "\x1b]0;title\x07\x1b[31m[/red]\x9b2J\r\b[bold]"
@@ -90,9 +92,11 @@ class Workbench:
     def restore(self) -> None:
         """Put everything back where it was."""
         for path in self.folder.iterdir():
-            if path.name not in self.files:
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
-        (self.folder / "folder").mkdir()
+            if path.is_dir() and (path.name != "folder" or any(path.iterdir())):
+                shutil.rmtree(path)
+            elif path.is_file() and path.name not in self.files:
+                path.unlink()
+        (self.folder / "folder").mkdir(exist_ok=True)
         for name, content in self.files.items():
             path = self.folder / name
             if not path.is_file() or path.read_bytes() != content:
@@ -144,8 +148,8 @@ def open_workbench(folder: Path) -> Iterator[Workbench]:
         "good.toml": preset_text("quick").encode(),
         "empty": b"",
         "noise": bytes(range(256)) * 8,
-        "plan.toml": b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"',
-        "good.json": b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}',
+        "plan.toml": PLAN,
+        "good.json": ERRORS,
         "targets.csv": TARGETS,
         "good.csv": DISKS.encode(),
     }

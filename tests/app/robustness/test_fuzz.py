@@ -19,7 +19,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.models import OptionInfo
-from workbench import DISKS, OWN_DISKS, TARGETS, Workbench
+from workbench import DISKS, ERRORS, OWN_DISKS, PLAN, TARGETS, Workbench
 
 from calcidem.app.cli import main as command_line
 from calcidem.app.config.presets import preset_text
@@ -333,26 +333,61 @@ def use_words(bench: Workbench, words: list[str]) -> None:
     bench.judge(*words)
 
 
-SUBJECTS: dict[str, tuple[st.SearchStrategy[Any], Callable[[Workbench, Any], None]]] = {
-    "configurations": (configurations(), use_configuration),
-    "bytes of a configuration": (spoiled(preset_text("quick").encode()), use_configuration),
-    "tables of disks": (spoiled(DISKS.encode(), CELLS), use_disks),
-    "tables of targets": (spoiled(TARGETS, CELLS), use_targets),
-    "filters": (filters, use_filter),
-    "command lines": (command_lines, use_words),
+def use_plan(bench: Workbench, content: bytes) -> None:
+    """Begin to compute the variants of a plan."""
+    bench.judge("sensitivity", "own.toml", "--db", "new.db", own_toml=content)
+
+
+def use_errors(bench: Workbench, content: bytes) -> None:
+    """Explain a campaign with measured errors from a file."""
+    bench.judge("explain", "good.toml", "--accuracy", "own.json", own_json=content)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A kind of input.
+
+    Attributes
+    ----------
+    inputs
+        From which it is drawn.
+    use
+        What is done with it.
+    few, many
+        How many are tried in the default run and in the full one.
+    """
+
+    inputs: st.SearchStrategy[Any]
+    use: Callable[[Workbench, Any], None]
+    few: int
+    many: int
+
+
+SUBJECTS = {
+    "configurations": Subject(configurations(), use_configuration, 50, 1500),
+    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 15, 600),
+    "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 30, 700),
+    "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 15, 500),
+    "plans of variants": Subject(spoiled(PLAN), use_plan, 15, 500),
+    "measured errors": Subject(spoiled(ERRORS), use_errors, 5, 200),
+    "filters": Subject(filters, use_filter, 40, 1000),
+    "command lines": Subject(command_lines, use_words, 50, 2000),
 }
 
 
-def fuzz(bench: Workbench, subject: str, count: int) -> None:
+def fuzz(bench: Workbench, subject: Subject, count: int, *, always_the_same: bool) -> None:
     """Try so many inputs of a kind."""
-    inputs, use = SUBJECTS[subject]
 
     @settings(
-        max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
+        max_examples=count,
+        deadline=None,
+        derandomize=always_the_same,
+        database=None,
+        suppress_health_check=list(HealthCheck),
     )
-    @given(inputs)
+    @given(subject.inputs)
     def try_input(drawn: object) -> None:
-        use(bench, drawn)
+        subject.use(bench, drawn)
 
     try_input()
 
@@ -360,11 +395,11 @@ def fuzz(bench: Workbench, subject: str, count: int) -> None:
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_no_input_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
     """Some inputs of each kind are taken or refused in sentences, with exit code 2."""
-    fuzz(bench, subject, 40)
+    fuzz(bench, SUBJECTS[subject], SUBJECTS[subject].few, always_the_same=True)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_no_input_of_thousands_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
-    """The same for at least 5,000 inputs in all."""
-    fuzz(bench, subject, 1000)
+    """The same for 7,000 inputs, others each time."""
+    fuzz(bench, SUBJECTS[subject], SUBJECTS[subject].many, always_the_same=False)
