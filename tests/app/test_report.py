@@ -151,7 +151,7 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
 ) -> None:
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
     monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
-    monkeypatch.setattr(cell_data, "_MOST_BYTES", 20_000)
+    monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
     with open_stored_campaign(small_database) as campaign:
         found = gather_cell_data(CampaignAnalysis(campaign))
         analysis = CampaignAnalysis(campaign, most_samples=12)
@@ -176,7 +176,7 @@ def test_published_table_stands_beside_the_published_sand() -> None:
 
 def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has the figures of the studies that it is given."""
-    monkeypatch.setattr(page_of_report, "SECTIONS", ())  # the other figures need not be drawn again
+    monkeypatch.setattr(page_of_report, "PAGE_SECTIONS", ())  # the other figures need not be drawn again
     studies = run_studies(small_database, ["damping"], contents=[0.66])
     text = write_report(small_database, tmp_path / "r.html", studies=studies).read_text(encoding="utf-8")
     assert '<figure id="figure-study_damping">' in text

@@ -97,7 +97,7 @@ def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def letter_panels(panels: Iterable[Axes], **look: float) -> None:
+def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 - of a text of matplotlib
     """Put (a), (b), ... before the titles on the left of several panels; `look` goes to `Axes.set_title`."""
     lettered = list(panels)
     for place, axes in enumerate(lettered if len(lettered) > 1 else ()):

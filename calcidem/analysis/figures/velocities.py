@@ -158,8 +158,8 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     reach = 3.4 * row.standard_deviation
     grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
     axes.plot(grid, row.normal_fit.density(grid), color=VERMILION, linewidth=1.2)
-    ticks = {"color": BLACK, "markersize": 4, "markeredgewidth": 0.5, "rasterized": values.size > _MANY}
-    axes.plot(values, np.zeros_like(values), "|", clip_on=False, **ticks)
+    floor = np.zeros_like(values)
+    axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > _MANY)
     p_value = row.normality.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
     text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
@@ -191,8 +191,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
             low, middle, high = np.nanquantile(numbers[:, known], [0.1, 0.5, 0.9], axis=0)
             axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
             # Each curve is thinner than those below it, so that none is hidden where they agree.
-            style = {"color": colour, "linewidth": width, "marker": marker, "markersize": 2.5 + width}
-            axes.plot(content[known], middle, label=label, **style)
+            axes.plot(content[known], middle, color=colour, lw=width, marker=marker, ms=2.5 + width, label=label)
     upper.set_title("velocity")
     lower.set_title("difference to peak to peak")
     letter_panels((upper, lower))

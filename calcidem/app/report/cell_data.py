@@ -23,7 +23,7 @@ _MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
 """Quantities of a cell where the campaign has more cells than that."""
 
-_MOST_BYTES = 3_500_000
+_ROOM_FOR_SAMPLES = 3_500_000
 """Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
 
 _MOST_POINTS = 300
@@ -59,7 +59,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
         graphs = ()
         remarks.append(f"No samples are drawn: {error}.")
     shown: list[int] = []
-    room = _MOST_BYTES
+    room = _ROOM_FOR_SAMPLES
     for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
@@ -68,7 +68,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
         blocks[f"seed-{seed}"] = text
         shown.append(seed)
     for graph in graphs:
-        blocks[f"packing-{graph.packing.index}"] = _compress(_describe_packing(analysis, graph))
+        blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
     names = [quantity.name for quantity in QUANTITIES if quantity.name not in {"seed", "content"}]
     if analysis.vs.size > _MOST_FULL_RECORDS:
         names = [name for name in names if name in _SHORT_RECORD]
@@ -85,7 +85,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
 def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
     """Give quantities as columns over seeds, then contents; those that no cell has are left out."""
     cells = analysis.cells.assign(status=analysis.status)
-    columns = {name: _plain(cells[name].to_numpy().ravel()) for name in names}
+    columns = {name: _numbers_or_none(cells[name].to_numpy().ravel()) for name in names}
     return {
         "seeds": analysis.vs["seed"].to_numpy().tolist(),
         "contents": analysis.vs["content"].to_numpy().tolist(),
@@ -98,18 +98,18 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
     }
 
 
-def _plain(values: NDArray[Any]) -> list[Any]:
+def _numbers_or_none(values: NDArray[Any]) -> list[Any]:
     """Give numbers with six digits, whole ones as such, and None for what is missing."""
     if values.dtype.kind != "f":
         return [value or "" for value in values.tolist()]
     return [None if value != value else float(f"{value:.6g}") for value in values.tolist()]  # noqa: PLR0124 - NaN
 
 
-def _describe_packing(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
+def _packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
     """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
     packing, wave = graph.packing, analysis.campaign.config["wave"]
     return {
-        **{name: _whole(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
+        **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
         **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},
         "first": _steps(graph.graph.pairs[:, 0]),
         "second": graph.graph.pairs[:, 1].tolist(),
@@ -140,7 +140,8 @@ def _describe_cells(
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
     """Give both signals as steps between levels, their peaks, and the arrivals in milliseconds."""
     arrival = read_arrival(analysis, cell)
-    stride = -(-arrival.time.size // _MOST_POINTS)
+    # Of what could not be read the records are long, and one looks at them more closely.
+    stride = -(-arrival.time.size // (_MOST_POINTS if cell.vs else 5 * _MOST_POINTS))
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
         "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
@@ -154,13 +155,14 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
     return described
 
 
-def _whole(values: ArrayLike) -> list[int]:
-    return [int(value) for value in np.round(values)]
+def _rounded(values: ArrayLike) -> list[int]:
+    whole: list[int] = np.round(np.asarray(values, dtype=np.float64)).astype(np.int64).tolist()
+    return whole
 
 
 def _steps(values: ArrayLike) -> list[int]:
     """Give whole numbers as differences, which compress better."""
-    return np.diff(_whole(values), prepend=0).tolist()
+    return _rounded(np.diff(_rounded(values), prepend=0))
 
 
 def _compress(described: object) -> str:

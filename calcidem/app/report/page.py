@@ -18,7 +18,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.results import near_field_rows
-from calcidem.app.report.sections import SECTIONS, TABLES, SectionPlan, make_or_explain
+from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import Table, decimal, significant, time_span
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.files import write_text_atomically
@@ -125,7 +125,7 @@ def write_report(
 
 def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
     """Give the page as text."""
-    sections = [_make_section(plan, analysis) for plan in SECTIONS]
+    sections = [_make_section(plan, analysis) for plan in PAGE_SECTIONS]
     sections.append(_Section("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),

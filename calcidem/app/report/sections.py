@@ -57,7 +57,7 @@ class SectionPlan:
     folded: tuple[str, ...] = ()
 
 
-SECTIONS = (
+PAGE_SECTIONS = (
     SectionPlan(
         "velocities",
         "Shear-wave velocity",

@@ -324,7 +324,7 @@
     brush.lineWidth = 1;
     brush.textAlign = "center";
     brush.textBaseline = "top";
-    const everySeed = Math.ceil(46 / cellWidth);
+    const everySeed = Math.ceil((8 * String(seeds.at(-1)).length + 16) / cellWidth);
     for (let at = Math.ceil(first / everySeed) * everySeed; at < last; at += everySeed) {
       const x = corner(at * contents.length)[0] + cellWidth / 2;
       if (x > LEFT - 2 && x < width - 8) brush.fillText(seeds[at], x, height - BOTTOM + 6);
