@@ -10,7 +10,7 @@ BENCHMARK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "readi
 
 
 @pytest.mark.parametrize(
-    ("count", "wrong", "refused"), [(50, 0.02, 0.2), pytest.param(2500, 0.01, 0.1, marks=pytest.mark.full)]
+    ("count", "wrong", "refused"), [(50, 0.02, 0.2), pytest.param(3500, 0.01, 0.1, marks=pytest.mark.full)]
 )
 def test_few_signals_are_read_wrong_in_silence(count: int, wrong: float, refused: float) -> None:
     """Of the judged signals fewer than 1 % are off by a tenth, and fewer than 10 % of the readable ones are refused."""
