@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -20,6 +20,7 @@ from calcidem.storage.records import (
     PackingRecord,
     RunRecord,
     Signal,
+    canonical_content,
 )
 from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
@@ -172,6 +173,15 @@ class StoredCampaign:
         """
         return self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
 
+    def refuse_unknown_contents(self, contents: Iterable[float]) -> None:
+        """Raise an `UnknownCellError` that names the contents of this campaign if one of these is none of them."""
+        present = self.record.contents
+        if unknown := ", ".join(f"{content:g} %" for content in contents if canonical_content(content) not in present):
+            there_are = ", ".join(f"{content:g}" for content in present)
+            raise UnknownCellError(
+                f"There is no content {unknown} in campaign '{self.record.name}'.", f"There are {there_are} %."
+            )
+
     def cell(self, *, seed: int, content: float) -> CellResult:
         """Return the whole outcome of one cell, with its arrays.
 
@@ -181,6 +191,7 @@ class StoredCampaign:
             If the cell has no outcome.
         """
         key = CellKey(seed, content)
+        self.refuse_unknown_contents([key.content])
         found = next(self.select(seed=key.seed, content=key.content, with_arrays=True), None)
         if found is None:
             raise UnknownCellError(

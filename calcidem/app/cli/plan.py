@@ -36,6 +36,7 @@ def plan_command(
     from calcidem.storage.campaign import open_stored_campaign
 
     with open_stored_campaign(database, campaign) as opened:
+        opened.refuse_unknown_contents([content])
         columns = opened.store.table(("vs", "status", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]

@@ -74,6 +74,7 @@ def find(
     from calcidem.storage.campaign import open_stored_campaign
 
     with open_stored_campaign(database, campaign_name) as campaign:
+        campaign.refuse_unknown_contents(selection.contents or ())
         return campaign.store.table(columns, selection, sort=sort, limit=limit)
 
 

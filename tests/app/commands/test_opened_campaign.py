@@ -100,6 +100,8 @@ def test_what_is_missing_is_said(campaign: OpenedCampaign) -> None:
     """An unknown cell and an incomplete configuration are refused with their names."""
     with pytest.raises(UnknownCellError, match="seed 99"):
         campaign.sample(seed=99, content=5.0)
+    with pytest.raises(UnknownCellError, match=r"no content 1.5 % in campaign .* There are 0, .*9 %"):
+        campaign.cell(seed=1, content=1.5)
     with pytest.raises(StoreError, match="lacks root_seed, sand"):
         Configuration.from_physics({"wave": {}})
 
