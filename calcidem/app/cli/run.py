@@ -7,15 +7,14 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
-
-# The process that starts the ranks computes nothing: it need not wait for numerical libraries, nor keep them in memory.
-# ruff: noqa: PLC0415
+from calcidem.app.cli.terminal import printable
 
 
 def run_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     database: Annotated[
-        str | None, typer.Option("--db", metavar="FILE", help="Database: file or URL, instead of the configuration's.")
+        str | None,
+        typer.Option("--db", metavar="DB", help="SQLite file or database URL, instead of the configuration's."),
     ] = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the results, instead of the configuration's.")
@@ -39,8 +38,19 @@ def run_command(
     with_report: Annotated[
         bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")
     ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compute nothing: check the configuration and say what would be computed.")
+    ] = False,
 ) -> None:
     """Compute a campaign, or what is left of it: after a stop, the same command continues."""
+    overrides = {"database": database, "output": None if output is None else str(output)}
+    if check:
+        from calcidem.app.campaign.preview import preview_lines
+        from calcidem.app.config.reader import load_configuration
+
+        lines = list(preview_lines(load_configuration(configuration, overrides)))  # or nothing, if something is wrong
+        typer.echo(printable("\n".join(lines)))
+        return
     if ranks is not None and ranks != 1:
         from calcidem.app.campaign.launch import Launch, default_ranks
 
@@ -58,5 +68,4 @@ def run_command(
     from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.reader import load_configuration
 
-    overrides = {"database": database, "output": None if output is None else str(output)}
     run_on_ranks(partial(load_configuration, configuration, overrides), TerminalView(with_report=with_report))

@@ -118,6 +118,19 @@ def test_stored_text_does_not_control_a_terminal(bench: Workbench, line: str) ->
     bench.judge(command, "evil.db", *options)
 
 
+def test_check_says_what_would_be_computed_and_does_nothing(bench: Workbench) -> None:
+    """`run --check` reads and checks, with the database and the packing where there are any, and makes no file."""
+    said = bench.judge("run", "good.toml", "--check")
+    assert said.startswith("Campaign quick: 4 seeds x 6 contents = 24 cells, 0 of them settled; 24 would be computed")
+    assert "results/quick.db, new" in said
+    assert "4663 disks, which hold these contents" in said
+    assert "20 of them settled; 4 would be computed" in bench.judge("run", "good.toml", "--check", "--db", "quick.db")
+    assert "Packing: not made yet" in bench.judge("run", "own.toml", "--check", own_toml=b"[packing]\nseed = 99")
+    too_much = b"[campaign]\ncontents = [60.0]\n[packing]\nseed = 1\n[wave]\nfrequency = 9e3\n"
+    assert "the packing holds at most" in bench.judge("run", "own.toml", "--check", own_toml=too_much)
+    assert not (bench.folder / "results").exists()
+
+
 def test_what_nobody_foresaw_leaves_a_log(bench: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Any other error ends with 1, one message without a traceback, and the path of a file that has it."""
 
