@@ -64,13 +64,14 @@ def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, 
     xarray.Dataset
         Along parameter: ``first`` and ``total``, the shares of the variance that the parameter makes alone and with all
         others, and ``first_half_width`` and ``total_half_width`` of their bootstrap intervals; ``bases`` is the
-        number of base points there were. All NaN of fewer than four, or if the output does not vary.
+        number of base points that count, 0 if they are fewer than four. All NaN then, or if the output does not vary.
     """
     rows = np.asarray(output, dtype=np.float64).reshape(-1, len(ranges) + 2)
     whole = rows[np.isfinite(rows).all(axis=1)]
+    whole = whole[: len(whole) if len(whole) >= _FEWEST_BASES else 0]
     names = {"first": "S1", "first_half_width": "S1_conf", "total": "ST", "total_half_width": "ST_conf"}
     found = dict.fromkeys(names.values(), np.full(len(ranges), math.nan))
-    if len(whole) >= _FEWEST_BASES and np.ptp(whole) > 1e-12 * np.abs(whole).max():
+    if len(whole) and np.ptp(whole) > 1e-12 * np.abs(whole).max():
         options: dict[str, Any] = {"calc_second_order": False, "num_resamples": _RESAMPLES, "conf_level": level}
         found = _salib("analyze").analyze(_problem(ranges), whole.ravel(), **options, seed=BOOTSTRAP_SEED)
     variables = {name: ("parameter", np.asarray(found[key], dtype=np.float64)) for name, key in names.items()}

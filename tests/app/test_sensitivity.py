@@ -149,6 +149,7 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
     """Velocities whose mean is linear in one parameter and deviation in the other give each its share, and no other."""
     plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
     points = stored_points(plan, tmp_path / "none.nc")
+    assert not parameters_out_of_reach(indices_of_points(plan, points))  # nothing is known before anything is computed
     low, high = np.array(list(plan.ranges.values())).T
     first, second = ((points["value"].to_numpy() - low) / (high - low)).T
     signs = np.tile([1.0, -1.0], 4)

@@ -110,6 +110,7 @@ def evaluate_points(
         return points
     values = [dict(zip(plan.ranges, row, strict=True)) for row in points["value"].to_numpy()[left].tolist()]
     tried = [with_values(plan.configuration, changed) for changed in values]
+    _save_points(points, file)  # a place that cannot be written is told before hours of work
     saved = time.monotonic()
     with trial_workers(packing, plan.contents, plan.seeds, cores) as measure_trials:
         say(
@@ -122,10 +123,15 @@ def evaluate_points(
             points["done"][place] = True
             if time.monotonic() - saved > _SECONDS_BETWEEN_SAVES or count == len(left):
                 saved = time.monotonic()
-                with write_atomically(file, replaces_netcdf=True) as temporary:
-                    points.to_netcdf(temporary)
+                _save_points(points, file)
                 say(f"{count} of {len(left)} points")
     return points
+
+
+def _save_points(points: xr.Dataset, file: Path) -> None:
+    """Write the points in one step."""
+    with write_atomically(file, replaces_netcdf=True) as temporary:
+        points.to_netcdf(temporary)
 
 
 def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> str:
@@ -158,7 +164,7 @@ def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
     )
     if not file.exists():
         return empty
-    with xr.open_dataset(file) as opened:
+    with xr.open_dataset(file, engine="netcdf4") as opened:
         found = opened.load()
     same = found.attrs.get("calcidem_campaign_hash") == plan.configuration.hash
     if not same or any(name not in found or not found[name].equals(empty[name]) for name in (*empty.coords, "value")):
@@ -207,5 +213,7 @@ def _index_entry(chosen: xr.Dataset) -> str:
 def parameters_out_of_reach(indices: xr.Dataset) -> list[str]:
     """Parameters whose total index is surely above `_NEGLIGIBLE` neither for mean nor for sd / mean at any content."""
     decided = indices.sel(output=["mean", "relative_deviation"])
+    if not int(decided["bases"].max()):
+        return []
     reached = (decided["total"] - decided["total_half_width"] > _NEGLIGIBLE).any(("output", "content"))
     return [str(name) for name in indices["parameter"].to_numpy()[~reached.to_numpy()]]
