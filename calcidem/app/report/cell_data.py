@@ -34,7 +34,7 @@ _MICROMETRES = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class CellData:
+class _CellData:
     """What the script of the page reads.
 
     Attributes
@@ -49,7 +49,7 @@ class CellData:
     remarks: tuple[str, ...]
 
 
-def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
+def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
     """Gather records of all cells, and signals and samples of as many seeds as a page can hold."""
     blocks: dict[str, str] = {}
     remarks: list[str] = []
@@ -79,7 +79,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> CellData:
             "“calcidem show DB --seed S --content C --out DIR” draws every one."
         )
     blocks["records"] = _compress(_describe_records(analysis, names))
-    return CellData(blocks, tuple(remarks))
+    return _CellData(blocks, tuple(remarks))
 
 
 def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
