@@ -32,10 +32,10 @@ def read_travel_times(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> Picks
         return Picks(*[Reading(failure=failure)] * 3)
     peak = _read_peak(record, main)
     others = _read_first_arrival(record, main), _read_cross_correlation(record, main)
-    return Picks(peak, *(_compare(other, peak) for other in others))
+    return Picks(peak, *(_weigh_against_peak(other, peak) for other in others))
 
 
-def _compare(other: Reading, peak: Reading) -> Reading:
+def _weigh_against_peak(other: Reading, peak: Reading) -> Reading:
     """Drop a reading that differs from the peak."""
     if other.travel_time is None or peak.travel_time is None:
         return other

@@ -240,7 +240,7 @@ def _top_without_p(view: Floats, trough: int, index: int) -> float:
     What leads a P wave is free of the S wave, and what trails an S wave free of the P wave. With pulses that are the
     same before and after their tops, each is its free half and the mirror image of that, taken off the record in turn.
     """
-    trailing = np.zeros(len(view))
+    trailing: Floats = np.zeros(len(view))
     for _ in range(2):
         rest = view - trailing
         trough = int(np.argmin(rest[: index + 1]))
