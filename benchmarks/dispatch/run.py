@@ -1,10 +1,9 @@
-"""What the scheduler costs: dispatch rate on 2, 4 and 8 ranks, CPU time of the master, and wall time against the ideal.
+"""How many workers one master keeps busy: measured costs, a simulation with them, and whether real ranks agree with it.
 
-    python benchmarks/dispatch/run.py      # about a minute; docs/scaling.md says what follows from the numbers
+    python benchmarks/dispatch/run.py [--json FILE] [--figure docs/scaling.png]
 
-Empty batches measure the messages alone. Stored batches carry eight real outcomes each, with signals and cement, which
-the master writes into a database as in a campaign. A batch that sleeps stands in for one that computes, so that other
-users of the machine do not matter.
+Takes some five minutes; docs/scaling.md says what follows. Workers that sleep stand in for those that compute, so that
+more of them than there are cores can be had; what they return is real, and the real master stores it in a real database.
 """
 
 import argparse
@@ -14,127 +13,159 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import cycle, islice
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from rank import CELLS, Group, TimedSink, moved, numbered, open_sink, real_outcomes
+from simulation import Costs, durations, efficiency, simulate
+
 from calcidem.app.campaign.launch import find_mpirun, launcher_options
-from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.storage.records import CellKey
-from calcidem.storage.sql.store import open_store
-from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
+from calcidem.sweep import BatchOutcome, Place
 
-CELLS = 8
-"""Cells in a batch, as in a campaign with AVX-512."""
+HERE = Path(__file__).resolve().parent
+REAL = HERE.parents[1] / "docs" / "tutorial" / "quick.db"
+"""Database with real outcomes."""
 
-REAL = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
-"""Database with 40 real outcomes."""
+GROUPS = (1, 2, 4, 8, 16, 32)
+ROUNDS = 8
+SECONDS = 0.5
+"""Mean time of a batch; one of the paper's scene takes 0.3 to 0.9 s."""
 
-BATCHES_OF_ONE_WORKER = 20
-SLEEP = 0.5
-"""Seconds; a batch of the real scene takes 0.4 to 2."""
+BATCHES_OF_ONE = 20
+"""Batches for each worker, where real ranks are compared."""
 
-
-class Discard:
-    """A sink that keeps nothing."""
-
-    def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
-        """Keep nothing."""
-
-    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
-        """Keep nothing."""
+WORKERS = (16, 32, 64, 128, 256, 512, 1000)
 
 
-def rank_program(options: argparse.Namespace) -> None:
-    """What every rank does: one sweep; rank 0 prints what it cost as JSON."""
-    payload = []
-    if options.database:
-        with open_store(options.database, read_only=True) as store:
-            store.use_campaign()
-            stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
-            payload = list(islice(cycle(stored), CELLS))
+@dataclass(frozen=True)
+class Check:
+    """Real ranks against the simulation: efficiency, for so many workers and so long batches."""
 
-    def compute(batch: Batch[Any], deadline_check: Callable[[], None]) -> Sequence[Any]:
-        time.sleep(options.sleep)
-        deadline_check()
-        return [replace(result, key=CellKey(*cell)) for result, cell in zip(payload, batch.cells, strict=False)]
-
-    batches = [
-        Batch(number, tuple((10 + CELLS * number + lane, 5.0) for lane in range(CELLS)))
-        for number in range(options.batches)
-    ]
-    with Session() as session:
-        sink: Any = Discard()
-        store = None
-        if session.rank == 0 and options.database:
-            store = open_store(options.database)
-            store.use_campaign()
-            keys = [CellKey(*cell) for batch in batches for cell in batch.cells]
-            store.extend([key.seed for key in keys], [5.0])
-            sink = StoreSink(store, keys)
-        session.broadcast(0)  # the clock starts when all ranks are there
-        wall, cpu = time.perf_counter(), time.process_time()
-        end = run_sweep(session.comm, batches, compute, sink)
-        measured = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-        if session.rank == 0:
-            sys.stdout.write(json.dumps(measured) + "\n")
-        if store is not None:
-            store.close()
-        session.end(end.exit_code, end)
+    workers: int
+    seconds: float
+    real: float
+    simulated: float
 
 
-def measure(ranks: int, batches: int, sleep: float = 0.0, *, stored: bool = False) -> dict[str, float]:
-    """Wall seconds of a sweep and CPU seconds of its master."""
+def sweep(ranks: int, batches: int, seconds: float, *, stored: bool) -> dict[str, Any]:
+    """What rank 0 of a real sweep has measured."""
     mpirun = find_mpirun()
     with tempfile.TemporaryDirectory(prefix="calcidem-dispatch-") as folder:
-        arguments = ["--batches", str(batches), "--sleep", str(sleep)]
-        if stored:
-            database = Path(shutil.copy(REAL, folder))
-            open_store(database).close()  # in the present schema
-            arguments += ["--database", str(database)]
-        command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, __file__, "--rank", *arguments]
+        given = ["--batches", str(batches), "--seconds", str(seconds)]
+        given += ["--database", shutil.copy(REAL, folder)] if stored else []
+        command = [mpirun, *launcher_options(mpirun, ranks), sys.executable, str(HERE / "rank.py"), *given]
         variables = {"OMPI_MCA_btl": "^ofi", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | variables)
-    measured: dict[str, float] = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+        done = subprocess.run(command, check=False, capture_output=True, text=True, env=os.environ | variables)
+    if done.returncode != 0:
+        raise RuntimeError(f"the sweep of {ranks} ranks ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+    measured: dict[str, Any] = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
     return measured
 
 
+def measure_storing() -> list[Group]:
+    """Cost of transactions of several sizes, in this process alone."""
+    with tempfile.TemporaryDirectory(prefix="calcidem-dispatch-") as folder:
+        database = shutil.copy(REAL, folder)
+        payload = real_outcomes(database)
+        batches = numbered(ROUNDS * sum(GROUPS))
+        store, stored = open_sink(database, batches)
+        sink, place, remaining = TimedSink(stored), Place(1, "node"), iter(batches)
+        with store:
+            for size in GROUPS * ROUNDS:
+                group = [next(remaining) for _ in range(size)]
+                sink.store([BatchOutcome(batch, place, SECONDS, results=moved(payload, batch)) for batch in group])
+    return sink.groups
+
+
+def fit(groups: Sequence[Group], cost: Sequence[float]) -> tuple[float, float]:
+    """Cost of a transaction, and of each batch in it, s: a line through the medians of each size, none below zero."""
+    sizes = np.array([group.batches for group in groups])
+    medians = np.array([np.median(np.asarray(cost)[sizes == size]) for size in GROUPS])
+    weights = 1.0 / np.array(GROUPS)
+    slope, start = np.polyfit(GROUPS, medians, 1, w=weights)
+    return max(float(start), 0.0), max(float(slope), 0.0)
+
+
+def measure_costs() -> tuple[Costs, list[Group]]:
+    """All costs that the simulation needs."""
+    groups = measure_storing()
+    group_cpu, batch_cpu = fit(groups, [group.cpu for group in groups])
+    group_disk, batch_disk = fit(groups, [max(group.wall - group.cpu - group.queue, 0.0) for group in groups])
+    count, seconds = 400, 0.02
+    busy = sweep(9, count, seconds, stored=True)
+    message = busy["messages"] / count
+    alone = sweep(2, 100, seconds, stored=False)
+    transit = max(alone["wall"] / 100 - seconds - message, 0.0)
+    return Costs(message, transit, group_cpu, batch_cpu, group_disk, batch_disk), groups
+
+
+def check(costs: Costs, ranks: int, seconds: float) -> Check:
+    """Efficiency of real ranks and of the simulation, over the same batches."""
+    workers = ranks - 1
+    times = durations(workers * BATCHES_OF_ONE, seconds)
+    ideal = sum(times) / workers
+    real = sweep(ranks, len(times), seconds, stored=True)
+    return Check(workers, seconds, ideal / real["wall"], ideal / simulate(workers, times, costs))
+
+
+def draw(costs: Costs, checks: Sequence[Check], file: Path) -> None:
+    """Draw the simulated efficiency over the number of workers, and the real ranks."""
+    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    workers = np.unique(np.geomspace(8, 1000, 25).round().astype(int))
+    for seconds in (2.0, SECONDS, 0.25):
+        share = [100.0 * efficiency(int(count), seconds, costs, batches_of_one=40) for count in workers]
+        axes.plot(workers, share, label=f"simulated, batches of {seconds:g} s")
+    own = [found for found in checks if found.seconds == SECONDS]
+    axes.plot([c.workers for c in own], [100.0 * c.real for c in own], "ko", label=f"real ranks, {SECONDS:g} s")
+    axes.set(xscale="log", xlabel="workers of one master", ylabel="time that the workers compute, %", ylim=(0, 102))
+    axes.xaxis.set_major_formatter(mpl.ticker.ScalarFormatter())
+    axes.set_xticks([8, 16, 32, 64, 128, 256, 512, 1000])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(file, dpi=120)
+
+
 def main() -> None:
-    """Measure and print."""
-    print(f"{len(os.sched_getaffinity(0))} cores, {os.getloadavg()[0]:.1f} processes ready to run in the last minute")
-    print("ranks  batches of 8 cells  batches/s  master's CPU, us per batch")
-    for ranks in (2, 4, 8):
-        for stored, batches in ((False, 2000), (True, 200)):
-            found = measure(ranks, batches, stored=stored)
-            kind = "stored" if stored else "empty"
-            rate, cost = batches / found["wall"], 1e6 * found["cpu"] / batches
-            print(f"{ranks:5d}  {kind:>18}  {rate:9.0f}  {cost:12.0f}", flush=True)
-    idle = measure(3, 4, 5.0)
-    print(f"idle master: {idle['cpu'] / idle['wall']:.2%} of a core while its workers compute ({idle['wall']:.1f} s)")
-    found = measure(2, BATCHES_OF_ONE_WORKER, SLEEP, stored=True)
-    ideal = BATCHES_OF_ONE_WORKER * SLEEP
-    print(
-        f"2 ranks, {BATCHES_OF_ONE_WORKER} stored batches of {SLEEP} s on one worker: {found['wall']:.2f} s, "
-        f"ideal {ideal:.2f} s, overhead {found['wall'] / ideal - 1:.1%}; master's CPU {found['cpu']:.2f} s"
-    )
-
-
-def arguments() -> argparse.Namespace:
-    """What is asked for; the options are for the ranks."""
+    """Measure, simulate, compare, draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rank", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--batches", type=int, default=0, help=argparse.SUPPRESS)
-    parser.add_argument("--sleep", type=float, default=0.0, help=argparse.SUPPRESS)
-    parser.add_argument("--database", help=argparse.SUPPRESS)
-    return parser.parse_args()
+    parser.add_argument("--json", type=Path, help="file for all numbers")
+    parser.add_argument("--figure", type=Path, help="picture to draw")
+    options = parser.parse_args()
+    print(f"{len(os.sched_getaffinity(0))} cores, {os.getloadavg()[0]:.1f} processes ready to run in the last minute")
+    costs, groups = measure_costs()
+    print("ms:", ", ".join(f"{field.name} {1e3 * getattr(costs, field.name):.2f}" for field in fields(costs)))
+    print("batches in a transaction   CPU of storing a cell, ms")
+    for size in GROUPS:
+        own = [group.cpu for group in groups if group.batches == size]
+        print(f"{size:24d}   {1e3 * float(np.median(own)) / size / CELLS:.3f}")
+    print("workers   s a batch   real   simulated")
+    checks = []
+    for ranks, seconds in ((8, SECONDS), (16, SECONDS), (32, SECONDS), (32, SECONDS / 4)):
+        checks.append(found := check(costs, ranks, seconds))
+        print(
+            f"{found.workers:7d}   {seconds:9g}   {found.real:4.0%}   {found.simulated:9.0%}",
+            flush=True,
+        )
+    print(f"workers   simulated, {SECONDS:g} s a batch")
+    simulated = {workers: efficiency(workers, SECONDS, costs) for workers in WORKERS}
+    for workers, share in simulated.items():
+        print(f"{workers:7d}   {share:.0%}")
+    idle = sweep(3, 4, 5.0, stored=False)
+    print(f"idle: {idle['messages'] / idle['wall']:.2%} of a core while its workers compute")
+    if options.json:
+        numbers = {"costs": asdict(costs), "checks": [asdict(found) for found in checks], "simulated": simulated}
+        options.json.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    if options.figure:
+        draw(costs, checks, options.figure)
 
 
 if __name__ == "__main__":
-    asked = arguments()
-    if asked.rank:
-        rank_program(asked)
-    else:
-        main()
+    main()

@@ -1,0 +1,136 @@
+"""One rank of a sweep whose workers sleep and return real outcomes, which a real master stores in a real database.
+
+Started by run.py under mpirun; rank 0 prints what the sweep has cost as JSON.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+from simulation import durations
+
+from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.storage.records import CellKey, PackedResult
+from calcidem.storage.sql.rows import pack_result
+from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import Store
+from calcidem.sweep import Batch, BatchOutcome, Cell, Session, run_sweep
+
+CELLS = 8
+"""Cells in a batch, as in a campaign on processors with AVX-512."""
+
+CONTENT = 5.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """What one call of the sink has cost: batches, CPU time of its thread, its waiting for a core, and all of it, s."""
+
+    batches: int
+    cpu: float
+    queue: float
+    wall: float
+
+
+class TimedSink:
+    """A sink that notes what the one behind it costs; without one it keeps nothing."""
+
+    def __init__(self, sink: StoreSink | None) -> None:
+        self._sink = sink
+        self.groups: list[Group] = []
+
+    def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
+        """Store, and note the cost."""
+        if self._sink is not None:
+            before, begin = thread_times(), time.perf_counter()
+            self._sink.store(outcomes)
+            wall = time.perf_counter() - begin
+            cpu, queue = (later - earlier for later, earlier in zip(thread_times(), before, strict=True))
+            self.groups.append(Group(len(outcomes), cpu, queue, wall))
+
+    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:  # noqa: ARG002 - as the sweep has it
+        """Refuse: nobody is lost here."""
+        raise RuntimeError(reason)
+
+
+def thread_times() -> tuple[float, float]:
+    """CPU time of this thread, and for how long it was ready and had no core, s (Linux)."""
+    cpu, queue, _ = Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
+    return int(cpu) * 1e-9, int(queue) * 1e-9
+
+
+def real_outcomes(database: str) -> tuple[PackedResult, ...]:
+    """As many outcomes as a batch has, with cement and signals; the signals are kept of one seed, so others share them."""
+    with open_store(database, read_only=True) as store:
+        store.use_campaign()
+        stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
+    signals = {result.key.content: result.signal for result in stored if result.signal is not None}
+    complete = (replace(result, signal=signals[result.key.content]) for result in stored)
+    return tuple(islice(cycle(map(pack_result, complete)), CELLS))
+
+
+def moved(payload: Sequence[PackedResult], batch: Batch[Cell]) -> tuple[PackedResult, ...]:
+    """Outcomes as if they were those of a batch, but for the checksums of their arrays."""
+    return tuple(replace(result, key=CellKey(*cell)) for result, cell in zip(payload, batch.cells, strict=True))
+
+
+def open_sink(database: str, batches: Sequence[Batch[Cell]]) -> tuple[Store, StoreSink]:
+    """Plan the cells of the batches, and become the one that writes them."""
+    store = open_store(database)
+    store.use_campaign()
+    store.acquire_lease()
+    keys = [CellKey(*cell) for batch in batches for cell in batch.cells]
+    store.extend([key.seed for key in keys], [CONTENT])
+    return store, StoreSink(store, keys)
+
+
+def numbered(count: int) -> list[Batch[Cell]]:
+    """Batches of cells that the database does not have."""
+    return [
+        Batch(number, tuple((100 + CELLS * number + lane, CONTENT) for lane in range(CELLS))) for number in range(count)
+    ]
+
+
+def main() -> None:
+    """Sweep."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--batches", type=int, required=True)
+    parser.add_argument("--seconds", type=float, required=True, help="mean time of a batch")
+    parser.add_argument("--database", help="where to store; without one, outcomes are empty and nothing is stored")
+    options = parser.parse_args()
+    times, batches = durations(options.batches, options.seconds), numbered(options.batches)
+    with Session() as session:
+        leads = session.rank == 0
+        payload = session.broadcast((real_outcomes(options.database) if options.database else ()) if leads else None)
+
+        def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[Any]:
+            time.sleep(times[batch.identifier])
+            deadline_check()
+            if not payload:
+                return batch.cells
+            return moved(payload, batch)
+
+        store, stored = open_sink(options.database, batches) if leads and options.database else (None, None)
+        sink = TimedSink(stored)
+        session.broadcast(0)  # the clock starts when all ranks are there
+        begin, own = time.perf_counter(), time.thread_time()
+        end = run_sweep(session.comm, batches, compute, sink)
+        measured = {"wall": time.perf_counter() - begin, "messages": time.thread_time() - own}
+        if leads:
+            sys.stdout.write(json.dumps(measured | {"groups": [asdict(group) for group in sink.groups]}) + "\n")
+        if store is not None:
+            lost = len(store.pending(contents=[CONTENT]))
+            store.close()
+            if lost:
+                raise RuntimeError(f"{lost} cells were acknowledged and are not stored")
+        session.end(end.exit_code, end)
+
+
+if __name__ == "__main__":
+    main()
