@@ -291,7 +291,7 @@ CAMPAIGN_FIGURES = (
         "laws",
         "Vs against connectivity",
         "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
-        "with the interval in which 95 % of new samples fall.",
+        "and at the mean connectivity of each content the interval in which 95 % of new samples fall.",
         _plot_laws,
     ),
     CampaignFigure(
