@@ -28,53 +28,14 @@ from calcidem.app.config.reader import SECTIONS
 PRESET = tomllib.loads(preset_text("quick"))
 KEYS = sorted({field.name for types in SECTIONS.values() for kind in types.values() for field in fields(kind)})
 
-EVIL_TEXT = (
-    "",
-    " ",
-    ".",
-    "..",
-    "/",
-    "~nobody/x",
-    "\x1b[31mred\x1b[0m",
-    "\x9b2J",
-    "a\0b",
-    "a\nb",
-    "[/red]",
-    "nan",
-    "ä" * 300,
+EVIL_TEXT: tuple[str, ...] = (
+    *("", " ", ".", "..", "/", "~nobody/x", "\x1b[31mred\x1b[0m", "\x9b2J", "a\0b", "a\nb", "[/red]", "nan", "ä" * 300),
+    *("\u202e", "a" * 300, "a" * 5000, "%s{0}", "-1", "1e999", "9" * 5000, "quick.db", "folder", "sqlite://", "x://y"),
 )
-EVIL_TEXT += (
-    "\u202e",
-    "a" * 300,
-    "a" * 5000,
-    "%s{0}",
-    "-1",
-    "1e999",
-    "9" * 5000,
-    "quick.db",
-    "folder",
-    "sqlite://",
-    "x://y",
+EVIL_NUMBERS: tuple[float, ...] = (
+    *(0, -1, 1, 2**53 + 1, 2**63 - 1, 2**63, 10**400, -(10**400), 1_000_000, 1_000_001),
+    *(0.0, -0.0, 1e308, -1e308, 5e-324, 1e-30, 1e30, 1e12, float("nan"), float("inf"), float("-inf"), 0.5, 3.0, 100.0),
 )
-EVIL_NUMBERS = (
-    0,
-    -1,
-    1,
-    2**53 + 1,
-    2**63 - 1,
-    2**63,
-    10**400,
-    -(10**400),
-    0.0,
-    -0.0,
-    1e308,
-    -1e308,
-    5e-324,
-    1e-30,
-    1e30,
-    1e12,
-)
-EVIL_NUMBERS += (float("nan"), float("inf"), float("-inf"), 0.5, 3.0, 1e-3, 100.0, 1_000_000, 1_000_001)
 
 scalars = st.one_of(
     st.sampled_from(EVIL_NUMBERS),
@@ -229,30 +190,22 @@ def parameters(command: str) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-PATHS = (
-    "good.toml",
-    "quick.db",
-    "quick.nc",
-    "empty",
-    "noise",
-    "folder",
-    "missing",
-    "missing/x",
-    "targets.csv",
-    "good.csv",
+PATHS: tuple[str, ...] = (
+    *(
+        "good.toml",
+        "quick.db",
+        "evil.db",
+        "quick.nc",
+        "empty",
+        "noise",
+        "folder",
+        "missing",
+        "missing/x",
+        "targets.csv",
+    ),
+    *("good.csv", "new.nc", "new.db", "new.vtu", "new.csv", "quick.db/x", "sqlite:///new.db", "folder/new.html"),
+    *("good.toml.bak", "postgresql+psycopg://nobody@127.0.0.1:1/none"),
 )
-PATHS += (
-    "evil.db",
-    "new.nc",
-    "new.db",
-    "new.vtu",
-    "new.csv",
-    "quick.db/x",
-    "sqlite:///new.db",
-    "folder/new.html",
-    "good.toml.bak",
-)
-PATHS += ("postgresql+psycopg://nobody@127.0.0.1:1/none",)
 
 PLAUSIBLE = {
     "database": ("quick.db", "quick.db", "evil.db"),
