@@ -212,6 +212,6 @@ def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_
     counts = [int(number) for number in re.findall(r"(\d+) of 12 cells", plain)]
     assert counts == sorted(counts)
     assert len(set(counts)) > 1
-    for words in ("12 cells in 6 batches", "Database: ", "NetCDF:   ", "  coordination number ", "complete after "):
+    for words in ("12 cells in 6 batches", "Database: ", "Wrote ", "  coordination number ", "complete after "):
         assert any(line.startswith(words) for line in lines), words
     assert "0.66 %: 6/6" in plain

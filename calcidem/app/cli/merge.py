@@ -39,7 +39,7 @@ def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     from calcidem.app.campaign.merge import conflict_lines
 
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
-    lines = [f"Merged {merged.settled} finished cells, of {merged.planned} planned, into {out}:", *taken]
+    lines = [f"Wrote {out}: {merged.settled} of {merged.planned} planned cells are finished", *taken]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
     if merged.overruled:

