@@ -1,9 +1,16 @@
 """Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
 
+import os
+import pwd
+import shutil
+import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -100,3 +107,34 @@ def small_folder(small_database: Path, tmp_path_factory: pytest.TempPathFactory)
     """Give the folder of figures, tables and numbers of the small campaign, and what could not be made."""
     folder = tmp_path_factory.mktemp("analysis") / "out"
     return folder, analyse(small_database, folder)
+
+
+@pytest.fixture(scope="session")
+def postgresql_socket() -> Iterator[Path]:
+    """Run a PostgreSQL server of its own and give the folder of its socket."""
+    initdb = shutil.which("initdb") or next(
+        (str(p) for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))), None
+    )
+    if initdb is None:
+        pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
+    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed (pip install 'psycopg[binary]')")
+    user: dict[str, Any] = {}
+    if os.geteuid() == 0:  # the server refuses to run as root
+        try:
+            user["user"] = pwd.getpwnam("postgres").pw_name
+        except KeyError:
+            pytest.skip("running as root without the user 'postgres' that Debian's package brings")
+    folder = Path(tempfile.mkdtemp(prefix="calcidem-pg-"))
+    if user:
+        shutil.chown(folder, **user)
+    control = [str(Path(initdb).with_name("pg_ctl")), "-D", str(folder / "data"), "-w"]
+    options = f"-k {folder} -c listen_addresses='' -c fsync=off -c max_connections=20"
+
+    def run(*command: str) -> None:
+        subprocess.run(command, check=True, cwd=folder, stdout=subprocess.DEVNULL, **user)
+
+    run(initdb, "-D", str(folder / "data"), "-U", "postgres", "--no-sync")
+    run(*control, "-l", str(folder / "log"), "-o", options, "start")
+    yield folder
+    run(*control, "-m", "immediate", "stop")
+    shutil.rmtree(folder)

@@ -1,11 +1,6 @@
 """Databases to test on, and small factories of records."""
 
 import dataclasses
-import os
-import pwd
-import shutil
-import subprocess
-import tempfile
 import uuid
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -181,34 +176,13 @@ def records() -> Records:
 
 
 @pytest.fixture(scope="session")
-def postgresql_socket() -> Iterator[Path]:
-    """Run a PostgreSQL server of its own and give the folder of its socket."""
-    initdb = shutil.which("initdb") or next(
-        (str(p) for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))), None
-    )
-    if initdb is None:
-        pytest.skip("PostgreSQL is not installed (Debian: apt-get install postgresql)")
-    pytest.importorskip("psycopg", reason="the PostgreSQL driver is not installed (pip install 'psycopg[binary]')")
-    user: dict[str, Any] = {}
-    if os.geteuid() == 0:  # the server refuses to run as root
-        try:
-            user["user"] = pwd.getpwnam("postgres").pw_name
-        except KeyError:
-            pytest.skip("running as root without the user 'postgres' that Debian's package brings")
-    folder = Path(tempfile.mkdtemp(prefix="calcidem-pg-"))
-    if user:
-        shutil.chown(folder, **user)
-    control = [str(Path(initdb).with_name("pg_ctl")), "-D", str(folder / "data"), "-w"]
-    options = f"-k {folder} -c listen_addresses='' -c fsync=off -c max_connections=20"
-
-    def run(*command: str) -> None:
-        subprocess.run(command, check=True, cwd=folder, stdout=subprocess.DEVNULL, **user)
-
-    run(initdb, "-D", str(folder / "data"), "-U", "postgres", "--no-sync")
-    run(*control, "-l", str(folder / "log"), "-o", options, "start")
-    yield folder
-    run(*control, "-m", "immediate", "stop")
-    shutil.rmtree(folder)
+def postgresql_template(postgresql_socket: Path) -> str:
+    """Make an empty database in the present schema: copying it takes a tenth of the time that making one takes."""
+    server = f"postgresql+psycopg://postgres@/postgres?host={postgresql_socket}"
+    with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.execute(text("CREATE DATABASE migrated"))
+    open_store(f"postgresql://postgres@/migrated?host={postgresql_socket}").close()
+    return "migrated"
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -216,11 +190,11 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Address of an empty database, once for each backend."""
     if request.param == "sqlite":
         return str(tmp_path / "campaign.db")
-    folder = request.getfixturevalue("postgresql_socket")
+    folder, template = (request.getfixturevalue(f"postgresql_{name}") for name in ("socket", "template"))
     name = f"test_{uuid.uuid4().hex}"
     server = f"postgresql+psycopg://postgres@/postgres?host={folder}"
     with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
-        connection.execute(text(f'CREATE DATABASE "{name}"'))
+        connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {template}'))
     return f"postgresql://postgres@/{name}?host={folder}"
 
 

@@ -12,6 +12,7 @@ from calcidem.app.campaign.task import cell_computation, compile_kernels
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
+from calcidem.storage.errors import StoreUnavailableError
 from calcidem.sweep import (
     EXIT_RESUMABLE,
     Session,
@@ -104,7 +105,9 @@ def _lead(
             reporter.begin(RunStage.WRITING)
             view.finish(work, in_haste=session.stop_request.hurry())
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-            return view.refuse(error), work.end
+            code = view.refuse(error)
+            # A server that comes back has everything that was stored.
+            return EXIT_RESUMABLE if isinstance(error, StoreUnavailableError) else code, work.end
         return work.end.exit_code, work.end
 
 

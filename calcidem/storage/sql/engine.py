@@ -241,7 +241,7 @@ def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store that an error of the database means."""
     original = error.orig if isinstance(error, DBAPIError) else error
     kind = _kind(original)
-    problem = f"{address}: {str(original).strip()}."
+    problem = f"{address}: {str(original).strip().rstrip('.')}."
     if kind is None:
         return StoreError(problem, "This is not expected; please report it with this message.")
     return kind(problem, _CURE_OF_ERROR[kind])
