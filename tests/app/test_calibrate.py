@@ -139,6 +139,15 @@ def test_seeds_that_one_trial_loses_count_in_none() -> None:
     assert found.contents[0].mean == pytest.approx(300.0, rel=0.01)
 
 
+def test_targets_that_contradict_the_model_show_in_chi_square() -> None:
+    """Two means in the ratio 2 of which 2 / 1.2 is wanted: both are missed by sqrt(1.2), in units of the tolerance."""
+    plan = FitPlan([Target(0.5, 300.0), Target(5.0, 180.0)], SYNTHETIC[:1], range(8), tolerance=0.02)
+    found = fit_to_targets(synthetic(8, 6, noise=1e-9), plan, [2.0])
+    assert found.values["a"] == pytest.approx(3.0 * 1.2**0.5, rel=1e-3)
+    assert found.chi_square == pytest.approx(2 * (np.log(1.2) / 2 / 0.02) ** 2, rel=1e-3)
+    assert found.freedom == 1
+
+
 def test_values_stay_in_their_ranges_and_say_so() -> None:
     """A parameter that would leave its range ends at the limit, the others take what is left, and the report tells."""
     ranges = (ParameterRange("a", 1.0, 2.5), ParameterRange("b"))

@@ -13,6 +13,9 @@ from calcidem.sweep.environment import available_cores
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters
 
+_TOO_MUCH = 4.0
+"""Chi-square for each degree of freedom that is no chance any more."""
+
 
 def calibrate_command(
     configuration: ConfigurationFile,
@@ -41,7 +44,7 @@ def calibrate_command(
     ] = None,
     tolerance: Annotated[
         float, typer.Option(min=0.0, help="Relative error that the model may have, added to every target's own.")
-    ] = 0.0,
+    ] = 0.02,
     cores: StudyCores = 0,
 ) -> None:
     """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
@@ -73,6 +76,9 @@ def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
         yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}{limit}"
     for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
         yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+    yield f"chi-square {fitted.chi_square:.1f} with {fitted.freedom} degrees of freedom"
+    if fitted.chi_square > _TOO_MUCH * max(1, fitted.freedom):
+        yield "The targets are not met within their errors: free other parameters; the deviations above are too small."
     for row in fitted.contents:
         yield _content_line(row, fitted.trials)
 

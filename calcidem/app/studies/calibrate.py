@@ -63,7 +63,7 @@ class FitPlan:
     free: Sequence[ParameterRange]
     seeds: Sequence[int]
     predict: Sequence[float] = ()
-    tolerance: float = 0.0
+    tolerance: float = 0.02
 
     @property
     def met(self) -> tuple[Target, ...]:
@@ -117,6 +117,9 @@ class FittedParameters:
         Targets and what was reached, then predictions.
     trials
         Number of points at which Vs was measured.
+    chi_square, freedom
+        Sum of the squares that are left, each over that of its error, and how many numbers to meet there are more than
+        parameters: far above that, the model cannot meet the targets, and the deviations are too small.
     """
 
     values: ParameterValues
@@ -125,6 +128,8 @@ class FittedParameters:
     at_limit: tuple[str, ...]
     contents: tuple[FittedContent, ...]
     trials: int
+    chi_square: float
+    freedom: int
 
 
 class UnreadableTrialError(ValueError):
@@ -327,6 +332,8 @@ def fit_to_targets(
         at_limit=tuple(names[i] for i in np.flatnonzero(at_limit)),
         contents=tuple(_summary(target.content, target, vs, used, fitted=True) for target, vs, used in columns),
         trials=len(fit.trials),
+        chi_square=float(np.sum((fit.deviation(point) / errors) ** 2)),
+        freedom=wanted - len(names),
     )
 
 

@@ -40,7 +40,7 @@ _COLUMNS = {
 }
 """Columns of a file of targets and what they hold; the last two, and entries of them, may be missing."""
 
-_LONGEST = 1_000_000
+_MOST_CHARACTERS = 1_000_000
 """Characters of a file: far more than a table of all contents has."""
 
 _REQUIRED = ("content", "vs")
@@ -56,7 +56,7 @@ def read_targets(file: Path) -> tuple[Target, ...]:
         that stand twice.
     """
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
-        text = source.read(_LONGEST)  # no device fills the memory
+        text = source.read(_MOST_CHARACTERS)  # no device fills the memory
     try:
         lines = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text)) if any(line)]
     except csv.Error as error:
