@@ -142,7 +142,7 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     values = np.cumsum(received["steps"]) / 2000 * received["largest"]
     stride = round(described["signal"]["interval"] / (1e3 * cell.signal.sampling_interval))
     assert np.allclose(values, cell.signal.received_velocity[::stride], atol=1e-3 * received["largest"])
-    vs = records["columns"]["vs"][records["seeds"].index(3) * len(records["contents"]) + records["contents"].index(5.0)]
+    vs = records["columns"]["vs"][records["seeds"].index("3") * len(records["contents"]) + records["contents"].index(5.0)]
     assert vs == pytest.approx(cell.vs, rel=1e-5)
 
 

@@ -87,7 +87,7 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
     cells = analysis.cells.assign(status=analysis.status)
     columns = {name: _numbers_or_none(cells[name].to_numpy().ravel()) for name in names}
     return {
-        "seeds": analysis.vs["seed"].to_numpy().tolist(),
+        "seeds": [str(seed) for seed in analysis.vs["seed"].to_numpy().tolist()],
         "contents": analysis.vs["content"].to_numpy().tolist(),
         "quantities": [
             {"name": q.name, "kind": q.kind, "unit": readable_unit(q.unit), "meaning": q.meaning}

@@ -1,0 +1,210 @@
+// A closer look at one cell: signals, sample with cement and path, and record.
+let details = null; // what is drawn of the opened cell, to draw it again in other colours or sizes
+let zoom = 1;
+
+async function openCell(place) {
+  opened = cursor = place;
+  const id = `seed-${seedOf(place)}`;
+  const cells = byId(id) ? await load(id) : [];
+  const cell = cells.find((one) => one.content === contentOf(place));
+  details = { signal: cell?.signal, packing: null };
+  if (cell?.cement) {
+    const packing = await load(`packing-${cell.packing}`);
+    const kinds = new Uint8Array(packing.second.length);
+    for (const one of cells) {
+      if (one.packing !== cell.packing || !one.cement) continue;
+      one.cement.forEach((rows, kind) => sums(rows).forEach((row) => (kinds[row] = kind)));
+      if (one === cell) break;
+    }
+    Object.assign(details, { packing, kinds, path: sums(cell.path ?? []) });
+  }
+  if (opened === place) showCell(place);
+}
+function showCell(place) {
+  const vs = columns.vs[place];
+  const around = [
+    [place - contents.length, place >= contents.length],
+    [place + contents.length, place + contents.length < cellCount],
+    [place - 1, place % contents.length > 0],
+    [place + 1, (place + 1) % contents.length > 0],
+  ].filter(([, there]) => there);
+  const reason = columns.reason[place];
+  const hasBlock = byId(`seed-${seedOf(place)}`);
+  const absent = (what) => `<p class="quiet">${hasBlock ? `No ${what} is stored.` : "Not in this page; see above."}</p>`;
+  const rows = quantities
+    .map(({ name, unit, meaning }) => [meaning, withUnit(valueOf(name, place), unit, 6)])
+    .filter(([, text]) => text !== MISSING);
+  byId("cell").innerHTML = `
+    <h3>S${labelOf(place).slice(1)}: ${vs === null ? escape(number(statusOf(place))) : `Vs = ${number(vs)} m/s`}</h3>
+    ${reason ? `<p>${escape(reason)}</p>` : ""}
+    <nav aria-label="Neighbours"><ul>${around.map(([at]) => `<li><a href="${link(at)}">${labelOf(at)}</a></li>`).join("")}
+      <li><a href="#explore">map</a></li></ul></nav>
+    <div class="columns">
+      <div class="signals"><h4>Signals</h4>${details.signal ? `<div id="signal"></div>` : absent("signal")}</div>
+      <div class="sample"><h4>Sample</h4>${details.packing ? `<div id="sample-keys"></div><div id="sample" tabindex="0" role="region" aria-label="Sample"><canvas role="img"></canvas></div>` : absent("cement pattern")}</div>
+      <div class="record"><h4>Record</h4><div class="scroll"><table id="record"><tbody>
+        ${rows.map(([meaning, text]) => `<tr><th scope="row">${escape(meaning)}</th><td>${escape(text)}</td></tr>`).join("")}
+      </tbody></table></div></div>
+    </div>`;
+  byId("cell").hidden = false;
+  drawDetails();
+  drawMap();
+}
+function drawDetails() {
+  if (details?.signal && byId("signal")) drawSignal(details.signal);
+  if (details?.packing && byId("sample")) drawSample();
+}
+
+function drawSignal({ start, interval, sent, received, unit, arrivals }) {
+  const host = byId("signal");
+  const [width, height, left, bottom, top] = [host.clientWidth, 280, 62, 44, 10];
+  const series = { sent: sums(sent.steps), received: sums(received.steps) };
+  const scaleOf = (values) => Math.max(...values.map(Math.abs)) || 1;
+  for (const name of ["sent", "received"]) {
+    const scale = scaleOf(series[name]);
+    series[name] = series[name].map((value) => value / scale);
+  }
+  const count = series.sent.length;
+  const end = start + interval * (count - 1);
+  const least = Math.min(-0.2, ...series.sent, ...series.received) - 0.05;
+  const x = (time) => left + (time / end) * (width - left - 10);
+  const y = (value) => top + ((1.08 - value) / (1.08 - least)) * (height - top - bottom);
+  const curve = (name) => {
+    const points = series[name].map((value, at) => `${x(start + interval * at).toFixed(1)},${y(value).toFixed(1)}`);
+    return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${name})" stroke-width="${name === "sent" ? 1.5 : 2}"${name === "sent" ? ` stroke-dasharray="5 3"` : ""}/>`;
+  };
+  const across = ticks(0, end, width / 90).map((time) => {
+    return `<line x1="${x(time)}" x2="${x(time)}" y1="${top}" y2="${height - bottom}" stroke="var(--line)"/><text x="${x(time)}" y="${height - bottom + 16}" text-anchor="middle">${number(time)}</text>`;
+  });
+  const upward = ticks(least, 1.08, 5).map((value) => {
+    return `<line x1="${left}" x2="${width - 10}" y1="${y(value)}" y2="${y(value)}" stroke="var(--line)"/><text x="${left - 6}" y="${y(value) + 4}" text-anchor="end">${number(value)}</text>`;
+  });
+  const level = (time) => series.received[clamp(Math.round((time - start) / interval), 0, count - 1)];
+  const found = METHODS.filter((method) => method in arrivals);
+  const marks = found.map((method) => {
+    const [at, on] = [x(arrivals[method]), y(level(arrivals[method]))];
+    return `<line x1="${at}" x2="${at}" y1="${top}" y2="${height - bottom}" stroke="var(--${method})" stroke-dasharray="2 3"/><circle cx="${at}" cy="${on}" r="4.5" fill="var(--${method})" stroke="var(--wash)"/>`;
+  });
+  const key = (colour, text) => `<span><span class="swatch" style="background:var(--${colour})"></span>${text}</span>`;
+  const said = found.map((method) => `${method.replace("_", " ")}: ${withUnit(columns[`vs_${method}`]?.[opened] ?? null, "m/s")}, ${number(arrivals[method])} ms`);
+  const label = `Sent and received signal of ${labelOf(opened)} over ${number(end)} ms. ${said.join("; ") || "No arrival was read"}.`;
+  host.innerHTML = `
+    <svg viewBox="0 0 ${width} ${height}" tabindex="0" role="img" aria-label="${escape(label)}">
+      ${across.join("")}${upward.join("")}${curve("sent")}${curve("received")}${marks.join("")}
+      <line id="hair" y1="${top}" y2="${height - bottom}" stroke="var(--ink)" visibility="hidden"/>
+      <text x="${(left + width) / 2}" y="${height - 8}" text-anchor="middle">time (ms)</text>
+      <text transform="translate(14 ${(height - bottom) / 2}) rotate(-90)" text-anchor="middle">signal / its largest value</text>
+    </svg>
+    <div class="keys">${key("sent", `sent (largest ${number(sent.largest)} m/s)`)}${key("received", `received (largest ${number(received.largest)} ${unit})`)}${found.map((method, at) => key(method, said[at])).join("")}</div>
+    <p class="quiet" id="reading" role="status">Values under the pointer, or with the arrow keys.</p>`;
+  const svg = host.firstElementChild;
+  let at = 0;
+  const read = (place) => {
+    at = clamp(place, 0, count - 1);
+    const hair = svg.querySelector("#hair");
+    for (const name of ["x1", "x2"]) hair.setAttribute(name, x(start + interval * at));
+    hair.setAttribute("visibility", "visible");
+    const [one, other] = [series.sent[at] * sent.largest, series.received[at] * received.largest].map((value) => Number(value.toPrecision(3)));
+    byId("reading").textContent = `${number(start + interval * at)} ms: sent ${number(one)} m/s, received ${number(other)} ${unit}`;
+  };
+  svg.addEventListener("pointermove", (event) => {
+    const box = svg.getBoundingClientRect();
+    read(Math.round(((((event.clientX - box.left) / box.width) * width - left) / (x(end) - left) * end - start) / interval));
+  });
+  svg.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    read(at + step);
+  });
+}
+
+function drawSample() {
+  const { packing, kinds, path } = details;
+  const [left, bottom, edge] = [52, 40, 14];
+  byId("sample").classList.toggle("large", zoom > 1);
+  const width = Math.floor(Math.min(byId("sample").clientWidth, 520) * zoom);
+  const scale = (width - left - edge) / packing.width;
+  const height = Math.ceil(packing.height * scale) + bottom + edge;
+  const canvas = byId("sample").querySelector("canvas");
+  const brush = context(canvas, width, height);
+  const colours = Object.fromEntries(["ink", "quiet", "sand", "cluster", "p", "c", "way", "bare", "wash", "first_arrival", "peak"].map((name) => [name, paint(name)]));
+  const at = (grain) => [left + packing.x[grain] * scale, edge + (packing.height - packing.y[grain]) * scale];
+  const first = sums(packing.first);
+  const inCluster = new Uint8Array(packing.x.length);
+  const kindOf = new Map();
+  kinds.forEach((kind, row) => {
+    kindOf.set(Math.min(first[row], packing.second[row]) * packing.x.length + Math.max(first[row], packing.second[row]), kind);
+    if (kind === 2) inCluster[first[row]] = inCluster[packing.second[row]] = 1;
+  });
+  for (const clustered of [0, 1]) {
+    brush.fillStyle = clustered ? colours.cluster : colours.sand;
+    brush.beginPath();
+    packing.radius.forEach((radius, grain) => {
+      if (inCluster[grain] !== clustered) return;
+      const [x, y] = at(grain);
+      brush.moveTo(x + radius * scale, y);
+      brush.arc(x, y, Math.max(radius * scale - 0.3, 0.3), 0, 7);
+    });
+    brush.fill();
+  }
+  const counts = [0, 0, 0];
+  for (const kind of [1, 2]) {
+    brush.strokeStyle = kind === 1 ? colours.p : colours.c;
+    brush.lineWidth = clamp(scale * 500, 1, 4);
+    brush.beginPath();
+    kinds.forEach((one, row) => {
+      if (one !== kind) return;
+      counts[kind]++;
+      const [[x, y], [toX, toY]] = [at(first[row]), at(packing.second[row])];
+      brush.moveTo(0.72 * x + 0.28 * toX, 0.72 * y + 0.28 * toY);
+      brush.lineTo(0.28 * x + 0.72 * toX, 0.28 * y + 0.72 * toY);
+    });
+    brush.stroke();
+  }
+  const points = path.map(at);
+  for (const [colour, thickness] of [["wash", 5], ["way", 2.4]]) {
+    brush.strokeStyle = colours[colour];
+    brush.lineWidth = thickness;
+    brush.lineJoin = "round";
+    brush.beginPath();
+    points.forEach(([x, y]) => brush.lineTo(x, y));
+    brush.stroke();
+  }
+  let bare = 0;
+  for (let place = 1; place < path.length; place++) {
+    const [one, other] = [path[place - 1], path[place]];
+    if (kindOf.get(Math.min(one, other) * packing.x.length + Math.max(one, other))) continue;
+    bare++;
+    brush.beginPath();
+    brush.arc((points[place - 1][0] + points[place][0]) / 2, (points[place - 1][1] + points[place][1]) / 2, 4, 0, 7);
+    brush.fillStyle = colours.wash;
+    brush.fill();
+    brush.strokeStyle = colours.bare;
+    brush.lineWidth = 2;
+    brush.stroke();
+  }
+  brush.strokeStyle = colours.quiet;
+  brush.lineWidth = 1;
+  brush.strokeRect(left, edge, packing.width * scale, packing.height * scale);
+  packing.bands.forEach((half, side) => {
+    brush.fillStyle = side ? colours.first_arrival : colours.peak;
+    brush.fillRect(left + side * packing.width * scale - 2.5, edge + (packing.height / 2 - half) * scale, 5, 2 * half * scale);
+  });
+  brush.fillStyle = colours.ink;
+  brush.textAlign = "center";
+  for (const tick of ticks(0, packing.width / 1e3, width / 80)) brush.fillText(number(tick), left + tick * 1e3 * scale, height - bottom + 14);
+  brush.fillText("x (mm)", left + (packing.width * scale) / 2, height - 8);
+  brush.textAlign = "right";
+  for (const tick of ticks(0, packing.height / 1e3, height / 80)) brush.fillText(number(tick), left - 5, edge + (packing.height - tick * 1e3) * scale + 4);
+  brush.rotate(-Math.PI / 2);
+  brush.textAlign = "center";
+  brush.fillText("y (mm)", -height / 2, 11);
+  const key = (colour, text) => `<span><span class="swatch" style="background:var(--${colour})"></span>${text}</span>`;
+  const said = `${packing.x.length} grains, ${counts[1]} P contacts, ${counts[2]} C contacts` + (path.length ? `, preferential path of ${path.length - 1} contacts, ${bare} of them uncemented` : "");
+  canvas.setAttribute("aria-label", `Sample of ${labelOf(opened)}: ${said}.`);
+  byId("sample-keys").innerHTML =
+    `<div class="keys">${key("sand", "sand grain")}${key("cluster", "grain in a cluster")}${key("p", `P contact (${counts[1]})`)}${key("c", `C contact (${counts[2]})`)}` +
+    `${key("way", "preferential path")}${key("bare", `uncemented on it (${bare})`)}${key("peak", "transmitter")}${key("first_arrival", "receiver")}</div>` +
+    `<p class="pages"><button type="button" data-zoom="0.5">smaller</button><button type="button" data-zoom="2">larger</button></p>`;
+}
