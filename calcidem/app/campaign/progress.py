@@ -18,7 +18,7 @@ from calcidem.sweep.progress import end_line, pluralize
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # loads numba
 
-_PAUSE = 0.2
+_SHORTEST_INTERVAL = 0.2
 """Seconds between two pictures of the same stage, at least."""
 
 _LONGEST_TEXT = 3500
@@ -199,6 +199,6 @@ class ProgressReporter(Progress):
         if progress.stage is not self._last.stage:
             self._began, at_once = now, True
         if at_once or now >= self._next:
-            self._next = now + _PAUSE
+            self._next = now + _SHORTEST_INTERVAL
             self._last = replace(progress, seconds=now - self._began)
             self._display.show(self._last)
