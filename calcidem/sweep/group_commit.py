@@ -1,6 +1,7 @@
 """Outcomes are stored in groups, beside the exchange of messages: no worker waits for the disk."""
 
 import time
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from types import TracebackType
@@ -33,8 +34,7 @@ class GroupCommit(Generic[CellT]):
         self._context = context
         self._thread = ThreadPoolExecutor(1, "store")
         self._waiting: list[BatchOutcome[CellT, Any]] = []
-        self._group: list[BatchOutcome[CellT, Any]] = []
-        self._stored: Future[None] | None = None
+        self._groups: deque[tuple[Future[None], list[BatchOutcome[CellT, Any]]]] = deque()
         self._next_begin = 0.0
 
     @property
@@ -47,46 +47,47 @@ class GroupCommit(Generic[CellT]):
         self._waiting.extend(outcomes)
 
     def add_loss(self, batch: Batch[CellT], reason: str) -> None:
-        """Store that a worker was lost, at once and after all outcomes so far."""
-        self.flush()
-        self._context.sink.store_loss(batch, reason)
+        """Have it stored that a worker was lost, after all outcomes so far."""
+        self._begin()
+        self._groups.append((self._thread.submit(self._context.sink.store_loss, batch, reason), []))
 
     def advance(self) -> None:
-        """Acknowledge a group that is stored by now, and begin with the next one if it is time; does not wait.
+        """Acknowledge what is stored by now, and begin with the next group if it is time; does not wait.
 
         Raises
         ------
         Exception
             Whatever the sink has raised; the outcomes that wait are dropped.
         """
-        if self._stored is not None and self._stored.done():
+        while self._groups and self._groups[0][0].done():
             self._acknowledge()
-        if self._stored is None and self._waiting and time.monotonic() >= self._next_begin:
+        if not self._groups and time.monotonic() >= self._next_begin:
             self._begin()
 
     def flush(self) -> None:
-        """Return once all outcomes are stored and acknowledged; raises what `advance` does."""
-        while self._stored is not None or self._waiting:
-            if self._stored is None:
-                self._begin()
+        """Return once all is stored and acknowledged; raises what `advance` does."""
+        self._begin()
+        while self._groups:
             self._acknowledge()
 
     def _begin(self) -> None:
-        self._next_begin = time.monotonic() + _INTERVAL
-        self._group, self._waiting = self._waiting, []
-        self._stored = self._thread.submit(self._context.sink.store, self._group)
+        """Have the thread store what waits, as soon as it has done with what it got before."""
+        if self._waiting:
+            self._next_begin = time.monotonic() + _INTERVAL
+            group, self._waiting = self._waiting, []
+            self._groups.append((self._thread.submit(self._context.sink.store, group), group))
 
     def _acknowledge(self) -> None:
-        """Wait for the group that is being stored, and show its outcomes."""
-        stored, self._stored = self._stored, None
-        if stored is None:
-            return
+        """Wait for the oldest group, and show its outcomes."""
+        stored, group = self._groups.popleft()
         try:
             stored.result()
         except BaseException:
             self._waiting.clear()
+            self._groups.clear()
+            self._thread.shutdown(wait=False, cancel_futures=True)
             raise
-        for outcome in self._group:
+        for outcome in group:
             self._context.progress.on_outcome(outcome)
 
     def __enter__(self) -> Self:

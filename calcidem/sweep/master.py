@@ -40,10 +40,10 @@ def run_master(comm: MPI.Comm, context: SweepContext[CellT], fault_tolerant: boo
     try:
         with GroupCommit(context) as commits:
             state, detail = _master_exec(pool, context, commits)
+            tell_command("pause")  # what still waits is stored
     except BaseException as error:
         _master_stop(pool, SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
         raise
-    tell_command("pause")
     end = SweepEnd(state, detail, context.schedule.tally, time.monotonic() - start)
     return _master_stop(pool, end, options.hurry_grace if context.stop_request.hurry() else options.stop_grace)
 

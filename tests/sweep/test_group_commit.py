@@ -84,6 +84,7 @@ def test_what_comes_while_a_group_is_stored_is_the_next_group_and_nothing_is_sho
         assert (sink.stored, progress.shown) == ([], [])
         sink.may_store.set()
         commits.add_loss(outcome(9).batch, "its process ended")
+        commits.flush()
         assert (sink.stored, progress.shown) == ([[1], [2, 3, 4], [-9]], [1, 2, 3, 4])
         commits.add(outcome(5))
     assert (sink.stored[-1], progress.shown[-1]) == ([5], 5)
