@@ -31,7 +31,7 @@ application = build_application()
 heavy = {"matplotlib", "mpi4py.MPI", "numba", "pandas", "scipy", "sqlalchemy", "xarray"}
 for *words, code, said in [
     ("--help", 0, "sensitivity"),
-    ("--version", 0, "calcidem "), ("rnu", 2, "'run'"),
+    ("--version", 0, "calcidem "), ("rnu", 2, "'rnu'"),
     ("query", "--lmit", "3", 2, "--limit"),
     *((name, "--help", 0, f"calcidem {name} ") for name in sys.argv[1:]),
 ]:
