@@ -118,6 +118,14 @@ def test_stored_text_does_not_control_a_terminal(bench: Workbench, line: str) ->
     bench.judge(command, "evil.db", *options)
 
 
+def test_a_damaged_export_is_told_as_one(bench: Workbench) -> None:
+    """A NetCDF file with bytes lost in the middle of its signals is named, whatever its library says."""
+    content = bench.files["quick.nc"]
+    middle = len(content) // 2
+    damaged = content[:middle] + bytes(2000) + content[middle + 2000 :]
+    assert "Error: own.nc is damaged" in bench.judge("import", "own.nc", "--db", "new.db", own_nc=damaged)
+
+
 def test_check_says_what_would_be_computed_and_does_nothing(bench: Workbench) -> None:
     """`run --check` reads and checks, with the database and the packing where there are any, and makes no file."""
     said = bench.judge("run", "good.toml", "--check")

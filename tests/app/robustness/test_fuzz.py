@@ -318,11 +318,11 @@ class Subject:
 
 SUBJECTS = {
     "configurations": Subject(configurations(), use_configuration, 50, 1500),
-    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 15, 600),
+    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 8, 600),
     "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 30, 700),
-    "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 15, 500),
-    "plans of variants": Subject(spoiled(PLAN), use_plan, 15, 500),
-    "measured errors": Subject(spoiled(ERRORS), use_errors, 5, 200),
+    "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 500),
+    "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 500),
+    "measured errors": Subject(spoiled(ERRORS), use_errors, 4, 200),
     "filters": Subject(filters, use_filter, 40, 1000),
     "command lines": Subject(command_lines, use_words, 50, 2000),
 }
