@@ -173,10 +173,11 @@ def test_points_are_computed_once_and_of_one_plan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_packing: Packing
 ) -> None:
     """A file that lacks a point is completed to the same velocities; one of another plan is refused."""
-    plan = load_sobol_plan(planned(tmp_path, RANGES.replace("[0.66, 0.5]", "[0.66]")), 4)
+    one = RANGES.replace("[0.66, 0.5]", "[0.66]").replace('"cement.bond_modulus" = [7.9e10, 8.1e10]\n', "")
+    plan = load_sobol_plan(planned(tmp_path, one), 4)
     file, told = tmp_path / "points.nc", []
     complete = evaluate_points(plan, small_packing, file, say=told.append)
-    assert told[0].startswith("16 points of 8 cells each: about")
+    assert told[0].startswith("12 points of 8 cells each: about")
     assert bool(complete["done"].all())
     assert bool(complete["vs"].notnull().any("seed").all())
     monkeypatch.setattr("calcidem.app.studies.sensitivity.sobol.trial_workers", None)  # nothing is left to compute
