@@ -58,6 +58,8 @@ def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
 
 
 def _refuse_to_replace(target: Path, *, replaces_netcdf: bool) -> None:
+    if target.exists() and not target.is_file():
+        raise OutputRefusedError(f"{target} is a folder or a device.", _CURE)
     ends = [end for end in _BESIDE_A_DATABASE if target.name.endswith(end)]
     databases = [target.with_name(target.name.removesuffix(end)) for end in ends]
     for path in (target, *databases):
