@@ -17,10 +17,10 @@ from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
 
-_PAUSE = 1.0
+LOCK_PAUSE = 1.0
 """Seconds until a lock is asked for again; SQLite itself has waited for half a minute by then."""
 
-_MOST_PATIENCE = 600.0
+MOST_PATIENCE = 600.0
 """Seconds for which a lock of another process is waited for."""
 
 
@@ -79,10 +79,10 @@ class StoreSink:
                 found = write()
             except StoreLockedError as error:
                 waited = time.monotonic() - begin
-                if waited > _MOST_PATIENCE:
+                if waited > MOST_PATIENCE:
                     raise
                 self._tell(f"Waiting for another process that has locked the database ({error.problem})")
-                time.sleep(_PAUSE)
+                time.sleep(LOCK_PAUSE)
             else:
                 return found
 

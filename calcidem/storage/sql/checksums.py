@@ -55,7 +55,7 @@ def _plain(value: object) -> object:
 _encode = json.JSONEncoder(default=_plain, sort_keys=True, separators=(",", ":")).encode
 
 
-def row_checksum(model: type[Base], owner: Sequence[object], values: Iterable[object]) -> str:
+def _row_checksum(model: type[Base], owner: Sequence[object], values: Iterable[object]) -> str:
     """Return the checksum of a row, 16 hexadecimal digits.
 
     Parameters
@@ -87,7 +87,7 @@ def checksum_of(model: type[Base], owner: Sequence[object], columns: Mapping[Any
     real = _real_columns(model)
     found = ((name, columns.get(name)) for name in covered_columns(model))
     values = [float(value) if isinstance(value, int) and name in real else value for name, value in found]
-    return row_checksum(model, owner, values)
+    return _row_checksum(model, owner, values)
 
 
 def parts_text(owner: Sequence[object], columns: Mapping[str, Mapping[Any, Any]]) -> str:
@@ -105,13 +105,13 @@ def result_checksum(owner: Sequence[object], columns: Mapping[Any, Any], parts: 
 
 
 def is_intact(model: type[Base], owner: Sequence[object], values: Iterable[object], checksum: object) -> bool:
-    """Whether a row is what was stored; `values` as for `row_checksum`, `checksum` as the row has it."""
+    """Whether a row is what was stored; `values` as for `_row_checksum`, `checksum` as the row has it."""
     if checksum == UNCHECKED:
         return True
     if not isinstance(checksum, str):
         return False
     own, _, parts = checksum.removeprefix(f"{MIGRATED} ").partition(" ")
-    return own == row_checksum(model, (*owner, parts) if model is ResultRow else owner, values)
+    return own == _row_checksum(model, (*owner, parts) if model is ResultRow else owner, values)
 
 
 def is_intact_part(model: type[Base], owner: Sequence[object], values: Sequence[object] | None, checksum: str) -> bool:
@@ -122,7 +122,7 @@ def is_intact_part(model: type[Base], owner: Sequence[object], values: Sequence[
     model : type
         Of `PARTS`.
     owner, values
-        As for `row_checksum`.
+        As for `_row_checksum`.
     checksum : str
         Of the outcome, which is intact.
     """
@@ -130,7 +130,7 @@ def is_intact_part(model: type[Base], owner: Sequence[object], values: Sequence[
         return True
     words = checksum.removeprefix(f"{MIGRATED} ").split(" ")[1:]
     expected = dict(word.split(":") for word in words).get(model.__tablename__)
-    return expected == (None if values is None else row_checksum(model, owner, values))
+    return expected == (None if values is None else _row_checksum(model, owner, values))
 
 
 def seal_former_rows(connection: Connection) -> None:

@@ -43,8 +43,8 @@ from calcidem.storage.sql.models import (
 )
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX
 
-RESULT_FIELDS = covered_columns(ResultRow)
-ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
+_RESULT_FIELDS = covered_columns(ResultRow)
+_ATTEMPT_FIELDS = ("reason", "seconds", "rank", "host")
 DAMAGED_RUN = "damaged: what was stored of this run was changed"
 _RUN_FIELDS = tuple(f.name for f in fields(RunRecord))
 _PACKING_ARRAYS = ("x", "y", "radius")
@@ -55,8 +55,8 @@ _NAMES_OF_PARTS = {PathRow: "path", GraphRow: "graph summary", SignalRow: "signa
 _P = TypeVar("_P", PathFeatures, GraphSummary)
 
 _TABLES_OF_OUTCOMES: tuple[tuple[type[Base], Any, dict[str, str]], ...] = (
-    (ResultRow, ResultRow.checksum, {name: name for name in RESULT_FIELDS}),
-    (AttemptRow, AttemptRow.checksum, {name: name for name in ATTEMPT_FIELDS}),
+    (ResultRow, ResultRow.checksum, {name: name for name in _RESULT_FIELDS}),
+    (AttemptRow, AttemptRow.checksum, {name: name for name in _ATTEMPT_FIELDS}),
     (PathRow, PathRow.cell_id, {PATH_PREFIX + name: name for name in covered_columns(PathRow)}),
     (GraphRow, GraphRow.cell_id, {GRAPH_PREFIX + name: name for name in covered_columns(GraphRow)}),
 )
@@ -137,7 +137,7 @@ class OutcomeColumns:
             graph=self._part(row, GraphRow, GraphSummary),
             signal=None if signal is None else Signal(*signal[:2], *_arrays_in_order(signal[2], _SIGNAL_ARRAYS)),
             cement=None if cement is None else CementPattern(*_arrays_in_order(cement[0], _CEMENT_ARRAYS)),
-            **{name: row[self.place[name]] for name in (*RESULT_FIELDS, *ATTEMPT_FIELDS)},
+            **{name: row[self.place[name]] for name in (*_RESULT_FIELDS, *_ATTEMPT_FIELDS)},
         )
 
     def _row(self, row: Sequence[Any], model: type[Base]) -> Sequence[Any]:
@@ -161,7 +161,7 @@ def pack_result(result: CellResult | PackedResult) -> PackedResult:
         return result
     columns: dict[str, dict[str, Any]] = {
         AttemptRow.__tablename__: {"outcome": result.status.value, "reason": result.reason, "seconds": result.seconds},
-        ResultRow.__tablename__: {name: getattr(result, name) for name in RESULT_FIELDS if name != "attempt"},
+        ResultRow.__tablename__: {name: getattr(result, name) for name in _RESULT_FIELDS if name != "attempt"},
     }
     if result.features is not None:
         path = {name: getattr(result.features, name) for name in covered_columns(PathRow)}

@@ -28,12 +28,12 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 
-_LONGEST = 10_000
+_LONGEST_FILTER = 10_000
 _LARGEST_WHOLE = 2**63 - 1
 """Whole numbers beyond it are compared as real ones."""
 
 _MOST_COMPARISONS = 200
-_DEEPEST = 50
+_DEEPEST_FILTER = 50
 """Nesting of a filter that every database takes: SQLite refuses expressions of a thousand levels."""
 
 _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
@@ -53,15 +53,15 @@ def parse_where(text: str) -> ColumnElement[bool]:
     QueryError
         If the text is anything else or names an unknown quantity.
     """
-    if len(text) > _LONGEST:
-        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST}.")
+    if len(text) > _LONGEST_FILTER:
+        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST_FILTER}.")
     try:
         tree = ast.parse(_python_equality(text), mode="eval")
         comparisons = sum(len(node.ops) for node in ast.walk(tree) if isinstance(node, ast.Compare))
-        if comparisons > _MOST_COMPARISONS or _depth(tree) > _DEEPEST:
+        if comparisons > _MOST_COMPARISONS or _depth(tree) > _DEEPEST_FILTER:
             raise QueryError(
                 f"The filter has {comparisons} comparisons, nested {_depth(tree)} deep.",
-                f"Write at most {_MOST_COMPARISONS}, at most {_DEEPEST} deep; many values are 'seed in (1, 2)'.",
+                f"Write at most {_MOST_COMPARISONS}, at most {_DEEPEST_FILTER} deep; many values are 'seed in (1, 2)'.",
             )
         return _condition(tree.body, text)
     # Deep nesting ends Python's parser with errors of its own.

@@ -34,7 +34,7 @@ from calcidem.storage.sql.models import (
 )
 from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, attempts_of, cell_in, chunks
 
-_TABLES_OF_OUTCOMES: tuple[type[Base], ...] = (*PARTS, ResultRow)
+_TABLES_OF_CELLS: tuple[type[Base], ...] = (*PARTS, ResultRow)
 
 
 def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
@@ -171,7 +171,7 @@ def _replace(
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
     ids = [cell_id for cell_id, _ in accepted]
-    for model in _TABLES_OF_OUTCOMES:  # parts without an outcome, which damage leaves, would be in the way
+    for model in _TABLES_OF_CELLS:  # parts without an outcome, which damage leaves, would be in the way
         session.execute(delete(model).where(model.__table__.c.cell_id.in_(ids)))
     listed = attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
@@ -257,7 +257,7 @@ def drop_damaged(session: Session, campaign_id: int, keys: Collection[CellKey]) 
 def _drop_outcomes(session: Session, cell_ids: Collection[int]) -> None:
     """Make cells pending, and forgive the losses counted for them."""
     for chunk in chunks(cell_ids):
-        for model in _TABLES_OF_OUTCOMES:
+        for model in _TABLES_OF_CELLS:
             session.execute(delete(model).where(model.__table__.c.cell_id.in_(chunk)))
         session.execute(update(AttemptRow).where(AttemptRow.cell_id.in_(chunk)).values(forgiven=True))
 
