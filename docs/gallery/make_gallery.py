@@ -1,15 +1,14 @@
 """Draw the gallery from a campaign: `python docs/gallery/make_gallery.py CAMPAIGN.db`."""
 
 import argparse
-import shutil
-import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.analysis.figures.style import render
+from calcidem.analysis.figures.style import reduce_colours, render
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
 from calcidem.app.report.provenance import CHOSEN, flat_parameters, value_text
@@ -17,8 +16,16 @@ from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
 
 FOLDER = Path(__file__).parent
-SCREENS = {390: 1500, 1280: 1500}
-"""Widths and heights of the pictures of the report, in pixels."""
+sys.path.append(str(FOLDER.parents[1] / "tests"))
+from chromium import find_chromium, open_chromium  # noqa: E402 - a helper of the tests
+
+SCREENS = {
+    "report_1280": (1280, "light", False),
+    "report_1280_dark": (1280, "dark", True),
+    "report_390": (390, "light", False),
+    "report_390_dark": (390, "dark", True),
+}
+"""Width in pixels, colours, and whether a cell is shown instead of the top, for each picture of the report."""
 
 
 def main() -> None:
@@ -50,26 +57,27 @@ def main() -> None:
     for name, title, caption, _ in shown:
         lines += [f"## {title}", "", f"![{title}]({name}.png)", "", caption, ""]
     if (FOLDER / "report_390.png").exists():
-        lines += ["## The report", "", "On a desk, and on a phone.", ""]
-        lines += [f"![Report, {width} pixels wide](report_{width}.png)" for width in reversed(SCREENS)]
+        lines += ["## The report", "", "On a desk and on a phone, its top and one of its cells.", ""]
+        lines += [f"![Report, {width} pixels wide, {look}]({name}.png)" for name, (width, look, _) in SCREENS.items()]
     (FOLDER / "README.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 
 def photograph(database: str, studies: dict) -> None:  # type: ignore[type-arg] - of datasets, which this script never opens
-    """Take pictures of the top of the report, if there is a browser."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
+    """Take pictures of the report, if there is a browser."""
+    program = find_chromium()
+    if program is None:
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with open_stored_campaign(database) as campaign:
+        key = next(campaign.select(status="done", content=5.0)).key
+    part = f"#seed={key.seed}&content={key.content:g}"
+    with tempfile.TemporaryDirectory() as folder, open_chromium(program, Path(folder)) as browser:
         page = write_report(database, Path(folder) / "report.html", studies=studies)
-        for width, height in SCREENS.items():
-            picture = Path(folder) / f"{width}.png"
-            options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-            size = f"--window-size={width},{height}"
-            subprocess.run(  # noqa: S603 - the browser that was looked up, on a page written just above
-                [browser, *options, size, f"--screenshot={picture}", page.as_uri()], check=True, capture_output=True
-            )
-            shutil.copy(picture, FOLDER / f"report_{width}.png")
+        for name, (width, look, shows_cell) in SCREENS.items():
+            browser.show(page, width, 1500, dark=look == "dark", anchor=part if shows_cell else "")
+            if shows_cell:
+                browser.wait_for("document.getElementById('record') && scrollY > 0")
+            browser.photograph(FOLDER / f"{name}.png")
+            (FOLDER / f"{name}.png").write_bytes(reduce_colours((FOLDER / f"{name}.png").read_bytes()))
 
 
 if __name__ == "__main__":

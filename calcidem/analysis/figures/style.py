@@ -145,18 +145,21 @@ def render(figure: Figure, file_format: str, colours: int | None = None) -> byte
     file_format
         Which.
     colours
-        Of a PNG, at most 256: pictures of grains have few colours, and are a sixth as large so.
+        Of a PNG, at most 256; by default as many as it has.
     """
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
     with mpl.rc_context(_STYLE):
         figure.savefig(buffer, format=file_format, metadata=metadata)
-    if colours is None:
-        return buffer.getvalue()
-    with Image.open(buffer) as picture:
+    return buffer.getvalue() if colours is None else reduce_colours(buffer.getvalue(), colours)
+
+
+def reduce_colours(png: bytes, colours: int = 256) -> bytes:
+    """Give a PNG with a palette: pictures of grains are large but have few colours."""
+    small = BytesIO()
+    with Image.open(BytesIO(png)) as picture:
         # Octree keeps rare colours such as those of thin rings, which median cut gives up.
         palette = picture.convert("RGB").quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        small = BytesIO()
         palette.save(small, "png", optimize=True)
     return small.getvalue()
 
