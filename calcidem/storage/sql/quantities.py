@@ -9,7 +9,7 @@ from typing import Any, Literal
 from sqlalchemy import SQLColumnExpression, func, literal_column
 
 from calcidem.storage.records import CellStatus
-from calcidem.storage.sql.models import AttemptRow, CellRow, GraphRow, PathRow, ResultRow
+from calcidem.storage.sql.models import AttemptRow, Base, CellRow, GraphRow, PathRow, ResultRow
 
 PATH_PREFIX = "path_"
 GRAPH_PREFIX = "graph_"
@@ -45,100 +45,87 @@ The word is part of the SQL text: PostgreSQL takes two parameters for different 
 and refuses to group by this.
 """
 
+
+def _columns_of(model: type[Base], *columns: tuple[str, str, str], prefix: str = "") -> list[Quantity]:
+    """Quantities that are columns of a table, each with its unit and its meaning; the type of the column is theirs."""
+    kinds: dict[type, Literal["real", "whole", "text"]] = {float: "real", int: "whole", str: "text"}
+    return [
+        Quantity(prefix + name, kinds[model.__table__.c[name].type.python_type], unit, meaning, getattr(model, name))
+        for name, unit, meaning in columns
+    ]
+
+
 QUANTITIES = (
-    Quantity("seed", "whole", "1", "seed of the random cement pattern", CellRow.seed),
-    Quantity("content", "real", "percent", "calcite content by mass of sand", CellRow.content),
+    *_columns_of(
+        CellRow,
+        ("seed", "1", "seed of the random cement pattern"),
+        ("content", "percent", "calcite content by mass of sand"),
+    ),
     Quantity("status", "text", "", "outcome of the cell", STATUS),
-    Quantity("reason", "text", "", "why the outcome is what it is", AttemptRow.reason),
-    Quantity("vs", "real", "m s-1", "shear-wave velocity", ResultRow.vs),
-    Quantity("vs_peak", "real", "m s-1", "shear-wave velocity from peak to peak", ResultRow.vs_peak),
-    Quantity("vs_first_arrival", "real", "m s-1", "shear-wave velocity by first arrival", ResultRow.vs_first_arrival),
-    Quantity(
-        "vs_cross_correlation",
-        "real",
-        "m s-1",
-        "shear-wave velocity by cross-correlation",
-        ResultRow.vs_cross_correlation,
+    *_columns_of(
+        AttemptRow,
+        ("reason", "", "why the outcome is what it is"),
     ),
-    Quantity("quality_peak", "real", "1", "quality of the peak-to-peak pick", ResultRow.quality_peak),
-    Quantity(
-        "quality_first_arrival", "real", "1", "quality of the first-arrival pick", ResultRow.quality_first_arrival
+    *_columns_of(
+        ResultRow,
+        ("vs", "m s-1", "shear-wave velocity"),
+        ("vs_peak", "m s-1", "shear-wave velocity from peak to peak"),
+        ("vs_first_arrival", "m s-1", "shear-wave velocity by first arrival"),
+        ("vs_cross_correlation", "m s-1", "shear-wave velocity by cross-correlation"),
+        ("quality_peak", "1", "quality of the peak-to-peak pick"),
+        ("quality_first_arrival", "1", "quality of the first-arrival pick"),
+        ("quality_cross_correlation", "1", "quality of the cross-correlation pick"),
+        ("frequency", "Hz", "frequency of the sent pulse"),
+        ("distance", "m", "distance that the shear wave travelled"),
+        ("wavelengths_on_path", "1", "wavelengths on that distance"),
+        ("wavelength_over_d50", "1", "wavelength over median diameter by mass"),
+        ("time_step", "s", "time step"),
+        ("stability_limit", "s", "largest stable time step"),
+        ("steps", "1", "number of time steps"),
+        ("energy_error", "1", "largest relative error of the energy balance"),
+        ("expected_error", "1", "expected relative numerical error of vs"),
+        ("error_bound", "1", "bound of the relative numerical error of vs"),
+        ("static_speed", "m s-1", "velocity of long shear waves by statics"),
+        ("content_reached", "percent", "calcite content of the cement placed, overlaps counted in full"),
+        ("content_of_contacts", "percent", "calcite content of the cemented contacts by Eq. 2"),
+        ("p_contacts", "1", "number of P contacts"),
+        ("c_contacts", "1", "number of contacts in C clusters"),
+        ("clusters", "1", "number of C clusters"),
+        ("bonded_contacts", "1", "number of bonded contacts"),
+        ("retry", "", "why the sample was sent again, with half the time step"),
+        ("packing_index", "1", "which of the campaign's packings"),
     ),
-    Quantity(
-        "quality_cross_correlation",
-        "real",
-        "1",
-        "quality of the cross-correlation pick",
-        ResultRow.quality_cross_correlation,
+    *_columns_of(
+        AttemptRow,
+        ("seconds", "s", "computing time"),
+        ("rank", "1", "MPI rank that computed it"),
+        ("host", "", "host that computed it"),
     ),
-    Quantity("frequency", "real", "Hz", "frequency of the sent pulse", ResultRow.frequency),
-    Quantity("distance", "real", "m", "distance that the shear wave travelled", ResultRow.distance),
-    Quantity("wavelengths_on_path", "real", "1", "wavelengths on that distance", ResultRow.wavelengths_on_path),
-    Quantity(
-        "wavelength_over_d50", "real", "1", "wavelength over median diameter by mass", ResultRow.wavelength_over_d50
+    *_columns_of(
+        ResultRow,
+        ("attempt", "1", "number of the attempt"),
     ),
-    Quantity("time_step", "real", "s", "time step", ResultRow.time_step),
-    Quantity("stability_limit", "real", "s", "largest stable time step", ResultRow.stability_limit),
-    Quantity("steps", "whole", "1", "number of time steps", ResultRow.steps),
-    Quantity("energy_error", "real", "1", "largest relative error of the energy balance", ResultRow.energy_error),
-    Quantity("expected_error", "real", "1", "expected relative numerical error of vs", ResultRow.expected_error),
-    Quantity("error_bound", "real", "1", "bound of the relative numerical error of vs", ResultRow.error_bound),
-    Quantity("static_speed", "real", "m s-1", "velocity of long shear waves by statics", ResultRow.static_speed),
-    Quantity(
-        *("content_reached", "real", "percent", "calcite content of the cement placed, overlaps counted in full"),
-        ResultRow.content_reached,
+    *_columns_of(
+        PathRow,
+        ("contacts", "1", "contacts on the preferential path"),
+        ("hertz_contacts", "1", "uncemented contacts on it"),
+        ("bonded_contacts", "1", "cemented contacts on it"),
+        ("bonded_fraction", "1", "share of cemented contacts on it (LP)"),
+        ("longest_bonded_run_fraction", "1", "longest run of cemented contacts over all contacts on it (PLLC)"),
+        ("longest_bonded_run", "1", "longest run of cemented contacts on it (QLLC)"),
+        ("connectivity", "1", "weighted shortest distance (C_d)"),
+        ("normalized_connectivity", "1", "normalized connectivity per unit distance (C_d,n)"),
+        prefix=PATH_PREFIX,
     ),
-    Quantity(
-        *("content_of_contacts", "real", "percent", "calcite content of the cemented contacts by Eq. 2"),
-        ResultRow.content_of_contacts,
-    ),
-    Quantity("p_contacts", "whole", "1", "number of P contacts", ResultRow.p_contacts),
-    Quantity("c_contacts", "whole", "1", "number of contacts in C clusters", ResultRow.c_contacts),
-    Quantity("clusters", "whole", "1", "number of C clusters", ResultRow.clusters),
-    Quantity("bonded_contacts", "whole", "1", "number of bonded contacts", ResultRow.bonded_contacts),
-    Quantity("retry", "text", "", "why the sample was sent again, with half the time step", ResultRow.retry),
-    Quantity("packing_index", "whole", "1", "which of the campaign's packings", ResultRow.packing_index),
-    Quantity("seconds", "real", "s", "computing time", AttemptRow.seconds),
-    Quantity("rank", "whole", "1", "MPI rank that computed it", AttemptRow.rank),
-    Quantity("host", "text", "", "host that computed it", AttemptRow.host),
-    Quantity("attempt", "whole", "1", "number of the attempt", ResultRow.attempt),
-    Quantity("path_contacts", "whole", "1", "contacts on the preferential path", PathRow.contacts),
-    Quantity("path_hertz_contacts", "whole", "1", "uncemented contacts on it", PathRow.hertz_contacts),
-    Quantity("path_bonded_contacts", "whole", "1", "cemented contacts on it", PathRow.bonded_contacts),
-    Quantity("path_bonded_fraction", "real", "1", "share of cemented contacts on it (LP)", PathRow.bonded_fraction),
-    Quantity(
-        "path_longest_bonded_run_fraction",
-        "real",
-        "1",
-        "longest run of cemented contacts over all contacts on it (PLLC)",
-        PathRow.longest_bonded_run_fraction,
-    ),
-    Quantity(
-        "path_longest_bonded_run",
-        "whole",
-        "1",
-        "longest run of cemented contacts on it (QLLC)",
-        PathRow.longest_bonded_run,
-    ),
-    Quantity("path_connectivity", "real", "1", "weighted shortest distance (C_d)", PathRow.connectivity),
-    Quantity(
-        "path_normalized_connectivity",
-        "real",
-        "1",
-        "normalized connectivity per unit distance (C_d,n)",
-        PathRow.normalized_connectivity,
-    ),
-    Quantity("graph_contacts", "whole", "1", "contacts between grains", GraphRow.contacts),
-    Quantity("graph_bonded_contacts", "whole", "1", "cemented contacts between grains", GraphRow.bonded_contacts),
-    Quantity("graph_coordination_number", "real", "1", "contacts of a grain, on average", GraphRow.coordination_number),
-    Quantity("graph_components", "whole", "1", "groups of grains joined by cement", GraphRow.components),
-    Quantity("graph_largest_component", "whole", "1", "grains in the largest of them", GraphRow.largest_component),
-    Quantity(
-        "graph_gap_contacts",
-        "whole",
-        "1",
-        "fewest uncemented contacts on a way from transmitter to receiver",
-        GraphRow.gap_contacts,
+    *_columns_of(
+        GraphRow,
+        ("contacts", "1", "contacts between grains"),
+        ("bonded_contacts", "1", "cemented contacts between grains"),
+        ("coordination_number", "1", "contacts of a grain, on average"),
+        ("components", "1", "groups of grains joined by cement"),
+        ("largest_component", "1", "grains in the largest of them"),
+        ("gap_contacts", "1", "fewest uncemented contacts on a way from transmitter to receiver"),
+        prefix=GRAPH_PREFIX,
     ),
 )
 
