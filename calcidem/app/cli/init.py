@@ -9,7 +9,7 @@ import typer
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION
 from calcidem.app.config.presets import PRESETS, preset_text
 
-Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})
+Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
 _FIRST = next(iter(Preset))
 
 
@@ -22,13 +22,23 @@ def init_command(
             "paper-locked: stress of preparation locked in, nothing calibrated."
         ),
     ] = _FIRST,
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key there is, its meaning and what it takes.")
+    ] = False,
 ) -> None:
     """Write an example configuration to start from."""
     try:
         with file.open("x", encoding="utf-8") as target:
-            target.write(preset_text(preset))
+            target.write(_full_text(preset) if full else preset_text(preset))
     except FileExistsError:
         other = file.with_stem(f"{file.stem}-{preset}")
         problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or write another "
         raise typer.BadParameter(f"{problem}with 'calcidem init {other} --preset {preset}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+
+
+def _full_text(preset: str) -> str:
+    """Load the reader of configurations, which takes a second, only for this."""
+    from calcidem.app.config.reference import full_text
+
+    return full_text(preset)
