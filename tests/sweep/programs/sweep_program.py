@@ -16,7 +16,19 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from calcidem.sweep import Batch, BatchOutcome, Cell, Session, SweepOptions, plan_batches, run_sweep
+from calcidem.sweep import (
+    Batch,
+    BatchOutcome,
+    Cell,
+    Place,
+    Progress,
+    Session,
+    SweepEnd,
+    SweepOptions,
+    plan_batches,
+    run_sweep,
+)
+from calcidem.sweep.progress import end_line
 
 CONTENTS = (0.0, 2.55, 9.0)
 
@@ -86,6 +98,18 @@ class Sink:
         if self._die.startswith("raise"):
             raise OSError(28, "no space left on device (on order)")
         os.kill(os.getpid(), signal.SIGSEGV if self._die.startswith("segfault") else signal.SIGKILL)
+
+
+class Told(Progress):
+    """Tells lost workers and the end."""
+
+    def on_loss(self, place: Place, reason: str) -> None:
+        """Tell which worker is lost."""
+        sys.stderr.write(f"lost rank {place.rank} ({place.host}): {reason}\n")
+
+    def on_end(self, end: SweepEnd) -> None:
+        """Tell how it ended."""
+        sys.stderr.write(f"{end_line(end)}\n")
 
 
 def endless_loop() -> None:
@@ -174,6 +198,7 @@ def main() -> None:
             batches,
             Work(options),
             sink,
+            progress=Told(),
             options=SweepOptions(
                 time_limit=options.time_limit,
                 watchdog_margin=0.5,
