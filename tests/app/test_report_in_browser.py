@@ -15,6 +15,7 @@ from chromium import Chromium, find_chromium, open_chromium
 from calcidem.app.report import write_report
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
 
 pytestmark = [
@@ -241,7 +242,7 @@ def test_a_hundred_thousand_cells_make_a_page(browser: Chromium, tmp_path: Path)
     numerics = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000}
     draw = np.random.default_rng(1).uniform  # numbers that cannot be compressed
     with open_store(database) as store:
-        store.begin_campaign(CampaignRecord("large", "large", "{}", contents, seeds, datetime.now(UTC)))
+        store.begin_campaign(CampaignRecord(canonical_hash({}), "large", "{}", contents, seeds, datetime.now(UTC)))
         for seed in seeds:
             store.record_results(
                 CellResult(

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, Signal
+from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
 
 SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
@@ -16,7 +17,7 @@ SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
 
 def main(database: str, seeds: int) -> None:
     """Continue the campaign as its master until no cell is pending."""
-    campaign = CampaignRecord("hash", "endurance", "{}", (0.0, 5.0), tuple(range(seeds)), datetime.now(UTC))
+    campaign = CampaignRecord(canonical_hash({}), "endurance", "{}", (0.0, 5.0), tuple(range(seeds)), datetime.now(UTC))
     with open_store(database) as store:
         store.begin_campaign(campaign)
         grant = store.acquire_lease()
