@@ -27,18 +27,16 @@ def init_command(
     ] = False,
 ) -> None:
     """Write an example configuration to start from."""
+    text = preset_text(preset)
+    if full:
+        from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
+
+        text = full_text(preset)
     try:
         with file.open("x", encoding="utf-8") as target:
-            target.write(_full_text(preset) if full else preset_text(preset))
+            target.write(text)
     except FileExistsError:
         other = file.with_stem(f"{file.stem}-{preset}")
         problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or write another "
         raise typer.BadParameter(f"{problem}with 'calcidem init {other} --preset {preset}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
-
-
-def _full_text(preset: str) -> str:
-    """Load the reader of configurations, which takes a second, only for this."""
-    from calcidem.app.config.reference import full_text
-
-    return full_text(preset)

@@ -3,6 +3,7 @@
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import version
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from calcidem.app.cli.terminal import print_any_text, printable, strange_argumen
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
-_PANELS = {
+PANELS = {
     "Set up": {
         "init": "Write an example configuration.",
         "doctor": "Check what a campaign needs on this machine.",
@@ -53,7 +54,7 @@ _PANELS = {
 }
 """What the list of all commands says of each."""
 
-COMMANDS = tuple(name for panel in _PANELS.values() for name in panel)
+COMMANDS = tuple(name for panel in PANELS.values() for name in panel)
 
 
 class _LazyGroup(TyperGroup):
@@ -101,7 +102,7 @@ def build_application() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     application.callback()(_take_options)
-    for panel, commands in _PANELS.items():
+    for panel, commands in PANELS.items():
         for name, summary in commands.items():
             application.command(name, help=summary, rich_help_panel=panel)(lambda: None)
     return application
@@ -115,11 +116,17 @@ def _take_options(
     """Options of all commands."""
 
 
-def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
-    """Command of the function `<name>_command` in the module of its name, with its docstring as help."""
+def command_function(name: str) -> Callable[..., None]:
+    """Function `<name>_command` in the module of a command's name."""
     word = name.replace("-", "_")
     module = import_module(f"calcidem.app.cli.{'import_' if name == 'import' else word}")
-    function = getattr(module, f"{word}_command")
+    function: Callable[..., None] = getattr(module, f"{word}_command")
+    return function
+
+
+def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
+    """Command of a function, with its docstring as help."""
+    function = command_function(name)
     paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     alone.command(name, help="\n\n".join(paragraphs))(function)

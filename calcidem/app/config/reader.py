@@ -64,7 +64,7 @@ _LARGEST_WHOLE_NUMBER = 2**63 - 1
 _SMALLEST_NUMBER, _LARGEST_NUMBER = 1e-30, 1e30
 """In SI units; the products of several such numbers and their reciprocals are still finite."""
 
-_TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
+TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that a file does not have, because another one says the same."""
 
 
@@ -167,7 +167,7 @@ def _read_section(
         field.name: kind
         for kind in types.values()
         for field in fields(kind)
-        if f"{section}.{field.name}" not in _TAKEN_FROM_ELSEWHERE
+        if f"{section}.{field.name}" not in TAKEN_FROM_ELSEWHERE
     }
     problems: list[Problem] = []
     good: dict[str, Any] = {}
@@ -262,7 +262,7 @@ def _build(
 def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
     """Problem of a name that is not known, with the one that may be meant."""
     place = f"{section}.{name}" if section else name
-    other = _TAKEN_FROM_ELSEWHERE.get(place)
+    other = TAKEN_FROM_ELSEWHERE.get(place)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if other:
         cure = f"{other} says it"

@@ -55,7 +55,7 @@ class CampaignPlan:
     Attributes
     ----------
     name
-        Of the campaign, of its files too.
+        Of the campaign and its files.
     seeds
         A number n for the seeds 1 to n, or a list.
     contents
@@ -236,8 +236,10 @@ class VelocityChoice:
 
     Attributes
     ----------
-    method, signal
-        How the travel time is read, and of which signal.
+    method
+        How the travel time is read.
+    signal
+        Of which signal: the mean velocity of the disks at the receiver, or the force on its band.
     least_quality
         Quality below which a reading does not count, in [0, 1).
     """

@@ -29,7 +29,7 @@ class Sand:
     poisson_ratio
         nu of the grain.
     density
-        kg/m^3; disks have unit thickness.
+        Of the grains, kg/m^3; disks have unit thickness.
     friction
         Coulomb coefficient between grains.
     """

@@ -57,7 +57,7 @@ class CementRule:
     cluster_area
         Calcite of every cluster, m^2; None takes the sum of Eq. 2 over its contacts.
     sand_density, calcite_density
-        kg/m^3.
+        Densities of grains and calcite, kg/m^3.
     """
 
     p_diameter: float = 1.06e-3

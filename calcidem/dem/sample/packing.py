@@ -43,15 +43,15 @@ class PackingRule:
     Attributes
     ----------
     width, height
-        Box before the lid moves, m.
+        Of the box before the lid moves, m.
     diameter
         Smallest and largest, m; uniformly distributed between.
     porosity
-        Of the box after the expansion, which fixes the number of disks.
+        Of the box after the disks have grown, which fixes their number.
     expansion_steps
-        Number of radius steps.
+        Steps in which the disks grow to their size.
     friction_preparation
-        Between grains while packing; reset to the sand's friction afterwards.
+        Coulomb coefficient between grains while packing; reset to the sand's friction afterwards.
     stress
         Vertical stress on the lid, Pa.
     damping
@@ -59,7 +59,7 @@ class PackingRule:
     unbalanced_force_ratio
         Unbalanced-force ratio at which the packing is at rest.
     most_steps
-        Time steps after which it is given up.
+        Time steps after which packing is given up.
     """
 
     width: float = 0.1

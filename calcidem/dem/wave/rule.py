@@ -31,17 +31,19 @@ class WaveRule:
         that touch that band are given the pulse's velocity, and are held in x and in rotation, see
         `domain.driven_disks`; the wall behind them is smooth and at rest.
     transmitter_half_width, receiver_half_width
-        Of the bands, m.
+        Half the height of the bands in the left and the right wall, m.
     band_friction
         Coulomb coefficient of the bands that move, or are pulled at, as walls.
     damping
         Local damping factor of the sample.
-    boundary_damping, boundary_thickness
-        Local damping factor of the layers at floor and lid, and their thickness in m.
+    boundary_damping
+        Local damping factor of the layers at floor and lid.
+    boundary_thickness
+        Of these layers, m.
     regime
-        See `state.start`.
+        ``finite`` follows displacements of any size, ``small`` keeps the geometry, ``linear`` the stiffnesses, too.
     precision
-        Of the kernel's arrays.
+        Of the kernel's numbers.
     step_fraction
         Time step as a part of the stability limit.
     samples_per_period
@@ -52,8 +54,10 @@ class WaveRule:
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
     most_broken_bonds
         Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
-    unbalanced_force_ratio, most_settling_steps
-        Unbalanced-force ratio and patience of the settling after bonds that do not preserve the forces.
+    unbalanced_force_ratio
+        At which a sample has settled after bonds that do not preserve the forces.
+    most_settling_steps
+        Time steps after which this settling is given up.
     keep
         Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`, and
         ``whole_domain`` if disks that the wave cannot reach are to be computed too, see `domain.domain_of`.
