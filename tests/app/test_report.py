@@ -142,7 +142,9 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     values = np.cumsum(received["steps"]) / 2000 * received["largest"]
     stride = round(described["signal"]["interval"] / (1e3 * cell.signal.sampling_interval))
     assert np.allclose(values, cell.signal.received_velocity[::stride], atol=1e-3 * received["largest"])
-    vs = records["columns"]["vs"][records["seeds"].index("3") * len(records["contents"]) + records["contents"].index(5.0)]
+    vs = records["columns"]["vs"][
+        records["seeds"].index("3") * len(records["contents"]) + records["contents"].index(5.0)
+    ]
     assert vs == pytest.approx(cell.vs, rel=1e-5)
 
 
@@ -150,8 +152,8 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
-    monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
-    monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
+    monkeypatch.setattr(cell_data, "MOST_FULL_RECORDS", 10)
+    monkeypatch.setattr(cell_data, "ROOM_FOR_SAMPLES", 20_000)
     with open_stored_campaign(small_database) as campaign:
         found = gather_cell_data(CampaignAnalysis(campaign))
         analysis = CampaignAnalysis(campaign, most_samples=12)
