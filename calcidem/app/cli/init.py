@@ -36,6 +36,8 @@ def init_command(
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
     except FileExistsError:
+        if not file.is_file():
+            raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
         other = file.with_stem(f"{file.stem}-{preset}")
         problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or write another "
         raise typer.BadParameter(f"{problem}with 'calcidem init {other} --preset {preset}'") from None

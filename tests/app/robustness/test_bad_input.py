@@ -76,6 +76,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "a filter that is none": (("query", "quick.db", "--where", "vs >"), {}, "can't be read"),
     "text and number": (("query", "quick.db", "--where", "status > 3"), {}, "status"),
     "colours in an argument": (("status", "\x1b[31m.db"), {}, "control characters"),
+    "the root as a file": (("init", "/"), {}, "/ is a folder or a device"),
     "a file that is there": (("init", "good.toml"), {}, "good.toml"),
     "a folder to write to": (("query", "quick.db", "--out", "folder"), {}, "folder is a folder or a device"),
     "no file for NetCDF": (("export", "quick.db", "folder"), {}, "folder"),
