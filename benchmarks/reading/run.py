@@ -115,7 +115,9 @@ def _ringing(x: Floats, sent: Floats, share: float, resonance: float, sharpness:
     through = 1j * over / sharpness / (1.0 - over**2 + 1j * over / sharpness)
     passed = 1.0 - share + share * through**2
     rung = np.fft.irfft(np.fft.rfft(sent) * passed, len(sent))
-    first = int(np.flatnonzero((rung[1:-1] > rung[:-2]) & (rung[1:-1] >= rung[2:]) & (rung[1:-1] > 0.1 * rung.max()))[0])
+    first = int(
+        np.flatnonzero((rung[1:-1] > rung[:-2]) & (rung[1:-1] >= rung[2:]) & (rung[1:-1] > 0.1 * rung.max()))[0]
+    )
     late = first + 1 - int(np.argmax(sent))
     return np.asarray(passed * np.exp(2j * np.pi * np.arange(len(x)) / len(sent) * late))
 

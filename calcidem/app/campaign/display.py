@@ -185,9 +185,7 @@ class LiveDisplay:
         spinner = _SPINNER[int(_FRAMES_PER_SECOND * time.monotonic()) % len(_SPINNER)]
         head = Table.grid(padding=(0, 1))
         part = progress.finished / progress.total if progress.total else progress.fraction
-        bar = ProgressBar(
-            1.0, part, _BAR_WIDTH, pulse=not part, animation_time=time.monotonic()
-        )
+        bar = ProgressBar(1.0, part, _BAR_WIDTH, pulse=not part, animation_time=time.monotonic())
         summary, *details = _described(progress)
         left = _time_left(progress, passed)
         elapsed = duration(progress.seconds + passed) + ("" if left == "?" else f", {left} left")

@@ -65,9 +65,7 @@ def test_a_server_database_needs_no_folder_and_may_die(workshop: "Workshop", pos
     while time.monotonic() < end and not _cells_on(server):
         time.sleep(0.1)
     # The connections of the run are ended as an immediate shutdown ends them, but the server is there for other tests.
-    kill = (
-        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid()"
-    )
+    kill = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid()"
     psql = shutil.which("psql") or next(str(path) for path in Path("/usr/lib/postgresql").glob("*/bin/psql"))
     ask = [psql, "-h", str(postgresql_socket), "-U", "postgres", "-c"]
     subprocess.run([*ask, kill], check=True, capture_output=True)
