@@ -11,7 +11,7 @@ from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.published_check import check_verdicts
 from calcidem.storage.campaign import open_stored_campaign
 
-CALIBRATED = (0.11, 0.66, 2.55, 9.0)
+CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
 SIGNIFICANCE = 0.05
 
 
