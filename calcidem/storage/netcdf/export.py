@@ -119,8 +119,9 @@ def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> 
 
 def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
     """Types and compression; coordinates have no fill value, since CF allows them no gaps."""
-    compressed = {"zlib": True, "complevel": 4, "shuffle": True}
-    encoding: dict[str, Mapping[str, Any]] = {name: {"_FillValue": None} for name in ("seed", "content")}
+    compressed = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
+    checked = {"_FillValue": None, "fletcher32": True}
+    encoding: dict[str, Mapping[str, Any]] = {name: checked for name in ("seed", "content")}
     for quantity in QUANTITIES:
         if quantity.name in encoding:
             continue

@@ -63,7 +63,7 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
     for name, (unit, long_name, values) in columns.items():
         if name not in group.variables:
             is_text = values.dtype.kind == "O"
-            options = {} if is_text else {"compression": "zlib", "complevel": 4, "shuffle": True}
+            options = {} if is_text else {"compression": "zlib", "complevel": 4, "shuffle": True, "fletcher32": True}
             variable = group.createVariable(name, str if is_text else values.dtype, (dimension,), **options)
             variable.long_name = long_name
             if unit:
