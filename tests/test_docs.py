@@ -1,20 +1,43 @@
 """The documentation for users says what the package does."""
 
 import json
+import re
 import runpy
+import shlex
+import shutil
+import subprocess
+import sys
 import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from inspect import getmembers, isclass
 from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
+import calcidem.storage.errors
+from calcidem.app.campaign.merge import MergeConflictError
 from calcidem.app.cli.main import COMMANDS, build_application
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.reference import full_text, key_references
+from calcidem.app.config.reference import full_text, key_references, written
+from calcidem.dem import UnstableRunError
+from calcidem.dem.sample.cement import CementCapacityError
+from calcidem.dem.sample.packing_file import PackingFileError
+from calcidem.dem.sample.settling import SettlingError
+from calcidem.dem.wave.pick import PickFailure
+from calcidem.storage.records import CellStatus
+from calcidem.sweep.sweep_end import LaunchError, MasterLostError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+PAGES = [DOCS / "quick-start.md", *sorted((DOCS / "how-to").glob("*.md"))]
+"""Pages whose commands a user types."""
+
+FENCE = re.compile(r"(?:<!-- long: ([^>]*) -->\n)?^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "make_docs.py"))
 
 
@@ -57,3 +80,110 @@ def test_the_schema_for_editors_accepts_what_the_reader_accepts() -> None:
         assert not list(validator.iter_errors(tomllib.loads(text)))
     for wrong in ("[wave]\nampltude = 1e-3", "[wave]\namplitude = 'loud'", "[weve]"):
         assert list(validator.iter_errors(tomllib.loads(wrong))), wrong
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page.
+
+    Attributes
+    ----------
+    language, text
+        What it is, and its lines.
+    reason
+        Why no test runs it; empty for those that are run.
+    """
+
+    language: str
+    text: str
+    reason: str
+
+    @property
+    def lines(self) -> list[list[str]]:
+        """Words of its lines."""
+        return [shlex.split(line, comments=True) for line in self.text.replace("\\\n", "").splitlines() if line]
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    """Fenced blocks of a page."""
+    for reason, language, text in FENCE.findall(page.read_text(encoding="utf-8")):
+        yield Block(language, text, reason)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_of_a_page_has_the_options_it_is_given(page: Path) -> None:
+    """Commands that are run, and those that take too long for it, exist with these options; all others are long."""
+    sections = (DOCS / "commands.md").read_text(encoding="utf-8").split("\n### calcidem ")
+    known = {section.split("\n")[0]: set(re.findall(r"--[\w-]+", section)) for section in sections[1:]}
+    for block in blocks(page):
+        for words in block.lines if block.language == "sh" else ():
+            if words[0] == "calcidem":
+                assert {word for word in words if word.startswith("--")} <= known[words[1]], words
+            else:
+                assert block.reason, words
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_work(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a page tells to do works in its order, on the database of the tutorial; what computes is listed."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").mkdir()
+    shutil.copy(DOCS / "tutorial" / "quick.db", "results/quick.db")
+    if page.stem != "quick-start":
+        Path("calcidem.toml").write_text(preset_text("quick"), encoding="utf-8")
+    for block in blocks(page):
+        if block.reason:
+            with capsys.disabled():
+                sys.stdout.write(f"\n{page.stem}: not run ({block.reason}):\n{block.text}")
+        else:
+            follow(block)
+
+
+def follow(block: Block) -> None:
+    """Do what a block says: run its commands, or write its file, or put its values into the configuration."""
+    name = re.match(r"# (\S+\.\w+)\n", block.text)
+    if block.language == "sh":
+        for _, *words in block.lines:
+            result = CliRunner().invoke(build_application(), words)
+            assert result.exit_code == 0, (words, result.output, result.exception)
+    elif block.language == "python":
+        exec(block.text, {})  # noqa: S102 - our own pages
+    elif name:
+        Path(name[1]).write_text(block.text.removeprefix(name[0]), encoding="utf-8")
+    else:
+        document = tomllib.loads(preset_text("quick"))
+        for section, values in tomllib.loads(block.text).items():
+            document[section] |= values
+        lines = [
+            [f"[{section}]", *(f"{key} = {written(value)}" for key, value in values.items())]
+            for section, values in document.items()
+        ]
+        Path("calcidem.toml").write_text("\n".join(line for section in lines for line in section), encoding="utf-8")
+
+
+def test_troubleshooting_has_every_error_and_reason() -> None:
+    """Each error that a user may see, each status without velocity, and each reason of an unread signal has its row."""
+    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    names = {name for name, kind in getmembers(calcidem.storage.errors, isclass) if kind.__module__.endswith("errors")}
+    others = (MergeConflictError, UnstableRunError, CementCapacityError, PackingFileError, SettlingError, LaunchError)
+    names |= {kind.__name__ for kind in (*others, MasterLostError)} - {"StoreError"}
+    assert not {name for name in names - {"StoreError"} if f"`{name}`" not in page}
+    settled = {str(status) for status in CellStatus} - {"pending", "running", "done"}
+    assert not {status for status in settled if f"| `{status}` |" not in page}
+    assert not {str(reason) for reason in PickFailure if f"| {reason} |" not in page}
+
+
+@pytest.mark.full
+def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
+    """`mkdocs build --strict` ends well: every link, anchor and documented name is there."""
+    pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("material", reason="mkdocs-material is not installed: pip install -e '.[docs]'")
+    pytest.importorskip("mkdocstrings", reason="mkdocstrings is not installed: pip install -e '.[docs]'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stderr
+    assert "OpenedCampaign" in (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")
