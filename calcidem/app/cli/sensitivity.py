@@ -26,15 +26,15 @@ def sensitivity_command(
         int | None,
         typer.Option(
             metavar="N",
-            help="Vary all [ranges] of the plan together: first and total Sobol indices of mean, sd / mean and "
+            help="Vary all \\[ranges] of the plan together: first and total Sobol indices of mean, sd / mean and "
             "readable share, from N base points (a power of two), which are N (parameters + 2) campaigns.",
         ),
     ] = None,
     cores: StudyCores = 0,
 ) -> None:
-    """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
+    r"""Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
 
-    With --sobol the numbers in the plan's [ranges] are varied all together, and shares of the variance are shown.
+    With --sobol the numbers in the plan's \[ranges] are varied all together, and shares of the variance are shown.
     """
     from calcidem.app.studies.sensitivity.plan import load_plan
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
