@@ -23,11 +23,11 @@ CHECKOUT = Path(__file__).parents[2]
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
+        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper.toml"): (
-        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
+        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-literal.toml"): (
@@ -39,7 +39,7 @@ IDENTITIES = {
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "ab042a3cef0ff5f3f583d9709dc34b32dde909545ec766c1c4200352a8ade2bf",
+        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
 }

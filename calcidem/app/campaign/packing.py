@@ -17,7 +17,7 @@ from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, PackingStage, make_packing
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.storage.errors import DamagedStoreError, UnknownCellError
+from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.store import Store
@@ -170,9 +170,10 @@ def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as temporary:
             temporary.write_bytes(packing_to_bytes(packing))
-    except OSError as error:
+    except (OSError, OutputRefusedError) as error:
         cure = f"set {CACHE_VARIABLE} to a folder that works"
-        tell(f"Packing: not kept in the cache {path.parent} ({error.strerror}); {cure}.")
+        why = error.strerror if isinstance(error, OSError) else f"{path.name} is no packing's file"
+        tell(f"Packing: not kept in the cache {path.parent} ({why}); {cure}.")
 
 
 def _packing_of_own_disks(
