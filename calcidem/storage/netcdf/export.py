@@ -121,7 +121,7 @@ def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
     """Types and compression; coordinates have no fill value, since CF allows them no gaps."""
     compressed = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
     checked = {"_FillValue": None, "fletcher32": True}
-    encoding: dict[str, Mapping[str, Any]] = {name: checked for name in ("seed", "content")}
+    encoding: dict[str, Mapping[str, Any]] = dict.fromkeys(("seed", "content"), checked)
     for quantity in QUANTITIES:
         if quantity.name in encoding:
             continue
