@@ -84,7 +84,10 @@ class WaveRule:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
-        for name in ("amplitude", "transmitter_half_width", "receiver_half_width", "slowest", "listening_depth"):
+        for name in (
+            *("amplitude", "transmitter_half_width", "receiver_half_width", "slowest", "listening_depth"),
+            *("unbalanced_force_ratio", "most_settling_steps"),
+        ):
             require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
         for name in ("damping", "boundary_damping"):
             require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
