@@ -124,16 +124,25 @@ def _find_packing(
     packing = kept_packing(configuration.packing_hash, tell)
     if packing is not None:
         return packing
+    packing = new_packing(configuration, tell, check, watch)
+    _write_cache(_cached_file(configuration.packing_hash), packing, tell)
+    return packing
+
+
+def new_packing(
+    configuration: Configuration,
+    tell: Tell,
+    check: Callable[[], None] = lambda: None,
+    watch: Callable[[PackingStage], None] = lambda _: None,
+) -> Packing:
+    """The packing of a configuration made anew, whatever is kept; see `provide_packing`."""
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
-        packing = _packing_of_own_disks(configuration, check, watch)
-    else:
-        tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
-        generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
-        packing = make_packing(configuration.packing, configuration.sand, generator, check, watch)
-    _write_cache(_cached_file(configuration.packing_hash), packing, tell)
-    return packing
+        return _packing_of_own_disks(configuration, check, watch)
+    tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
+    generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
+    return make_packing(configuration.packing, configuration.sand, generator, check, watch)
 
 
 def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign_of
-from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.campaign.packing import new_packing, provide_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
@@ -95,10 +95,9 @@ def plan_task(
             velocities = _stored_velocities(campaign, contents)
 
     def packing_of(ratio: float) -> Packing:
-        if ratio == configuration.packing.unbalanced_force_ratio:
-            return packing
+        # A packing that is kept may have been made by another version: another sample, not the same at another ratio.
         rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
-        return provide_packing(replace(configuration, packing=rule), None, progress)
+        return new_packing(replace(configuration, packing=rule), progress)
 
     return Task(
         experiment=configuration.experiment(packing),

@@ -58,15 +58,15 @@ def equilibrium_rows(
         progress(f"packing with an unbalanced-force ratio of {ratio:g}")
         packings[ratio] = packing_of(ratio)
     velocities = {}
+    best = min(ratios)
     for ratio, packing in packings.items():
-        setting = with_wave(replace(experiment, packing=_same_contacts(packing, experiment.packing)), regime="linear")
+        setting = with_wave(replace(experiment, packing=_same_contacts(packing, packings[best])), regime="linear")
         cells = [
             cell
             for content in contents
             for cell in measure_all(setting, content, seeds, lanes=fitting_lanes(seeds, lanes))
         ]
         velocities[ratio] = [cell.vs for cell in cells]
-    best = min(ratios)
     rows = []
     for ratio in ratios:
         pairs = zip(velocities[ratio], velocities[best], strict=True)
