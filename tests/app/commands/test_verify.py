@@ -204,11 +204,9 @@ def test_choice_of_cells(small: Path) -> None:
 
 @pytest.mark.usefixtures("no_packing_is_made")
 def test_accuracy_judges_the_packing_of_the_database(small: Path, toml: Path, small_packing: Packing) -> None:
-    """With --db the cells are those of the stored packing, at its own unbalanced-force ratio too; none is made."""
-    configuration = load_configuration(toml)
-    task = plan_task(configuration, (), 1, small, lambda _: None)
+    """With --db the cells are those of the stored packing; none is made."""
+    task = plan_task(load_configuration(toml), (), 1, small, lambda _: None)
     assert task.experiment.packing.content_hash == small_packing.content_hash
-    assert task.packing_of(configuration.packing.unbalanced_force_ratio) is task.experiment.packing
     assert task.stored is not None
     assert set(task.stored) == {0.0, 0.66}
 

@@ -39,7 +39,7 @@ class Task:
     campaign_seeds
         All seeds of the campaign.
     packing_of
-        Gives the experiment's packing for an unbalanced-force ratio; another than its own has to be made.
+        Makes the campaign's packing for an unbalanced-force ratio.
     stored
         Velocities of a stored campaign at each content, m/s; None measures some samples instead.
     lanes
