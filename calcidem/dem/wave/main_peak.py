@@ -6,6 +6,7 @@ signs of P and S waves, and looks no further than it has to. Its bounds were set
 (docs/reading.md).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.signal import find_peaks, peak_prominences, peak_widths
 
 from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
+from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
 _PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
@@ -138,22 +139,28 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
 
 def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
     """Find the first top that can be the S wave's, looking no further than its horizon."""
-    smooth = record.smooth
     if not np.isfinite(record.received).all():
         return PickFailure.NOT_FINITE
-    tops = find_peaks(smooth, height=record.signals.floor)[0]
-    travel = tops - record.sent_peak
-    for index in tops[(travel > record.earliest) & (travel < record.latest)].tolist():
-        peak = _judge_peak(record, index)
-        if peak is PickFailure.TOO_SHORT:
+    for _, verdict in judge_tops(record):
+        if verdict is PickFailure.TOO_SHORT:
             return _why_no_peak(record, cut_off=True)
-        if peak is not None:
-            return peak
+        if isinstance(verdict, MainPeak):
+            return verdict
     return _why_no_peak(record, cut_off=False)
 
 
-def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure | None:
-    """Weigh a top against the record up to its horizon; None if it cannot be the main one."""
+def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFailure | PassedOver]]:
+    """Sample of each top of a finite record that is above its floor, from left to right, and what the top is.
+
+    The main peak, the reason why it is passed over, or `PickFailure.TOO_SHORT` if only a longer record could tell.
+    """
+    for index in find_peaks(record.smooth, height=record.signals.floor)[0].tolist():
+        possible = record.earliest < index - record.sent_peak < record.latest
+        yield index, _judge_peak(record, index) if possible else PassedOver.OUTSIDE
+
+
+def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
+    """Weigh a top against the record up to its horizon."""
     rule, smooth, sent = record.rule, record.smooth, record.sent_peak
     time, height = index + parabola_vertex(smooth, index), float(smooth[index])
     travel = time - sent
@@ -170,8 +177,10 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         horizon = int(np.ceil(sent + rule.horizon * (low - sent)))
     view = smooth[:horizon]
     largest, prominence = float(view.max()), float(peak_prominences(view, [index])[0][0])
-    if height < _ENOUGH * largest or prominence < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
-        return None  # which a longer record cannot change
+    if height < _ENOUGH * largest:
+        return PassedOver.SMALL  # which, like the next, a longer record cannot change
+    if prominence < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
+        return PassedOver.NOT_PROMINENT
     end = max(horizon, int(np.ceil(time + record.period)))
     if end + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
@@ -179,13 +188,13 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         larger = index + int(np.argmax(view[index:] > height))
         ringing = -float(view[index:larger].min()) > _RINGING * height
     if height < largest and not (behind_p or ringing):
-        return None
+        return PassedOver.LARGER_FOLLOWS
     quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period if behind_p else np.inf)
     noise = _noise_level(record, horizon, quiet)
     width = float(peak_widths(view, [index], rel_height=0.5)[0][0]) / (record.period / 2.0)
     heard = height * min(1.0, _PERIODS_FOR_NOISE * travel / record.period)
     if width < rule.width or heard <= rule.signal_to_noise * noise:
-        return None
+        return PassedOver.NARROW if width < rule.width else PassedOver.FAINT
     precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
     return MainPeak(
         index=index,

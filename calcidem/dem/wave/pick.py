@@ -26,6 +26,17 @@ class PickFailure(StrEnum):
     UNLIKE = "the received signal does not resemble the sent pulse"
 
 
+class PassedOver(StrEnum):
+    """Why a top of the received signal is not taken for the main peak, in words."""
+
+    OUTSIDE = "its velocity is outside the window of possible ones"
+    SMALL = "something more than twice as high comes with it, or soon after"
+    LARGER_FOLLOWS = "something larger comes before a slower S wave could be over: it may be a P wave"
+    NOT_PROMINENT = "it hardly stands out of what is around it"
+    NARROW = "it is far narrower than the pulse that was sent"
+    FAINT = "it is hardly above what was there before any wave could be"
+
+
 @dataclass(frozen=True, slots=True)
 class PickRule:
     """What counts as an arrival.
