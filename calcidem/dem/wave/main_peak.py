@@ -24,14 +24,16 @@ _ENOUGH = 0.5  # of the largest value; behind a P wave of opposite sign, or befo
 _OUT_OF_CODA = 0.5  # of the prominence that is asked for; behind a large P wave scattered ones run into the S wave
 _RINGING = 0.6  # of a top; a P wave of the same sign swings back by less before the S wave comes
 _TROUGH = 1.6  # over the height of a top; what goes deeper behind it is no part of the same pulse, or ringing
-_FOOT = 0.2  # of the main peak; an earlier top like that, with ringing behind it, may be the S wave
+_FOOT = 0.15  # of the main peak; an earlier top like that, with ringing behind it, may be the S wave
 _TWIN = 0.05  # of the height of a top; step and regime change signals by a third of that (docs/accuracy.md)
+_SCATTERED = 0.2  # of what comes behind the S wave at most, where a larger P wave came before it
+_EARLIER = 0.5  # of the main peak; a top between a P wave and it, which it cannot be told from, is as large
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
-_BLUR = 0.14  # of the travel time that the additional width of a peak may be ...
+_BLUR = 0.16  # of the travel time that the additional width of a peak may be ...
 _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
-_BLURRED = 1.4  # ... in records with fewer periods on the way
+_BLURRED = 1.2  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
-_SHIFT = 0.04  # of the travel time by which a P wave of opposite sign may have moved the peak
+_SHIFT = 0.1  # of the travel time by which a P wave of opposite sign may have moved the peak
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
 
@@ -181,7 +183,12 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         return PassedOver.SMALL  # which, like the next, a longer record cannot change
     if prominence < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
         return PassedOver.NOT_PROMINENT
-    end = max(horizon, int(np.ceil(time + record.period)))
+    far = 0
+    if behind_p and travel < _CUTTING * record.period:  # swing and top may be one broad P wave's: the S wave is larger
+        far = int(np.ceil(sent + rule.horizon * travel))
+        if height < _SCATTERED * float(smooth[:far].max()):
+            return PassedOver.SMALL
+    end = max(horizon, far, int(np.ceil(time + record.period)))
     if end + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
     if not ringing and float(view[index:].max()) > height:
@@ -195,21 +202,23 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     heard = height * min(1.0, _PERIODS_FOR_NOISE * travel / record.period)
     if width < rule.width or heard <= rule.signal_to_noise * noise:
         return PassedOver.NARROW if width < rule.width else PassedOver.FAINT
+    if behind_p:
+        time = _top_without_p(smooth[:end], trough, index)
     precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
     return MainPeak(
         index=index,
-        time=_top_without_p(smooth[:end], trough, index) if behind_p else time,
+        time=time,
         height=height,
         noise=noise,
         precursor=precursor,
         quality=min(prominence, height) / largest * max(0.0, 1.0 - precursor),
-        doubt=_doubt(record, view, index, trough, end, behind_p=behind_p, ringing=ringing),
+        doubt=_doubt(record, view, index, time, trough, behind_p=behind_p, ringing=ringing),
         end=end + record.reach,
     )
 
 
 def _doubt(
-    record: PreparedSignals, view: Floats, index: int, trough: int, end: int, *, behind_p: bool, ringing: bool
+    record: PreparedSignals, view: Floats, index: int, time: float, trough: int, *, behind_p: bool, ringing: bool
 ) -> PickFailure | None:
     """Tell why the time of a main peak would be chance; ``trough`` is the deepest sample before it."""
     height, travel = float(view[index]), index - record.sent_peak
@@ -220,10 +229,15 @@ def _doubt(
         return PickFailure.UNSURE
     if travel < _BLURRED * record.period and _is_broad(record, view, index):
         return PickFailure.BROAD
-    near = record.smooth[:end]
-    moved = behind_p and index - _top_without_p(near, trough, index) > _SHIFT * travel
-    if moved or (behind_p and travel < _CUTTING * record.period and _lean(near, index) > _LEAN * record.period):
+    cut = travel < _CUTTING * record.period and _lean(view, index) > _LEAN * record.period
+    if behind_p and (cut or index - time > _SHIFT * travel):
         return PickFailure.PRECURSOR
+    if not behind_p and -float(view[trough]) > record.rule.precursor * height:
+        return PickFailure.UNSURE
+    if behind_p and ringing:  # the top may be the P wave's own back-swing
+        return PickFailure.UNSURE
+    if behind_p and _has_twin(view[trough:index], _EARLIER * height / (1.0 - _TWIN), index - trough, _APART * travel):
+        return PickFailure.UNSURE
     return None
 
 
@@ -254,9 +268,18 @@ def _top_without_p(view: Floats, trough: int, index: int) -> float:
         rest = view - trailing
         trough = int(np.argmin(rest[: index + 1]))
         alone = view + _mirrored(-rest, trough)
-        index = trough + int(np.argmax(alone[trough : index + 2]))
+        # From the top that was: a large P wave that is not symmetric leaves larger ones near its own.
+        index = _nearest_top(alone, trough, index)
         trailing = _mirrored(alone[::-1], len(view) - 1 - index)[::-1]
     return index + (parabola_vertex(alone, index) if 0 < index < len(alone) - 1 else 0.0)
+
+
+def _nearest_top(view: Floats, begin: int, index: int) -> int:
+    """Sample of the top that is reached from one sample by climbing, to the next one or back to ``begin`` at most."""
+    if view[index + 1] > view[index]:
+        return index + 1
+    rising = np.flatnonzero(np.diff(view[begin : index + 1]) > 0.0)
+    return begin + (int(rising[-1]) + 1 if len(rising) else 0)
 
 
 def _mirrored(signal: Floats, top: int) -> Floats:
