@@ -29,11 +29,14 @@ _TWIN = 0.05  # of the height of a top; step and regime change signals by a thir
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
 _BLUR = 0.14  # of the travel time that the additional width of a peak may be ...
 _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
-BLURRED = 1.4  # ... in records with fewer periods on the way
+_BLURRED = 1.4  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
 _SHIFT = 0.04  # of the travel time by which a P wave of opposite sign may have moved the peak
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
-CUTTING = 1.6  # ... in records with fewer periods on the way
+_CUTTING = 1.6  # ... in records with fewer periods on the way
+
+PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
+"""Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,11 +221,11 @@ def _doubt(
     foot = float(view[: trough + 1].max())
     if foot > _FOOT * height and -float(view[trough]) > _RINGING * foot:
         return PickFailure.UNSURE
-    if travel < BLURRED * record.period and _is_broad(record, view, index):
+    if travel < _BLURRED * record.period and _is_broad(record, view, index):
         return PickFailure.BROAD
     near = record.smooth[:end]
     moved = behind_p and index - _top_without_p(near, trough, index) > _SHIFT * travel
-    if moved or (behind_p and travel < CUTTING * record.period and _lean(near, index) > _LEAN * record.period):
+    if moved or (behind_p and travel < _CUTTING * record.period and _lean(near, index) > _LEAN * record.period):
         return PickFailure.PRECURSOR
     return None
 
