@@ -5,7 +5,7 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +24,7 @@ from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
+from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis, diagnose, try_cures
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of, readable_packing
 from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
@@ -321,6 +322,28 @@ class OpenedCampaign(StoredCampaign):
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
         return Configuration.from_physics(self.config).experiment(readable_packing(self.store, packing_index))
+
+    def diagnose(
+        self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
+    ) -> tuple[Diagnosis, ...]:
+        """Say of cells without a velocity why they have none, and which values may give them one.
+
+        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its signal.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> for cell in campaign.diagnose():  # all have a velocity
+        ...     print(cell.key, cell.reason, *cell.cures)
+        """
+        return diagnose(self, seed=seed, content=content)
+
+    def try_cures(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[CureTrial, ...]:
+        """Compute so many of these cells again with each of their cures; nothing is written to the database.
+
+        See `calcidem.app.campaign.diagnosis.try_cures`.
+        """
+        return tuple(try_cures(self, diagnoses, count))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.

@@ -30,6 +30,7 @@ PANELS = {
         "status": "Progress of a campaign, even while it runs.",
         "query": "Cells that meet some conditions, as a table or a file.",
         "show": "One cell, with figures.",
+        "diagnose": "Why cells have no velocity, and what to try.",
     },
     "Analyse": {
         "report": "One page with everything.",
