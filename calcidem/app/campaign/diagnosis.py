@@ -17,6 +17,7 @@ from calcidem.analysis.unread_signal import SignalTop, UnreadSignal
 from calcidem.app.campaign.cures import Cure, Symptoms, find_cures
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import readable_packing
+from calcidem.app.campaign.status import UNREAD
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.arrival import read_travel_times
@@ -32,9 +33,6 @@ from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
-
-UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-"""Outcomes without a velocity that the same computation gives again."""
 
 _MOST_TOPS = 8
 """Tops that are explained, the highest of a record."""

@@ -20,6 +20,9 @@ _TROUBLES = (
 )
 """Outcomes other than done, the most alarming first."""
 
+UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+"""Outcomes without a velocity that the same computation gives again."""
+
 _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Place of each status, the most alarming first."""
 

@@ -8,6 +8,7 @@ from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
+from calcidem.app.config.calibrated import calibration_note
 from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
@@ -36,6 +37,8 @@ class TerminalView:
         """Report on the packing, and on cores that stay idle."""
         for line in packing_lines(work.packing):
             self.say(line)
+        if note := calibration_note(work.configuration):
+            self.say(note)
         if work.batches and launcher() is None and sys.platform == "linux" and (cores := available_cores()) > 1:
             self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
