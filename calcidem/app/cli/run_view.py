@@ -9,7 +9,6 @@ from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
 from calcidem.app.config.calibrated import calibration_note
-from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
 from calcidem.sweep.channel import command_listens
@@ -44,6 +43,8 @@ class TerminalView:
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
         """Show the velocities, export them and, if asked for, write the report; in haste show them only."""
+        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # after the cells, not before
+
         configuration, plan = work.configuration, work.configuration.campaign
         self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
         path = parse_address(configuration.database).path

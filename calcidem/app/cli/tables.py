@@ -13,7 +13,6 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from calcidem.analysis.outcomes import is_in_doubt
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.app.campaign.status import UNREAD
@@ -108,6 +107,8 @@ MEAN_IN_DOUBT = "mean off by more than its standard error if the cells without v
 
 def doubt_mark(counts: Mapping[CellStatus, int]) -> str:
     """Mark beside the number of cells where those that failed may bias the mean (`calcidem.analysis.outcomes`)."""
+    from calcidem.analysis.outcomes import is_in_doubt  # loads xarray, which no cell waits for
+
     done = counts.get(CellStatus.DONE, 0)
     failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
     return " !" if is_in_doubt(done, failed) else ""
