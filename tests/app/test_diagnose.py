@@ -192,7 +192,7 @@ def test_calibrated_values_kept_for_another_material_are_told(tmp_path: Path, in
 
 @pytest.mark.full
 def test_the_first_natural_edit_is_understood(tmp_path: Path, invoke: Callable[..., str]) -> None:
-    """Quartz in a box of 60 mm: a cell without a velocity has a reason, a cure and a picture; one that is cured is told."""
+    """Quartz in a box of 60 mm: a cell without a velocity has a reason, a cure and a picture; cured ones are told."""
     values = {
         "campaign.name": "quartz",
         "campaign.seeds": 8,

@@ -7,7 +7,7 @@ seed and content give the same bits.
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -149,33 +149,35 @@ def diagnose(
     if content is not None:
         campaign.refuse_unknown_contents(content if isinstance(content, Collection) else (content,))
     cells = list(campaign.select(seed=seed, content=content, status=UNREAD, with_arrays=True))
-    room = _Room(campaign, progress)
-    return tuple(room.diagnose(cell) for cell in cells)
+    examiner = _Examiner(campaign, progress)
+    return tuple(examiner.diagnose(cell) for cell in cells)
 
 
-class _Room:
+class _Examiner:
     """A campaign with what its diagnoses share."""
 
     def __init__(self, campaign: StoredCampaign, progress: Callable[[str], None]) -> None:
         self.campaign = campaign
         self.progress = progress
         self.experiment = lru_cache(lambda index: experiment_of(campaign, index))
-        self.expected = lru_cache(self._find_expected)
+        self.readable = lru_cache(
+            lambda content: [cell.vs for cell in campaign.select(content=content, status=CellStatus.DONE) if cell.vs]
+        )
 
     def diagnose(self, cell: CellResult) -> Diagnosis:
         """Diagnose one cell."""
         experiment = self.experiment(cell.packing_index)
         record = _stored_record(cell) or self._record(cell)
         frequency = cell.frequency or experiment.frequency(cell.key.content)
-        expected, source = self.expected(cell.key.content, cell.key.seed, cell.packing_index)
+        expected, source = self._expected(cell.key, experiment)
         prepared = prepare_signals(signals_of(record, experiment), experiment.pick)
         tops = _judged_tops(prepared)
         travel = _travel_time(prepared, tops, expected)
         symptoms = Symptoms(experiment, frequency, travel=travel, unstable=cell.status is CellStatus.UNSTABLE)
         if not symptoms.unstable:
             symptoms = self._symptoms_of_reading(cell, symptoms, record, prepared)
-        elif "bonds broke" in cell.reason:
-            symptoms = Symptoms(experiment, frequency, travel=travel, unstable=True, broken=True)
+        else:
+            symptoms = replace(symptoms, broken="bonds broke" in cell.reason)
         return Diagnosis(
             key=cell.key,
             status=cell.status,
@@ -197,12 +199,12 @@ class _Room:
             tops = _judged_tops(prepared)
             passed = [(prepared.smooth[index], verdict) for index, verdict in tops if isinstance(verdict, PassedOver)]
             verdict = max(passed, key=lambda top: float(top[0]))[1] if passed else None
-            return Symptoms(experiment, frequency, reading.failure, verdict, symptoms.travel)
+            return replace(symptoms, failure=reading.failure, verdict=verdict)
         if reading.quality < experiment.least_quality:
             return symptoms
         full = self._record(cell)  # what is stored of it does not tell its errors
         _, bound, parts = numerical_error(experiment, frequency, full, picks, reading.travel_time)
-        return Symptoms(experiment, frequency, travel=symptoms.travel, error=(bound, parts))
+        return replace(symptoms, error=(bound, parts))
 
     def _record(self, cell: CellResult) -> WaveRecord:
         """Compute a cell again."""
@@ -211,14 +213,13 @@ class _Room:
         experiment = self.experiment(cell.packing_index)
         return measure_all(experiment, cell.key.content, [cell.key.seed], lanes=_BATCH)[0].record
 
-    def _find_expected(self, content: float, seed: int, packing_index: int) -> tuple[tuple[float, float] | None, str]:
-        """Slowest and fastest S wave that is expected at a content, m/s, and how that is known."""
-        known = [cell.vs for cell in self.campaign.select(content=content, status=CellStatus.DONE) if cell.vs]
+    def _expected(self, key: CellKey, experiment: Experiment) -> tuple[tuple[float, float] | None, str]:
+        """Slowest and fastest S wave that is expected of a cell, m/s, and how that is known."""
+        known = self.readable(key.content)
         if known:
             return (min(known), max(known)), f"the {pluralize(len(known), 'readable seed')} of this content"
-        experiment = self.experiment(packing_index)
         try:
-            speed = static_speed(experiment, experiment.ordering(seed).at(content).bonded)
+            speed = static_speed(experiment, experiment.ordering(key.seed).at(key.content).bonded)
         except (ValueError, SettlingError):
             return None, ""
         return (_SLOWED * speed, speed), f"the stiffness of the sample at rest ({speed:.0f} m/s for long waves)"
@@ -360,7 +361,7 @@ def try_cures(
         known = {cell.key.seed: cell.vs for cell in readable if cell.vs is not None and cell.packing_index == 0}
         near = sorted(known, key=lambda seed: min(abs(seed - other) for other in seeds))
         near = near[: max(1, _BATCH - len(seeds))]
-        for cure in _strongest_cures(chosen):
+        for cure in _strongest_cures(chosen, experiment):
             progress(f"Trying {cure} at {content:g} %")
             try:
                 found = measure_all(cure.apply(experiment), content, [*seeds, *near], lanes=_BATCH, ordering=ordering)
@@ -384,38 +385,33 @@ def _spread_over_contents(diagnoses: Sequence[Diagnosis], count: int) -> dict[fl
     return dict(chosen)
 
 
-def _strongest_cures(chosen: Sequence[Diagnosis]) -> list[Cure]:
-    """Cures of cells of one content that can be tried; of several frequencies the highest and the lowest."""
-    found: dict[str, Cure] = {}
+def _strongest_cures(chosen: Sequence[Diagnosis], experiment: Experiment) -> list[Cure]:
+    """Cures of cells of one content that can be tried; of several values of a key the highest and the lowest."""
+    found: dict[tuple[str, bool], Cure] = {}
     for diagnosis in chosen:
         for cure in diagnosis.cures:
             if cure.needs_packing:
                 continue
-            if cure.name != "wave.frequency":
-                found.setdefault(str(cure), cure)
-                continue
-            rises = float(cure.value) > diagnosis.frequency
-            other = found.setdefault(f"{cure.name} {rises}", cure)
-            if float(cure.value) != (max if rises else min)(float(other.value), float(cure.value)):
-                continue
-            found[f"{cure.name} {rises}"] = cure
+            key = cure.name.split(".")[1]
+            present = getattr(experiment.wave, key, getattr(experiment.pick, key, diagnosis.frequency))
+            rises = not isinstance(cure.value, str) and cure.value > present
+            other = found.setdefault((cure.name, rises), cure)
+            if not isinstance(cure.value, str) and not isinstance(other.value, str):
+                found[cure.name, rises] = (max if rises else min)(other, cure, key=lambda one: float(one.value))
     return list(found.values())
 
 
 def frequency_table(
     campaign: StoredCampaign, diagnoses: Sequence[Diagnosis]
 ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Contents (percent) and frequencies (Hz) of a campaign with the first frequency that cures ask for, the highest.
+    """Contents (percent) and frequencies (Hz) of a campaign, with the highest that is the first cure of a cell.
 
-    None where no cure asks for one.
+    None where another frequency is the first cure of no cell.
     """
-    experiment_frequency = Configuration.from_physics(campaign.config).excitation.table.at
+    present = Configuration.from_physics(campaign.config).excitation.table.at
     wanted: defaultdict[float, list[float]] = defaultdict(list)
     for diagnosis in diagnoses:
-        first = next((cure.value for cure in diagnosis.cures if cure.name == "wave.frequency"), None)
-        if isinstance(first, float):
-            wanted[diagnosis.key.content].append(first)
-    if not wanted:
-        return None
+        if diagnosis.cures[0].name == "wave.frequency":
+            wanted[diagnosis.key.content].append(float(diagnosis.cures[0].value))
     contents = campaign.record.contents
-    return contents, tuple(max(wanted.get(content, [experiment_frequency(content)])) for content in contents)
+    return (contents, tuple(max(wanted.get(at, [present(at)])) for at in contents)) if wanted else None

@@ -71,8 +71,11 @@ def _head_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, cho
         counts[status] += number
     total = pluralize(sum(counts.values()), "cell")
     unread = counts[CellStatus.NO_ARRIVAL] + counts[CellStatus.UNSTABLE]
-    yield f"Campaign {campaign.record.name}: {unread} of {total} can't be read or trusted, and would not another time."
-    if chosen:
+    if not unread:
+        yield f"Campaign {campaign.record.name}: none of its {total} was computed without giving a velocity."
+    else:
+        yield f"Campaign {campaign.record.name}: {unread} of {total} can't be read or trusted, nor would they be again."
+    if chosen and unread:
         yield f"Of the cells chosen these are {len(found)}."
     elif found:
         places = Counter(diagnosis.key.content for diagnosis in found)
