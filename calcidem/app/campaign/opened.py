@@ -12,6 +12,7 @@ from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
@@ -31,6 +32,7 @@ from calcidem.app.campaign.prediction import draw_pattern, path_features, predic
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
@@ -42,6 +44,9 @@ from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CementPattern
 from calcidem.storage.sql.store import open_store
+
+if TYPE_CHECKING:
+    from calcidem.app.campaign.plots import CampaignPlots  # imports this module, and matplotlib when it is used
 
 SUFFIXES = (".vtu", ".vtk", ".csv")
 """Formats of the file of a sample."""
@@ -216,9 +221,19 @@ class OpenedCampaign(StoredCampaign):
         >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static < 1.0  # local damping slows the wave
         True
         """
+        return static_speed(*self.cemented(seed=seed, content=content))
+
+    def cemented(self, *, seed: int, content: float) -> tuple[Experiment, Flags]:
+        """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome, or its cement was not kept.
+        """
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
-        return static_speed(experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE)
+        return experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE
 
     def predict(
         self,
@@ -357,6 +372,20 @@ class OpenedCampaign(StoredCampaign):
         True
         """
         return content_hash_of(self.packing(packing_index))
+
+    @cached_property
+    def plot(self) -> "CampaignPlots":
+        """Figures of the campaign, which ``dir(campaign.plot)`` lists.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.plot.vs_range().axes[0].get_xlabel()
+        'calcite content (% of sand mass)'
+        """
+        from calcidem.app.campaign.plots import CampaignPlots  # noqa: PLC0415 - matplotlib takes half a second
+
+        return CampaignPlots(self)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

@@ -126,14 +126,14 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
         retry=record.retry,
         seconds=measurement.seconds,
-        signal=_signal_of(record) if store_signals else None,
+        signal=stored_signal(record) if store_signals else None,
         cement=CementPattern(
             packing.pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
         ),
     )
 
 
-def _signal_of(record: WaveRecord) -> Signal | None:
+def stored_signal(record: WaveRecord) -> Signal | None:
     """Signals as the store keeps them; None for a record with numbers that are not finite."""
     if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
         return None

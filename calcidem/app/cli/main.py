@@ -51,6 +51,7 @@ PANELS = {
         "import": "A database from an exported file.",
         "merge": "One database from several of the same campaign.",
         "sample": "One sample for ParaView, or its packing as CSV.",
+        "import-packing": "Disks of another program as a packing's file.",
     },
 }
 """What the list of all commands says of each."""
