@@ -57,7 +57,8 @@ def diagnose_command(
                 typer.echo(f"  Wrote {file}")
         if len(shown) < len(found):
             typer.echo(f"\nand {len(found) - len(shown)} more; choose with --content and --seed")
-        typer.echo(printable("\n".join(_frequency_lines(opened, found))))
+        for line in _frequency_lines(opened, found):
+            typer.echo(printable(line))
         if found and trials:
             make_console().print(_trial_table(opened, found, trials))
 
