@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
-from calcidem.storage.records import CellKey, CellStatus, RunRecord
+from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
 
 _TROUBLES = (
@@ -235,7 +235,8 @@ def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     statuses = campaign.store.statuses() if keys else {}
     found = []
     for key in sorted(keys, key=lambda key: (_URGENCY[statuses[key]], key)):
-        count, reason, retry = attempts[key], reasons.get(key, ""), retries.get(key, "")
+        count = attempts.get(key, AttemptCount())  # a damaged database may have lost its attempts
+        reason, retry = reasons.get(key, ""), retries.get(key, "")
         found.append(Trouble(key, statuses[key], count.attempts, count.losses, reason, retry))
     return tuple(found)
 
