@@ -35,9 +35,6 @@ class ContactGraph:
     transmitter, receiver
         Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
         grain.
-
-    Attributes
-    ----------
     entry_contacts
         The contact that each entry of the sparse matrix belongs to, integers, shape (2 m,).
 

@@ -7,6 +7,7 @@ error: the interval then has no width.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,12 +57,7 @@ def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
     level
         Confidence level between 0 and 1.
     """
-    n = values.size
-    if n <= 1:
-        return UNDEFINED
-    half = float(scipy.stats.t.ppf((1 + level) / 2, n - 1)) * float(standard_deviation(values)) / math.sqrt(n)
-    centre = float(mean(values))
-    return Interval(centre - half, centre + half)
+    return _around_mean(values, level, lambda n: 1 / n)
 
 
 def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
@@ -115,11 +111,15 @@ def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Int
     -----
     mean -/+ t s sqrt(1 + 1/n), with t the quantile of Student's distribution with n - 1 degrees of freedom.
     """
+    return _around_mean(values, level, lambda n: 1 + 1 / n)
+
+
+def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Interval:
+    """Interval of Student's t around the mean, of a variance in units of that of the values."""
     n = values.size
     if n <= 1:
         return UNDEFINED
-    quantile = float(scipy.stats.t.ppf((1 + level) / 2, n - 1))
-    half = quantile * float(standard_deviation(values)) * math.sqrt(1 + 1 / n)
+    half = float(scipy.stats.t.ppf((1 + level) / 2, n - 1)) * float(standard_deviation(values)) * math.sqrt(variance(n))
     centre = float(mean(values))
     return Interval(centre - half, centre + half)
 
