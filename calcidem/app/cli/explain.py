@@ -34,7 +34,7 @@ def explain_command(
     """
     from calcidem.app.campaign.opened import open_campaign_of
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.cli.tables import make_console
+    from calcidem.app.cli.tables import make_console, tell
     from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.checks import check_against_packing, plan_contents
     from calcidem.app.config.reader import load_configuration
@@ -64,7 +64,7 @@ def explain_command(
         seeds,
         loaded.run.lanes,
         measured,
-        progress=lambda text: typer.echo(f"Measuring {text}", err=True),
+        progress=lambda text: tell(f"Measuring {text}"),
     )
     console = make_console()
     for value in chosen:
