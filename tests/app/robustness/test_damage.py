@@ -80,7 +80,7 @@ def test_a_cell_without_its_attempts_is_shown(troubled: Path, invoke: Invoke) ->
     with sqlite3.connect(troubled, isolation_level=None) as connection:
         connection.execute("DELETE FROM attempt")
     connection.close()
-    assert "1 quarantined" in invoke("status", troubled)
+    assert "cells that are quarantined pending again" in invoke("status", troubled)
 
 
 def test_damaged_stands_alone(complete: Path, invoke: Invoke) -> None:
