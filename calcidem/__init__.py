@@ -8,8 +8,9 @@ Compute a campaign in this process, look at it, and find what it is:
 
 `run` computes, `open_campaign` reads a stored campaign, `load_paper_campaign` gives the numbers of the one that comes
 with the package. `load_configuration` reads and checks a TOML file without computing anything, `preset_text` gives one
-of the examples in `PRESETS` to start from. Errors that name what is wrong and what helps are `ConfigurationError`,
-`PackingError`, `StoreError` and `LaunchError`. `calcidem.dem` simulates scenes of your own.
+of the examples in `PRESETS` to start from, `import_packing` brings disks of another program. Errors that name what is
+wrong and what helps are `ConfigurationError`, `PackingError`, `StoreError` and `LaunchError`. `calcidem.dem` simulates
+scenes of your own.
 """
 
 from importlib import import_module
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     __version__: str
     from calcidem import dem
     from calcidem.app.campaign.opened import OpenedCampaign, load_paper_campaign, open_campaign
+    from calcidem.app.campaign.packing_import import import_packing
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
     from calcidem.app.config.errors import ConfigurationError
@@ -40,6 +42,7 @@ __all__ = [
     "RunStage",
     "StoreError",
     "dem",
+    "import_packing",
     "load_configuration",
     "load_paper_campaign",
     "open_campaign",
@@ -57,6 +60,7 @@ _HOMES = {
     "RunProgress": "calcidem.app.campaign.progress",
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
+    "import_packing": "calcidem.app.campaign.packing_import",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",

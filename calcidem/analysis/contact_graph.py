@@ -6,14 +6,17 @@ a sparse matrix with SciPy, because the scan over weights needs thousands of the
 """
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from calcidem.analysis.connectivity import ContactWeights
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 _RELATIVE_TIE = 1e-9
 """Paths whose lengths differ by less than this fraction are equally long; round-off is about 1e-14."""
@@ -32,9 +35,6 @@ class ContactGraph:
     transmitter, receiver
         Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
         grain.
-
-    Attributes
-    ----------
     entry_contacts
         The contact that each entry of the sparse matrix belongs to, integers, shape (2 m,).
 
@@ -122,6 +122,8 @@ class ContactGraph:
             Every grain is a vertex, with `role` "transmitter", "receiver" or "interior"; every contact an
             edge with `bonded` (bool) and `weight` (float).
         """
+        import networkx as nx  # noqa: PLC0415 - ranks find paths without it
+
         graph: nx.Graph[int] = nx.Graph()
         graph.add_nodes_from(range(self.grain_count), role="interior")
         graph.add_nodes_from(self.transmitter.tolist(), role="transmitter")

@@ -7,11 +7,12 @@ error: the interval then has no width.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts load when they are used: ranks come by here, and need none of its statistics
 from numpy.typing import NDArray
-from scipy import stats
 
 BOOTSTRAP_SEED = 20_240_501
 """Resampling draws the same numbers in every run, so that a report can be reproduced to the last digit."""
@@ -56,12 +57,7 @@ def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
     level
         Confidence level between 0 and 1.
     """
-    n = values.size
-    if n <= 1:
-        return UNDEFINED
-    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * float(standard_deviation(values)) / math.sqrt(n)
-    centre = float(mean(values))
-    return Interval(centre - half, centre + half)
+    return _around_mean(values, level, lambda n: 1 / n)
 
 
 def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
@@ -90,10 +86,10 @@ def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95
         return Interval(0.0, 0.0)
     if n < _FEWEST_FOR_KURTOSIS:
         tail = (1 - level) / 2
-        low, high = np.sqrt((n - 1) / stats.chi2.ppf([1 - tail, tail], n - 1))
+        low, high = np.sqrt((n - 1) / scipy.stats.chi2.ppf([1 - tail, tail], n - 1))
         return Interval(deviation * float(low), deviation * float(high))
-    quantile = float(stats.norm.ppf((1 + level) / 2))
-    trimmed = stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
+    quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
+    trimmed = scipy.stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
     kurtosis = n * np.sum((values - trimmed) ** 4) / ((n - 1) * deviation**2) ** 2
     correction = n / (n - quantile)
     error = correction * math.sqrt(max(kurtosis - (n - 3) / n, 0.0) / (n - 1))
@@ -115,11 +111,15 @@ def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Int
     -----
     mean -/+ t s sqrt(1 + 1/n), with t the quantile of Student's distribution with n - 1 degrees of freedom.
     """
+    return _around_mean(values, level, lambda n: 1 + 1 / n)
+
+
+def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Interval:
+    """Interval of Student's t around the mean, of a variance in units of that of the values."""
     n = values.size
     if n <= 1:
         return UNDEFINED
-    quantile = float(stats.t.ppf((1 + level) / 2, n - 1))
-    half = quantile * float(standard_deviation(values)) * math.sqrt(1 + 1 / n)
+    half = float(scipy.stats.t.ppf((1 + level) / 2, n - 1)) * float(standard_deviation(values)) * math.sqrt(variance(n))
     centre = float(mean(values))
     return Interval(centre - half, centre + half)
 

@@ -154,8 +154,11 @@ def published_study() -> PublishedStudy:
             PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
             for row in data["contents"]
         ),
-        stages=tuple(_read_stage(row) for row in data["stages"]),
-        laws=tuple(_read_law(row) for row in data["laws"]),
+        stages=tuple(PublishedStage(**_with_intervals(row)) for row in data["stages"]),
+        laws=tuple(
+            PublishedLaw(weights=ContactWeights(row.pop("hertz"), row.pop("bond")), **_with_intervals(row))
+            for row in data["laws"]
+        ),
     )
 
 
@@ -192,22 +195,6 @@ def is_published_sand(config: Mapping[str, Any]) -> bool:
     )
 
 
-def _read_stage(row: dict[str, Any]) -> PublishedStage:
-    return PublishedStage(
-        name=row["name"],
-        text_range=Interval(*row["text_range"]),
-        rate=row["rate"],
-        variance_range=Interval(*row["variance_range"]),
-    )
-
-
-def _read_law(row: dict[str, Any]) -> PublishedLaw:
-    return PublishedLaw(
-        name=row["name"],
-        weights=ContactWeights(row["hertz"], row["bond"]),
-        connectivity_range=Interval(*row["connectivity_range"]),
-        a=row["a"],
-        table_b=row["table_b"],
-        conclusions_b=row["conclusions_b"],
-        c=row["c"],
-    )
+def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:
+    """Entries of a row, pairs of numbers as intervals."""
+    return {name: Interval(*value) if isinstance(value, list) else value for name, value in row.items()}

@@ -55,15 +55,14 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
         own = variant.sel(content=content).to_numpy()
         pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
         measured = own[np.isfinite(own)]
-        some, several = measured.size > 0, measured.size > 1
         mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
         changes.append(
             Change(
                 content=content,
                 planned=own.size,
                 measured=measured.size,
-                mean=float(measured.mean()) if some else math.nan,
-                standard_deviation=float(measured.std(ddof=1)) if several else math.nan,
+                mean=float(measured.mean()) if measured.size else math.nan,
+                standard_deviation=float(measured.std(ddof=1)) if measured.size > 1 else math.nan,
                 mean_ratio=mean_ratio,
                 deviation_ratio=deviation_ratio,
                 deviation_ratio_interval=interval,
@@ -121,8 +120,8 @@ class VarianceParts:
     @property
     def deviations(self) -> tuple[float, float, float]:
         """Standard deviations of the three parts, m/s; zero for a negative estimate."""
-        parts = (max(0.0, part) ** 0.5 for part in (self.first, self.second, self.rest))
-        return next(parts), next(parts), next(parts)
+        first, second, rest = (max(0.0, part) ** 0.5 for part in (self.first, self.second, self.rest))
+        return first, second, rest
 
 
 def variance_parts(values: np.ndarray) -> VarianceParts:

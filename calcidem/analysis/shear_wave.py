@@ -1,13 +1,15 @@
 """What follows from a shear-wave velocity: modulus, damping ratio, wavelengths, and whether near field spoils it."""
 
 import math
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.published import published_study
+
+if TYPE_CHECKING:
+    import xarray as xr  # half a second that a rank would wait for
 
 FEWEST_WAVELENGTHS = 2.0
 """Wavelengths from transmitter to receiver below which near field and shear wave arrive together (section 3.1.3)."""
@@ -15,7 +17,7 @@ FEWEST_WAVELENGTHS = 2.0
 LONGEST_WAVELENGTH = 10.0
 """Median diameters below which a wavelength has to be, as section 3.1.3 prints it."""
 
-Values = TypeVar("Values", float, NDArray[np.float64], xr.DataArray)
+Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 
 
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:

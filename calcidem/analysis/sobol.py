@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -102,12 +103,10 @@ def _problem(ranges: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
 
 
 def _salib(part: str) -> Any:  # noqa: ANN401 - a module of an optional library, without types
-    """SALib's module for Sobol sampling or analysis."""
+    """SALib's module for Sobol sampling ("sample") or indices ("analyze")."""
     try:
-        from SALib.analyze import sobol as analyze  # noqa: PLC0415 - an optional library
-        from SALib.sample import sobol as sample  # noqa: PLC0415
+        return import_module(f"SALib.{part}.sobol")
     except ModuleNotFoundError as error:
         raise StoreError(
             "Sobol indices need the library SALib.", "Install it: pip install 'calcidem[sobol]'."
         ) from error
-    return analyze if part == "analyze" else sample

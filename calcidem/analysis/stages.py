@@ -48,9 +48,8 @@ class StageGrowth:
         Difference of the mean at the last and the first of them over the difference of content, in m/s per
         percent: the paper's rate.
     least_squares_slope
-        Slope of the straight line through all their means, in m/s per percent.
-
-    Both slopes are NaN with fewer than two contents.
+        Slope of the straight line through all their means, in m/s per percent. Both are NaN with fewer than two
+        contents.
     """
 
     stage: Stage
@@ -87,8 +86,7 @@ def growth_by_stage(
     contents, means = contents[order], means[order]
     growth = []
     for stage in stages:
-        # Contents come out of text files and databases as decimals; a last-bit difference must not exclude
-        # one.
+        # Contents come out of text files and databases as decimals; a last-bit difference must not exclude one.
         inside = (contents >= stage.low - 1e-9) & (contents <= stage.high + 1e-9) & np.isfinite(means)
         x, y = contents[inside], means[inside]
         enough = x.size > 1

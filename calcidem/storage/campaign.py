@@ -3,8 +3,7 @@
 import json
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import pandas as pd
 import xarray as xr
@@ -24,7 +23,7 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Selection, Store
+from calcidem.storage.store import Closable, Selection, Store
 
 
 def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "StoredCampaign":
@@ -56,7 +55,7 @@ def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None =
         raise
 
 
-class StoredCampaign:
+class StoredCampaign(Closable):
     """A campaign as its readers see it.
 
     Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
@@ -255,16 +254,6 @@ class StoredCampaign:
     def close(self) -> None:
         """Release the connection."""
         self.store.close()
-
-    def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        self.close()
 
 
 def _selection(

@@ -136,7 +136,25 @@ class Integrity:
     late: int
 
 
-class Store(ABC):
+class Closable(ABC):
+    """What a `with` statement closes at its end."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release what is held; closing it again does nothing."""
+
+    def __enter__(self) -> Self:
+        """Use it in a `with` statement."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+class Store(Closable):
     """Campaigns, their cells and their outcomes, kept for good.
 
     Rules that hold for every implementation:
@@ -443,13 +461,3 @@ class Store(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release the lease and all connections; a closed store may be closed again."""
-
-    def __enter__(self) -> Self:
-        """Use the store in a `with` statement."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        self.close()

@@ -12,13 +12,13 @@ that an idle rank costs next to nothing and a dead or silent partner cannot hold
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
 
-The collective operations (`barrier`, `broadcast`, `gather`, `once_per_node`) sleep while they wait, too: those of MPI
+The collective operations (`barrier`, `broadcast`, `gather`, `share_on_node`) sleep while they wait, too: those of MPI
 that block keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
 import pickle
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -204,13 +204,13 @@ def gather(comm: MPI.Comm, value: ValueT) -> list[ValueT]:
     return [pickle.loads(part.tobytes()) for part in parts] if comm.Get_rank() == MASTER else []  # noqa: S301 - as above
 
 
-def once_per_node(comm: MPI.Comm, action: Callable[[], object]) -> None:
-    """Call `action` on one rank of each node, and return on all ranks once all nodes are done.
+def share_on_node(comm: MPI.Comm, actions: Sequence[Callable[[], object]]) -> None:
+    """Call each action on one rank of each node, and return on all ranks once all are done.
 
     Meant to fill a compile cache that the ranks of a node share.
     """
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    if node.Get_rank() == 0:
+    for action in actions[node.Get_rank() :: node.Get_size()]:
         action()
     node.Free()
     barrier(comm)

@@ -4,7 +4,7 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.channel import command_listens, tell_command
@@ -117,14 +117,15 @@ class Session:
 
         return gather(self.comm, value)
 
-    def once_per_node(self, action: Callable[[], object]) -> None:
-        """Call `action` on one rank of each node, for instance to compile; return once all are done."""
+    def share_on_node(self, actions: Sequence[Callable[[], object]]) -> None:
+        """Call each action on one rank of each node, for instance to compile; return once all are done."""
         if self.comm is None:
-            action()
+            for action in actions:
+                action()
             return
-        from calcidem.sweep.protocol import once_per_node  # noqa: PLC0415 - as above
+        from calcidem.sweep.protocol import share_on_node  # noqa: PLC0415 - as above
 
-        once_per_node(self.comm, action)
+        share_on_node(self.comm, actions)
 
     def end(self, exit_code: int, sweep_end: SweepEnd | None = None) -> NoReturn:
         """End this rank in order; every rank calls this, rank 0 after all its work, files closed.

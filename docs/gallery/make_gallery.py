@@ -11,9 +11,10 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
-from calcidem.app.report.provenance import CHOSEN, flat_parameters, value_text
+from calcidem.app.report.provenance import CHOSEN, value_text
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.records.canonical import flat_parameters
 
 FOLDER = Path(__file__).parent
 sys.path.append(str(FOLDER.parents[1] / "tests"))

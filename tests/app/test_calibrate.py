@@ -238,7 +238,7 @@ def test_a_cluster_without_area_starts_from_its_contacts(configuration: Configur
 
 def test_values_are_written_into_the_configuration() -> None:
     """Keys that are there are replaced, others added to their section or to a new one; nothing else changes."""
-    text = '[campaign]\nname = "own"\n\n[pattern]\np_share = 0.77  # by eye\n\n[sand]\nfriction = 0.4\n'
+    text = '[campaign]\nname = "own"\n\n[pattern]  # as found\n  p_share = 0.77  # by eye\n\n[sand]\nfriction = 0.4\n'
     values = {"pattern.p_share": 0.5, STIFFNESS: 12.345678, MODULUS: 8.1e10}
     written = text_with_values(text, values)
     assert written.startswith('[campaign]\nname = "own"\n')

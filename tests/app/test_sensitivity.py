@@ -94,12 +94,21 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
         (("seeds = 8", "seed = 8"), "seed"),
         (('value = "Eq. 2"', 'value = "Eq/2"'), "name"),
         (("base.toml", "lost.toml"), "lost.toml"),
+        (('without = ["pattern', 'without = ["patern'), "patern"),
     ],
 )
 def test_mistakes_in_a_plan_are_named(change: tuple[str, str], named: str, tmp_path: Path) -> None:
     """Whatever is wrong with a plan is told before anything is computed."""
     path = planned(tmp_path, PLAN.replace(*change))
     with pytest.raises(ConfigurationError, match=named):
+        load_plan(path, str(tmp_path / "all.db"))
+
+
+def test_a_section_that_is_none_is_refused(tmp_path: Path) -> None:
+    """A number where the configuration of a plan has to have a section is named."""
+    path = planned(tmp_path)
+    (tmp_path / "base.toml").write_text("run = 3", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="run"):
         load_plan(path, str(tmp_path / "all.db"))
 
 

@@ -33,15 +33,16 @@ class OftenLockedStore(SqlStore):
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
     monkeypatch.setattr(store_sink, "LOCK_PAUSE", 0.0)
-    told: list[str] = []
+    told: list[tuple[str, bool]] = []
     with OftenLockedStore(parse_address(tmp_path / "one.db")) as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
-        sink = StoreSink(store, [CellKey(1, 5.0)], told.append)
+        sink = StoreSink(store, [CellKey(1, 5.0)], lambda text: told.append((text, sink.busy.locked())))
         store.locked = 3
         sink.store_loss(Batch(0, ((1, 5.0),), 1.0), "killed")
         assert store.attempt_counts()[CellKey(1, 5.0)] == AttemptCount(1, 1)
         assert len(told) == 3
-        assert "Waiting for another process that has locked the database" in told[0]
+        assert "Waiting for another process that has locked the database" in told[0][0]
+        assert all(is_busy for _, is_busy in told)
         monkeypatch.setattr(store_sink, "MOST_PATIENCE", 0.0)
         store.locked = 100
         with pytest.raises(StoreLockedError) as refused:

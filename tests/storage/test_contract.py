@@ -251,6 +251,7 @@ def test_selection(store: SqlStore, records: "Records", selection: Selection, co
         ("vs > 3; DROP TABLE cell", "can't be read"),
         ("__import__('os').system('true')", "not a comparison"),
         ("vs > (1).bit_length()", "neither quantity"),
+        ("vs > {[]}", "neither quantity"),
         ("vs", "not a comparison"),
         ("vs in 3", "needs a list"),
         ("vs is 3", "None only"),

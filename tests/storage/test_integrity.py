@@ -49,33 +49,42 @@ def change(table: str, column: str, value: str, key: str = "cell_id") -> str:
     return f"UPDATE {table} SET {column} = {value} WHERE {key} = {CELL_ID}"  # noqa: S608 - a test's own
 
 
+def remove(table: str) -> str:
+    """Statement that removes the cell's row."""
+    return f"DELETE FROM {table} WHERE cell_id = {CELL_ID}"  # noqa: S608 - a test's own
+
+
 NUMBERS = [
-    change("result", "vs", "vs * (1 + 1e-15)"),
-    change("result", "status", "'unstable'"),
-    change("result", "steps", "steps + 1"),
-    change("result", "vs_first_arrival", "1000.0"),
-    change("result", "packing_index", "1"),
-    change("result", "energy_error", "'text'"),
-    change("result", "retry", "CAST(x'ff00' AS TEXT)"),
-    change("result", "checksum", "NULL"),
-    change("result", "checksum", "'unchecked '"),
-    change("result", "checksum", "replace(checksum, 'signal:', 'signal:1')"),
+    change("result", column, value)
+    for column, value in (
+        ("vs", "vs * (1 + 1e-15)"),
+        ("status", "'unstable'"),
+        ("steps", "steps + 1"),
+        ("vs_first_arrival", "1000.0"),
+        ("packing_index", "1"),
+        ("energy_error", "'text'"),
+        ("retry", "CAST(x'ff00' AS TEXT)"),
+        ("checksum", "NULL"),
+        ("checksum", "'unchecked '"),
+        ("checksum", "replace(checksum, 'signal:', 'signal:1')"),
+    )
 ]
 ARRAYS = [
     change("signal", "samples", "substr(samples, 1, 20) || x'00' || substr(samples, 22)"),
     change("signal", "start_time", "0.5"),
     change("cement_pattern", "pattern", "x''"),
     change("cement_pattern", "cell_id", f"{CELL_ID} + 1000"),
-    f"DELETE FROM signal WHERE cell_id = {CELL_ID}",  # noqa: S608 - a test's own
+    remove("signal"),
 ]
+UNREADABLE_ATTEMPT = change("attempt", "recorded", "'yesterday'")
 PARTS = [
     change("attempt", "host", "'node8'"),
-    change("attempt", "recorded", "'yesterday'"),
+    UNREADABLE_ATTEMPT,
     change("path_features", "path", "'[4, 8, 15, 17]'"),
     change("path_features", "path", "'[4, 8'"),
     change("path_features", "connectivity", "2.67"),
     change("graph_summary", "components", "5"),
-    f"DELETE FROM graph_summary WHERE cell_id = {CELL_ID}",  # noqa: S608 - a test's own
+    remove("graph_summary"),
 ]
 
 
@@ -87,7 +96,9 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         damaged = campaign.cell(seed=1, content=5.0)
         assert (damaged.status, damaged.vs, damaged.signal) == (CellStatus.DAMAGED, None, None)
         assert campaign.cell(seed=2, content=5.0) == records.with_arrays(2)
-        assert set(campaign.store.integrity().cells) == {BAD}
+        found = campaign.store.integrity()
+        assert set(found.cells) == {BAD}
+        assert ("An attempt at a cell is not what was stored." in found.others) == (statement == UNREADABLE_ATTEMPT)
         with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*retry DB --damaged"):
             campaign.signal(seed=1, content=5.0)
         if statement in NUMBERS:
@@ -105,7 +116,7 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         assert not store.integrity().cells
 
 
-@pytest.mark.parametrize("statement", [NUMBERS[0], PARTS[1], ARRAYS[0]])
+@pytest.mark.parametrize("statement", [NUMBERS[0], UNREADABLE_ATTEMPT, ARRAYS[0]])
 def test_a_damaged_cell_is_exported_as_missing(
     database: Path, tmp_path: Path, records: "Records", statement: str
 ) -> None:

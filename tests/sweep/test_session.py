@@ -19,7 +19,7 @@ def test_a_program_alone_has_rank_0_of_1() -> None:
             session.broadcast(None)
         assert session.gather("value") == ["value"]
         called: list[int] = []
-        session.once_per_node(lambda: called.append(1))
+        session.share_on_node([lambda: called.append(1)])
         assert called == [1]
 
 

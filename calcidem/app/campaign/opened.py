@@ -5,13 +5,14 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
@@ -24,12 +25,14 @@ from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
+from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis, diagnose, try_cures
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of, readable_packing
 from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
@@ -41,6 +44,9 @@ from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CementPattern
 from calcidem.storage.sql.store import open_store
+
+if TYPE_CHECKING:
+    from calcidem.app.campaign.plots import CampaignPlots  # imports this module, and matplotlib when it is used
 
 SUFFIXES = (".vtu", ".vtk", ".csv")
 """Formats of the file of a sample."""
@@ -215,9 +221,19 @@ class OpenedCampaign(StoredCampaign):
         >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static < 1.0  # local damping slows the wave
         True
         """
+        return static_speed(*self.cemented(seed=seed, content=content))
+
+    def cemented(self, *, seed: int, content: float) -> tuple[Experiment, Flags]:
+        """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome, or its cement was not kept.
+        """
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
-        return static_speed(experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE)
+        return experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE
 
     def predict(
         self,
@@ -322,6 +338,28 @@ class OpenedCampaign(StoredCampaign):
         """
         return Configuration.from_physics(self.config).experiment(readable_packing(self.store, packing_index))
 
+    def diagnose(
+        self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
+    ) -> tuple[Diagnosis, ...]:
+        """Say of cells without a velocity why they have none, and which values may give them one.
+
+        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its signal.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> for cell in campaign.diagnose():  # all have a velocity
+        ...     print(cell.key, cell.reason, *cell.cures)
+        """
+        return diagnose(self, seed=seed, content=content)
+
+    def try_cures(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[CureTrial, ...]:
+        """Compute so many of these cells again with each of their cures; nothing is written to the database.
+
+        See `calcidem.app.campaign.diagnosis.try_cures`.
+        """
+        return tuple(try_cures(self, diagnoses, count))
+
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
 
@@ -334,6 +372,20 @@ class OpenedCampaign(StoredCampaign):
         True
         """
         return content_hash_of(self.packing(packing_index))
+
+    @cached_property
+    def plot(self) -> "CampaignPlots":
+        """Figures of the campaign, which ``dir(campaign.plot)`` lists.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.plot.vs_range().axes[0].get_xlabel()
+        'calcite content (% of sand mass)'
+        """
+        from calcidem.app.campaign.plots import CampaignPlots  # noqa: PLC0415 - matplotlib takes half a second
+
+        return CampaignPlots(self)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

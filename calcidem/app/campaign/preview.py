@@ -5,6 +5,7 @@ from contextlib import nullcontext
 
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import kept_packing, readable_packing
+from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CellStatus
@@ -39,6 +40,8 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         f"{settled} of them settled; {cells - settled} would be computed, {configuration.run.lanes} side by side."
     )
     yield f"Database: {address}{', new' if is_new else ''}"
+    if note := calibration_note(configuration):
+        yield note
     if packing is None:
         yield "Packing: not made yet, so whether it holds these contents and this wave is checked when the run begins."
         return

@@ -8,7 +8,7 @@ from typing import NoReturn, Protocol
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
 from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.store_sink import HeartbeatProgress
-from calcidem.app.campaign.task import cell_computation, compile_kernels
+from calcidem.app.campaign.task import cell_computation, kernel_compilations
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
@@ -136,6 +136,6 @@ def _end_in_haste(stop_request: StopRequest) -> None:
 
 
 def _compile_on_nodes(session: Session, orders: _Orders) -> None:
-    """Have the kernels compiled once on each node, so that no cell's cost or time limit has it."""
+    """Have each kernel compiled by one rank of each node, so that no cell's cost or time limit has it."""
     if orders.anything_to_do:
-        session.once_per_node(lambda: compile_kernels(orders.configuration, orders.packing))
+        session.share_on_node(kernel_compilations(orders.configuration, orders.packing))

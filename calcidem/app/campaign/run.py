@@ -7,16 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
 from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
-from calcidem.app.campaign.task import cell_computation, compile_kernels, expected_effort
+from calcidem.app.campaign.task import cell_computation, expected_effort, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.checks import check_against_packing
@@ -35,6 +34,9 @@ from calcidem.sweep import (
     plan_batches,
     run_sweep,
 )
+
+if TYPE_CHECKING:
+    from calcidem.app.campaign.opened import OpenedCampaign  # statistics, which the ranks do not need
 
 _LEASE_POLL = 1.0
 """Seconds between two looks at a lease that another machine holds."""
@@ -93,7 +95,8 @@ def run(
         with CampaignRun(configuration, [describe_worker(rank=0)], display.note, watch=reporter.on_packing) as work:
             if work.batches:
                 reporter.begin(RunStage.COMPILING)
-                compile_kernels(configuration, work.packing)
+                for compile_kernel in kernel_compilations(configuration, work.packing):
+                    compile_kernel()
             work.end = run_sweep(
                 None,
                 work.batches,
@@ -104,7 +107,7 @@ def run(
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
             )
             work.store.renew_lease()  # what was stored is still there
-    from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - statistics, which the ranks do not need
+    from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
 
     return open_campaign(configuration.database, configuration.campaign.name)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
-from calcidem.storage.records import CellKey, CellStatus, RunRecord
+from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
 from calcidem.storage.store import Selection
 
 _TROUBLES = (
@@ -19,6 +19,9 @@ _TROUBLES = (
     *(CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
 )
 """Outcomes other than done, the most alarming first."""
+
+UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+"""Outcomes without a velocity that the same computation gives again."""
 
 _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Place of each status, the most alarming first."""
@@ -232,7 +235,8 @@ def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     statuses = campaign.store.statuses() if keys else {}
     found = []
     for key in sorted(keys, key=lambda key: (_URGENCY[statuses[key]], key)):
-        count, reason, retry = attempts[key], reasons.get(key, ""), retries.get(key, "")
+        count = attempts.get(key, AttemptCount())  # a damaged database may have lost its attempts
+        reason, retry = reasons.get(key, ""), retries.get(key, "")
         found.append(Trouble(key, statuses[key], count.attempts, count.losses, reason, retry))
     return tuple(found)
 

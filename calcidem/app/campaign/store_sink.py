@@ -43,7 +43,7 @@ class StoreSink:
     def __init__(self, store: Store, keys: Sequence[CellKey], tell: Tell = lambda _: None) -> None:
         self._store, self._tell = store, tell
         self.busy = Lock()
-        """Held while outcomes are stored."""
+        """Held while another thread than the master's uses the store."""
         self._counts = store.attempt_counts(keys) if keys else {}
 
     @property
@@ -54,8 +54,7 @@ class StoreSink:
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
         """Write the outcomes in one transaction."""
         results = [result for outcome in outcomes for result in self._results(outcome)]
-        with self.busy:
-            self._with_patience(lambda: self._store.record_results(results))
+        self._with_patience(lambda: self._store.record_results(results))
         for result in results:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
@@ -73,18 +72,16 @@ class StoreSink:
         StoreLockedError
             If it keeps the lock for more than ten minutes.
         """
-        begin = time.monotonic()
-        while True:
-            try:
-                found = write()
-            except StoreLockedError as error:
-                waited = time.monotonic() - begin
-                if waited > MOST_PATIENCE:
-                    raise
-                self._tell(f"Waiting for another process that has locked the database ({error.problem})")
-                time.sleep(LOCK_PAUSE)
-            else:
-                return found
+        deadline = time.monotonic() + MOST_PATIENCE
+        with self.busy:
+            while True:
+                try:
+                    return write()
+                except StoreLockedError as error:
+                    if time.monotonic() > deadline:
+                        raise
+                    self._tell(f"Waiting for another process that has locked the database ({error.problem})")
+                    time.sleep(LOCK_PAUSE)
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +36,9 @@ from calcidem.storage.records import (
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, Compute
 
-_SEEDS_REMEMBERED = 64
-"""Seeds whose cement is not drawn again for each content; 0.3 MB each."""
+_SEEDS_REMEMBERED = 512
+"""Seeds whose cement is not drawn again for each content; 0.3 MB and, to draw, half a sample's time each. Contents come
+one after the other, so with more seeds than these none would be found again."""
 
 _AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
@@ -125,14 +126,14 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
         retry=record.retry,
         seconds=measurement.seconds,
-        signal=_signal_of(record) if store_signals else None,
+        signal=stored_signal(record) if store_signals else None,
         cement=CementPattern(
             packing.pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
         ),
     )
 
 
-def _signal_of(record: WaveRecord) -> Signal | None:
+def stored_signal(record: WaveRecord) -> Signal | None:
     """Signals as the store keeps them; None for a record with numbers that are not finite."""
     if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
         return None
@@ -209,16 +210,19 @@ class EnoughSeenError(Exception):
     """Ends a measurement that was only made to have the kernel compiled."""
 
 
-def compile_kernels(configuration: Configuration, packing: Packing) -> None:
-    """Compile the kernels that the campaign needs, by starting samples and ending them at once."""
+def kernel_compilations(configuration: Configuration, packing: Packing) -> list[Callable[[], None]]:
+    """What compiles the kernels that the campaign needs, in any order: samples that are started and ended at once."""
     experiment = configuration.experiment(packing)
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents
-    for content in sorted({min(contents), max(contents)}):
-        if experiment.installation != "preserve":
-            hasty = replace(experiment, wave=replace(experiment.wave, most_settling_steps=1))
-            _run_first_chunk(hasty, content, seed, lanes)
-        _run_first_chunk(replace(experiment, installation="preserve"), content, seed, lanes)
+    experiments = [replace(experiment, installation="preserve")]
+    if experiment.installation != "preserve":
+        experiments.append(replace(experiment, wave=replace(experiment.wave, most_settling_steps=1)))
+    return [
+        partial(_run_first_chunk, chosen, content, seed, lanes)
+        for chosen in experiments
+        for content in sorted({max(contents), min(contents)}, reverse=True)
+    ]
 
 
 def _run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: int) -> None:

@@ -34,7 +34,8 @@ def explain_command(
     """
     from calcidem.app.campaign.opened import open_campaign_of
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.cli.tables import make_console
+    from calcidem.app.cli.tables import make_console, tell
+    from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.checks import check_against_packing, plan_contents
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.findings import measured_errors
@@ -53,6 +54,8 @@ def explain_command(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     check_against_packing(loaded, packing)
+    if note := calibration_note(loaded):
+        typer.echo(note, err=True)
     chosen = loaded.campaign.contents
     seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
     rows = explain(
@@ -61,7 +64,7 @@ def explain_command(
         seeds,
         loaded.run.lanes,
         measured,
-        progress=lambda text: typer.echo(f"Measuring {text}", err=True),
+        progress=lambda text: tell(f"Measuring {text}"),
     )
     console = make_console()
     for value in chosen:

@@ -23,7 +23,7 @@ def init_command(
         ),
     ] = _FIRST,
     full: Annotated[
-        bool, typer.Option("--full", help="With every key there is, its meaning and what it takes.")
+        bool, typer.Option("--full", help="Include every key, with its meaning and the values it takes.")
     ] = False,
 ) -> None:
     """Write an example configuration to start from."""

@@ -30,6 +30,7 @@ PANELS = {
         "status": "Progress of a campaign, even while it runs.",
         "query": "Cells that meet some conditions, as a table or a file.",
         "show": "One cell, with figures.",
+        "diagnose": "Why cells have no velocity, and what to try.",
     },
     "Analyse": {
         "report": "One page with everything.",
@@ -50,6 +51,7 @@ PANELS = {
         "import": "A database from an exported file.",
         "merge": "One database from several of the same campaign.",
         "sample": "One sample for ParaView, or its packing as CSV.",
+        "import-packing": "Disks of another program as a packing's file.",
     },
 }
 """What the list of all commands says of each."""

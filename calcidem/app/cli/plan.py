@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database, OneContent, parse_positive
+from calcidem.app.cli.arguments import CampaignName, Database, OneContent, number_parser
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
@@ -24,7 +24,7 @@ def plan_command(
         float,
         typer.Option(
             "--halfwidth",
-            parser=parse_positive,
+            parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
             metavar="M/S",
             help="Wanted half-width of the 95 % interval of the mean.",
         ),

@@ -10,39 +10,41 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, number_parser, parse_percentage
 from calcidem.storage.records import P_CONTACT, CementPattern
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.analysis.predictor import Prediction, PredictorCheck
 
 
-def _parse_level(text: object) -> float:
-    """Probability that an interval can have; the bounds that Click checks let NaN through."""
-    level = float(str(text)) if str(text).replace(".", "", 1).isdigit() else 0.0
-    if not 0.5 <= level <= 0.999:  # noqa: PLR2004 - beyond them no campaign has the samples
-        raise typer.BadParameter(f"'{text}' is no probability from 0.5 to 0.999.")
-    return level
-
-
 def predict_command(
     database: Database,
     content: Annotated[
         float | None,
-        typer.Option(help="Content of the sample, one of the campaign's, percent; without it all are checked."),
+        typer.Option(
+            parser=parse_percentage,
+            metavar="PERCENT",
+            help="Content of the sample, one of the campaign's; without it all are checked.",
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed whose cement is drawn.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed whose cement is drawn.")] = None,
     pattern: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two numbers of grains a line, from 0 on."),
+        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two grain numbers per line, counted from 0."),
     ] = None,
     feature: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=VALUE", help="Or a feature of its path, such as normalized_connectivity=0.6; repeatable."
+            metavar="NAME=VALUE", help="Or a feature of its path, such as normalized_connectivity=0.6; may be repeated."
         ),
     ] = None,
-    level: Annotated[float, typer.Option(parser=_parse_level, help="Probability of the interval.")] = 0.95,
+    level: Annotated[
+        float,
+        typer.Option(
+            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
+            help="Probability of the interval.",
+        ),
+    ] = 0.95,
     campaign: CampaignName = None,
 ) -> None:
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
@@ -76,10 +78,12 @@ def _read_pattern(path: Path) -> CementPattern:
     """Cemented contacts in a file; which of them are P and which C does not matter to a path."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as source:
-            rows = [[int(entry) for entry in row[:2]] for row in csv.reader(source) if row and row[0].strip().isdigit()]
-        contacts = np.array(rows, dtype=np.int32).reshape(len(rows), 2)
-    except ValueError as error:
-        raise typer.BadParameter(f"{path}: {error}; give two numbers of grains on each line") from error
+            lines = [row[:2] for row in csv.reader(source) if row]
+        if lines and not any(entry.strip().lstrip("-").isdigit() for entry in lines[0]):
+            del lines[0]  # a header
+        contacts = np.array([[int(entry) for entry in row] for row in lines], dtype=np.int32).reshape(len(lines), 2)
+    except (ValueError, OverflowError, csv.Error) as error:
+        raise typer.BadParameter(f"{path}: {error}; give two grain numbers on each line") from error
     return CementPattern(contacts, np.full(len(contacts), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
 from calcidem.app.cli.terminal import printable
 
 
@@ -30,10 +30,16 @@ def run_command(
         ),
     ] = None,
     start_timeout: Annotated[
-        float, typer.Option(min=1.0, metavar="SECONDS", help="With --ranks: time for all ranks to find one another.")
+        float,
+        typer.Option(
+            parser=parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to find one another."
+        ),
     ] = 120.0,
     silence_timeout: Annotated[
-        float, typer.Option(min=1.0, metavar="SECONDS", help="With --ranks: give up a host not heard of for so long.")
+        float,
+        typer.Option(
+            parser=parse_timeout, metavar="SECONDS", help="With --ranks: silence after which a host is given up."
+        ),
     ] = 60.0,
     with_report: Annotated[
         bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")

@@ -8,7 +8,7 @@ from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
-from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf
+from calcidem.app.config.calibrated import calibration_note
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
 from calcidem.sweep.channel import command_listens
@@ -36,11 +36,15 @@ class TerminalView:
         """Report on the packing, and on cores that stay idle."""
         for line in packing_lines(work.packing):
             self.say(line)
+        if note := calibration_note(work.configuration):
+            self.say(note)
         if work.batches and launcher() is None and sys.platform == "linux" and (cores := available_cores()) > 1:
             self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
         """Show the velocities, export them and, if asked for, write the report; in haste show them only."""
+        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # after the cells, not before
+
         configuration, plan = work.configuration, work.configuration.campaign
         self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
         path = parse_address(configuration.database).path

@@ -36,6 +36,7 @@ def sensitivity_command(
 
     With --sobol the numbers in the plan's \[ranges] are varied all together, and shares of the variance are shown.
     """
+    from calcidem.app.cli.tables import tell
     from calcidem.app.studies.sensitivity.plan import load_plan
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
     from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
@@ -44,7 +45,7 @@ def sensitivity_command(
     if sobol is None:
         variants = load_plan(plan, database)
         if not only_table:
-            compute_variants(variants, lambda text: typer.echo(text, err=True))
+            compute_variants(variants, tell)
         table = sensitivity_table(variants, compare_variants(variants))
     else:
         table = _sobol_study(
@@ -62,11 +63,12 @@ def _sobol_study(plan: "SobolPlan", file: Path, out: Path | None, cores: int) ->
     from calcidem.analysis.figures.sensitivity import draw_sobol
     from calcidem.analysis.figures.style import save
     from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.cli.tables import tell
     from calcidem.app.studies.sensitivity.sobol import evaluate_points, indices_of_points, sobol_table, stored_points
 
     if cores:
-        packing = provide_packing(plan.configuration, None, lambda text: typer.echo(text, err=True))
-        points = evaluate_points(plan, packing, file, cores, lambda text: typer.echo(text, err=True))
+        packing = provide_packing(plan.configuration, None, tell)
+        points = evaluate_points(plan, packing, file, cores, tell)
     else:
         points = stored_points(plan, file)
     indices = indices_of_points(plan, points)

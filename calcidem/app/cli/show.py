@@ -17,9 +17,16 @@ def show_command(
     seed: OneSeed,
     content: OneContent,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
+    movie: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Compute the wave again as moving pictures, .gif or .mp4.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie; 15 are shown in a second.")] = 90,
     campaign: CampaignName = None,
 ) -> None:
-    """Show one cell: what was measured and, with --out, its packing, cement, path and signals as figures."""
+    """Show one cell: what was measured and, with --out, its packing, cement, path and signals as figures.
+
+    With --movie its wave goes through the sample: colour is the velocity of the disks, lines are cemented contacts.
+    """
     from calcidem.app.cli.tables import make_console
     from calcidem.app.report import show_cell
 
@@ -30,3 +37,25 @@ def show_command(
     make_console().print(table)
     for file in figures:
         typer.echo(f"Wrote {file}")
+    if movie is not None:
+        _make_movie(database, campaign, seed, content, movie, frames)
+
+
+def _make_movie(database: str, campaign: str | None, seed: int, content: float, file: Path, frames: int) -> None:
+    """Write the movie of a cell, and show on a terminal how far that is."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from calcidem.app.campaign.opened import open_campaign
+
+    with (
+        open_campaign(database, campaign) as opened,
+        Progress(console=Console(stderr=True), transient=True) as progress,
+    ):
+        task = progress.add_task("Movie")
+
+        def watch(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        opened.plot.movie(file, seed=seed, content=content, frames=frames, watch=watch)
+    typer.echo(f"Wrote {file}")

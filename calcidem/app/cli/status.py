@@ -2,14 +2,15 @@
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console, Group
 from rich.live import Live
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, number_parser
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.status import CampaignStatus
@@ -21,7 +22,11 @@ def status_command(
         bool, typer.Option("--watch", help="Refresh until every cell has finished; Ctrl-C ends it.")
     ] = False,
     interval: Annotated[
-        float, typer.Option(min=0.1, max=86400.0, help="Seconds between two refreshes with --watch.")
+        float,
+        typer.Option(
+            parser=number_parser(0.1, 86400.0, "is no number of seconds from 0.1 to 86400"),
+            help="Seconds between two refreshes with --watch.",
+        ),
     ] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Write JSON; with --watch, one object per line.")] = False,
     campaign: CampaignName = None,
@@ -29,19 +34,18 @@ def status_command(
     """Show the progress of a campaign, even while it is running: every cell, Vs so far, time left, what went wrong."""
     from calcidem.app.campaign.status import read_status
 
-    found = _watch_status(database, campaign, interval) if watch else iter([read_status(database, campaign)])
+    read = partial(read_status, database, campaign)
+    found = _until_finished(read, interval) if watch else iter([read()])
     try:
         _show_status(found, as_json=as_json, one_per_line=watch)
     except KeyboardInterrupt:
         typer.echo()
 
 
-def _watch_status(database: str, campaign_name: str | None, interval: float) -> "Iterator[CampaignStatus]":
+def _until_finished(read: "Callable[[], CampaignStatus]", interval: float) -> "Iterator[CampaignStatus]":
     """Status of a campaign every so many seconds, until all its cells have finished."""
-    from calcidem.app.campaign.status import read_status
-
     while True:
-        found = read_status(database, campaign_name)
+        found = read()
         yield found
         if not found.pending:
             return

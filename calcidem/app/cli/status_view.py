@@ -9,8 +9,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calcidem.app.campaign.status import CampaignStatus, ContentStatus, Trouble, worst_status
-from calcidem.app.cli.tables import format_number
+from calcidem.app.campaign.status import UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
+from calcidem.app.cli.tables import MEAN_IN_DOUBT, doubt_mark, format_number
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
@@ -46,6 +46,8 @@ def status_view(status: CampaignStatus, width: int) -> RenderableType:
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
+    if any(doubt_mark(content.counts) for content in status.contents):
+        parts.append(Text(f"  ! {MEAN_IN_DOUBT}"))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
     return Group(*parts)
 
@@ -87,7 +89,7 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
         table.add_row(
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
-            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}",
+            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}{doubt_mark(content.counts)}",
             format_number(content.mean),
             format_number(content.interval.half_width, "+- {:.1f}"),
             format_number(content.deviation),
@@ -136,8 +138,14 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
         yield f"  {_trouble_line(trouble)}"
     if len(status.troubles) > _MOST_TROUBLES:
         yield f"  and {len(status.troubles) - _MOST_TROUBLES} more; 'calcidem query DB --columns all' lists every cell"
-    if any(trouble.reason for trouble in status.troubles):
-        yield "'calcidem retry DB --status STATUS' makes such cells pending again."
+    went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
+    if went_wrong & {*UNREAD}:
+        kinds = " and ".join(_words(kind) for kind in UNREAD if kind in went_wrong)
+        yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' says why, and what to try."
+    for kind in sorted(went_wrong - {*UNREAD, CellStatus.DAMAGED}):
+        yield f"'calcidem retry DB --status {kind}' makes cells that are {_words(kind)} pending again."
+    if CellStatus.DAMAGED in went_wrong:
+        yield "'calcidem retry DB --damaged' makes damaged cells pending again."
 
 
 def _trouble_line(trouble: Trouble) -> str:

@@ -4,7 +4,7 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import typer
@@ -15,6 +15,7 @@ from rich.table import Table
 
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
+from calcidem.app.campaign.status import UNREAD
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection, Store
@@ -72,24 +73,45 @@ def vs_table(store: Store, selection: Selection) -> Table:
     for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
     table.add_column("other cells")
+    doubtful = False
     for content in np.unique(columns["content"]):
         here = columns["content"] == content
         vs = columns["vs"][here].astype(float)
+        mark = doubt_mark(Counter(map(CellStatus, columns["status"][here])))
+        doubtful = doubtful or bool(mark)
         seconds = np.nansum(columns["seconds"][here].astype(float))
         moments = _moments(vs[np.isfinite(vs)])
         table.add_row(
             f"{content:g}",
-            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}",
+            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{mark}",
             *map(format_number, moments),
             format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
             _wavelengths_text(columns["wavelengths_on_path"][here]),
             f"{seconds:.1f}",
             _other_outcomes(columns["status"][here]),
         )
+    remarks = []
     if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
-        table.caption = f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"
-        table.caption_justify = "left"
+        remarks = [f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"]
+    if doubtful:
+        remarks.append(f"! {MEAN_IN_DOUBT}")
+    if any(status in UNREAD for status in columns["status"]):
+        remarks.append("'calcidem diagnose DB' says why cells can't be read, and what to try")
+    if remarks:
+        table.caption, table.caption_justify = "\n".join(remarks), "left"
     return table
+
+
+MEAN_IN_DOUBT = "mean off by more than its standard error if the cells without velocity are the slowest or the fastest"
+
+
+def doubt_mark(counts: Mapping[CellStatus, int]) -> str:
+    """Mark beside the number of cells where those that failed may bias the mean (`calcidem.analysis.outcomes`)."""
+    from calcidem.analysis.outcomes import is_in_doubt  # loads xarray, which no cell waits for
+
+    done = counts.get(CellStatus.DONE, 0)
+    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
+    return " !" if is_in_doubt(done, failed) else ""
 
 
 def _wavelengths_text(on_path: NDArray[np.float64]) -> str:

@@ -69,7 +69,7 @@ def _verify_integrity(database: str, campaign_name: str | None) -> None:
         typer.echo(printable(sentence))
     text = f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages."
     if found.late:
-        text += f" {found.late} were stored by an earlier calcidem: what was damaged before its upgrade shows not."
+        text += f" {found.late} were stored by an earlier calcidem: damage from before its upgrade does not show."
     typer.echo(text)
     if found.cells:
         typer.echo(f"'calcidem retry {database} --damaged' and 'calcidem run' make the damaged cells anew.")

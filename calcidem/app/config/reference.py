@@ -64,7 +64,7 @@ def full_text(preset: str) -> str:
     text = preset_text(preset)
     configuration = read_configuration(tomllib.loads(text))
     lines = [line for line in text.partition("\n\n")[0].splitlines() if "left out" not in line]
-    lines.append("# Keys with a # before them are left out; what holds then is said above them.")
+    lines.append("# Keys that are commented out are not set; the text above them says what then applies.")
     for section, parts in SECTIONS.items():
         lines += ["", f"[{section}]"]
         for key in key_references():

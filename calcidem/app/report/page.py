@@ -16,6 +16,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
+from calcidem.analysis.outcomes import is_in_doubt
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
@@ -198,6 +199,13 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
         remarks.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
             "that does not reject normality proves little."
+        )
+    doubtful = [row for row in analysis.distributions if is_in_doubt(row.vs.n, row.failed)]
+    if doubtful:
+        shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
+        remarks.append(
+            f"So many cells have no velocity at {shares} that the mean is off by more than its standard error if they "
+            "are the slowest or the fastest. The command calcidem diagnose says why they have none, and what to try."
         )
     if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
         remarks.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")

@@ -11,6 +11,7 @@ from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
+from calcidem.storage.records.canonical import flat_parameters
 
 UNKNOWN = "unknown"
 CHOSEN = {
@@ -57,18 +58,7 @@ def parameter_table(config: Mapping[str, Any]) -> Table | None:
 def configuration_table(config: Mapping[str, Any]) -> Table:
     """The whole physical configuration."""
     rows = tuple((key, value_text(value)) for key, value in flat_parameters(config).items())
-    return Table("The whole physical configuration, SI units.", ("parameter", "value"), rows)
-
-
-def flat_parameters(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Give nested keys as one level, joined by points."""
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, dict):
-            flat |= flat_parameters(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+    return Table("The whole physical configuration in SI units.", ("parameter", "value"), rows)
 
 
 def value_text(value: object) -> str:

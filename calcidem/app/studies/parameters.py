@@ -147,12 +147,12 @@ def text_with_values(text: str, values: Mapping[str, float]) -> str:
     for name, value in values.items():
         section, key = name.split(".")
         line = f"{key} = {value:.5g}  # calibrated"
-        body = re.compile(rf"(?ms)^\[{section}\]\s*$(.*?)(?=^\[|\Z)")
+        body = re.compile(rf"(?ms)^\[{section}\][^\n]*$(.*?)(?=^\[|\Z)")
         found = body.search(text)
         if found is None:
             text = f"{text.rstrip()}\n\n[{section}]\n{line}\n"
             continue
-        inside, count = re.subn(rf"(?m)^{key}\s*=.*$", line, found.group(1))
+        inside, count = re.subn(rf"(?m)^[ \t]*{key}\s*=.*$", line, found.group(1))
         if not count:
             inside = f"{inside.rstrip()}\n{line}\n\n"
         text = text[: found.start(1)] + inside + text[found.end(1) :]

@@ -13,7 +13,7 @@ Every operation is a plain one of IEEE 754, in the order it is written: a lane's
 lanes hold nor on how many there are, nor on the processor.
 """
 
-# ruff: noqa: ARG005, PLW0108 - numba wants two levels: the outer function sees types, the inner one is compiled
+# ruff: noqa: ARG005 - numba wants two levels: the outer function sees types, the inner one is compiled
 # mypy: disable-error-code="call-arg, no-untyped-call"
 # Intrinsics are called without the first argument they name.
 
@@ -27,6 +27,7 @@ from calcidem.dem.kernels.compiling import inline
 from calcidem.dem.kernels.vectors import (
     absolute_vector,
     bits_to_mask,
+    compile_as,
     copy_sign,
     fill_with_scalar,
     load_scalar,
@@ -127,20 +128,21 @@ def row(item: Vector, component: Vector) -> Vector:
     return 3 * item + component
 
 
-# The Python bodies above are the meaning, the overloads the machine code.
-overload(load, prefer_literal=True)(
-    lambda array, index, width: lambda array, index, width: load_vector(array, index, width)
-)
-overload(store)(lambda array, index, value: lambda array, index, value: store_vector(array, index, value))
-overload(scalar)(lambda array, index: lambda array, index: load_scalar(array, index))
-overload(fill_lanes, prefer_literal=True)(lambda value, width: lambda value, width: fill_with_scalar(value, width))
-overload(zero_like)(lambda value: lambda value: zero_vector(value))
-overload(mask_of_bits, prefer_literal=True)(lambda bits, width: lambda bits, width: bits_to_mask(bits, width))
-overload(bits_of_mask)(lambda mask: lambda mask: mask_to_bits(mask))
-overload(select)(lambda mask, if_true, if_false: lambda mask, if_true, if_false: select_lanes(mask, if_true, if_false))
-overload(square_root)(lambda value: lambda value: sqrt_vector(value))
-overload(magnitude)(lambda value: lambda value: absolute_vector(value))
-overload(with_sign)(lambda value, sign: lambda value, sign: copy_sign(value, sign))
+# The Python bodies above are the meaning, intrinsics the machine code.
+for _function, _instruction in (
+    (load, load_vector),
+    (store, store_vector),
+    (scalar, load_scalar),
+    (fill_lanes, fill_with_scalar),
+    (zero_like, zero_vector),
+    (mask_of_bits, bits_to_mask),
+    (bits_of_mask, mask_to_bits),
+    (select, select_lanes),
+    (square_root, sqrt_vector),
+    (magnitude, absolute_vector),
+    (with_sign, copy_sign),
+):
+    compile_as(_function, _instruction)
 overload(without_dust)(
     lambda value: (
         (lambda value: select_lanes(absolute_vector(value) < _DUST, 0.0, value))

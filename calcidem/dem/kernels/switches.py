@@ -1,7 +1,8 @@
 """Lets a compiled function take `Features` as an argument whose values are known to the compiler.
 
-The values are part of the argument's *type*, so ``if features.slip:`` costs nothing at run time, each
-combination is compiled and cached once, and with the JIT off the same code reads the plain dataclass.
+The values are part of the argument's *type*, and stand for ``features.slip`` before types are inferred: what is off is
+dropped before anything in it is compiled. Each combination is compiled and cached once, and with the JIT off the same
+code reads the plain dataclass.
 """
 
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
@@ -10,17 +11,9 @@ combination is compiled and cached once, and with the JIT off the same code read
 
 from typing import Any
 
-from numba.core import types
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    NativeValue,
-    infer_getattr,
-    lower_getattr_generic,
-    models,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.core import ir, types
+from numba.core.rewrites import Rewrite, register_rewrite
+from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
 from calcidem.dem.kernels.features import Features
 
@@ -57,21 +50,27 @@ def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
     return NativeValue(context.context.get_dummy_value())
 
 
-@infer_getattr
-class _FeaturesAttributes(AttributeTemplate):
-    """Type of ``features.name``: the literal value itself."""
+@register_rewrite("before-inference")
+class _KnownFeatures(Rewrite):
+    """Puts the value of a switch in the place of ``features.name``."""
 
-    key = _FeaturesType
+    def __init__(self, state: Any) -> None:
+        self._kinds = state.args
 
-    def generic_resolve(self, kind: _FeaturesType, name: str) -> Any:
-        """Literal type of a switch, None for an unknown name."""
-        values = dict(kind.values)
-        return types.literal(values[name]) if name in values else None
+    def match(self, func_ir: Any, block: Any, typemap: Any, calltypes: Any) -> bool:
+        """Whether a block reads a switch of one of the function's arguments."""
+        del typemap, calltypes
+        self._definitions, self._block, self._values = func_ir._definitions, block, {}  # noqa: SLF001 - numba has no other
+        for read in block.find_exprs("getattr"):
+            (owner, *others) = self._definitions[read.value.name]
+            if not others and isinstance(owner, ir.Arg) and isinstance(self._kinds[owner.index], _FeaturesType):
+                self._values[read] = ir.Const(dict(self._kinds[owner.index].values)[read.attr], read.loc)
+        return bool(self._values)
 
-
-@lower_getattr_generic(_FeaturesType)
-def _lower_feature(context: Any, builder: Any, kind: _FeaturesType, value: Any, name: str) -> Any:
-    """Machine code of ``features.name``: a constant."""
-    del value
-    literal = types.literal(dict(kind.values)[name])
-    return context.get_constant_generic(builder, literal, literal.literal_value)
+    def apply(self) -> Any:
+        """The block with the values."""
+        for statement in self._block.find_insts(ir.Assign):
+            if constant := self._values.get(statement.value):
+                statement.value = constant
+                self._definitions[statement.target.name] = [constant]
+        return self._block

@@ -17,7 +17,7 @@ from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv import Conversion
 from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.core.typing.templates import AbstractTemplate, infer_global, make_intrinsic_template
 from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
@@ -161,6 +161,15 @@ for _function, _symbol in (
     _register_comparison(_function, _symbol)
 for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), (operator.invert, "not_")):
     _register_logic(_function, _instruction)
+
+
+def compile_as(function: Any, instruction: Any) -> None:
+    """Have compiled code run an intrinsic where it calls a function of Python.
+
+    An overload would do so too, but compiles a function of its own for every combination of types: most of a kernel's.
+    """
+    template = make_intrinsic_template(function, instruction.__wrapped__, function.__name__, prefer_literal=True)
+    infer_global(function, types.Function(template))
 
 
 def _integers(context: Any, builder: Any, index_type: Any, index: Any) -> list[Any]:

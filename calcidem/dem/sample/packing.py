@@ -373,7 +373,7 @@ def relax(
 
 def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
     """How far a packing is that had these unbalanced-force ratios in its present stage."""
-    lowest = min([_FILLING_RATIO, *(max(ratio, rule.unbalanced_force_ratio) for ratio in ratios)])
+    lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
     pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
     expansion = 0.5 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
     if cost.expansion_step <= cost.expansion_steps:

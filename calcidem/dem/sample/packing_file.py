@@ -1,7 +1,7 @@
 """Packings as CSV files: out for other programs, and in to use one's own disks."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import (
     Cost,
     Packing,
@@ -23,9 +23,9 @@ from calcidem.dem.sample.packing import (
 )
 
 _CSV_COLUMNS = ("x", "y", "radius")
-_LARGEST_OVERLAP = 0.1
+LARGEST_OVERLAP = 0.1
 """Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
-_FEWEST_DISKS = 10
+FEWEST_DISKS = 10
 _FARTHEST = 1e30
 """m; distances of disks and their squares are finite."""
 _LONGEST_SHOWN = 80
@@ -36,11 +36,16 @@ class PackingFileError(PackingError):
 
 
 def write_packing_csv(packing: Packing, file: Path) -> None:
-    """Write the disks of a packing: a head line, then x, y and radius of each in m, in digits that lose nothing."""
+    """Write the disks of a packing as `write_disks_csv` does."""
+    write_disks_csv(packing.x, packing.y, packing.radius, file)
+
+
+def write_disks_csv(x: Floats, y: Floats, radius: Floats, file: Path) -> None:
+    """Write disks: a head line, then x, y and radius of each (N,) in m, in digits that lose nothing."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(_CSV_COLUMNS)
-        writer.writerows(zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True))
+        writer.writerows(zip(x.tolist(), y.tolist(), radius.tolist(), strict=True))
 
 
 def packing_from_csv(
@@ -97,7 +102,7 @@ def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
     """
     x, y, radius, lines = read_disks(file)
     _check_walls(file, lines, x, y, radius, width)
-    _check_overlaps(file, lines, x, y, radius)
+    refuse_deep_overlaps(file, lines, x, y, radius)
     return x, y, radius
 
 
@@ -116,8 +121,8 @@ def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
             rows = list(_numbered_rows(file, stream.read().splitlines()))
     except (OSError, UnicodeDecodeError) as error:
         raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
-    if len(rows) < _FEWEST_DISKS:
-        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {_FEWEST_DISKS}")
+    if len(rows) < FEWEST_DISKS:
+        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
     numbers, values = zip(*rows, strict=True)
     x, y, radius = np.array(values).T
     return x.copy(), y.copy(), radius.copy(), list(numbers)
@@ -156,7 +161,7 @@ def _cells(file: Path, number: int, line: str) -> list[str]:
 def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
     """Refuse disks that reach out of the box."""
     for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
-        out = np.flatnonzero(gap < (1.0 - _LARGEST_OVERLAP) * radius)
+        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
         if len(out):
             disk = out[0]
             beyond = radius[disk] - gap[disk]
@@ -166,13 +171,24 @@ def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Flo
             )
 
 
-def _check_overlaps(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats) -> None:
-    """Refuse disks that lie in one another."""
+def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
+    """Return the pairs (C, 2) of disks (N,) that lie in one another, and how far, m (C,)."""
     centres = np.column_stack([x, y])
     pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
-    distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
-    overlap = radius[pairs].sum(axis=1) - distance
-    deep = np.flatnonzero(overlap > _LARGEST_OVERLAP * radius[pairs].min(axis=1))
+    overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    return pairs[overlap > 0.0], overlap[overlap > 0.0]
+
+
+def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:
+    """Refuse disks that lie in one another by more than a tenth of a radius.
+
+    Raises
+    ------
+    PackingFileError
+        Naming the lines of a pair.
+    """
+    pairs, overlap = overlapping_pairs(x, y, radius)
+    deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))
     if len(deep):
         first, second = sorted(lines[disk] for disk in pairs[deep[0]])
         raise PackingFileError(

@@ -19,9 +19,9 @@ Method = Literal["peak", "first_arrival", "cross_correlation"]
 ReceivedSignal = Literal["velocity", "force"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Experiment:
-    """Everything that samples of many seeds and contents have in common.
+    """Everything that samples of many seeds and contents have in common; equal to itself alone.
 
     Attributes
     ----------

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks, peak_prominences, peak_widths
 
 from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
+from calcidem.dem.wave.tops import find_tops, half_width, prominence
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
 _PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
@@ -33,9 +33,12 @@ _BLUR = 0.16  # of the travel time that the additional width of a peak may be ..
 _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
 _BLURRED = 1.2  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
-_SHIFT = 0.1  # of the travel time by which a P wave of opposite sign may have moved the peak
-_LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
+_SHIFT = 0.07  # of the travel time by which a P wave of opposite sign may have moved the peak
+_LEAN = 0.03  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
+
+PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
+"""Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +119,8 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
     """Take off the zero line, smooth, and measure the sent pulse."""
     sent, received = np.asarray(signals.sent, dtype=float), np.asarray(signals.received, dtype=float)
     top = int(np.argmax(sent))
-    period = 2.0 * float(peak_widths(sent, [top], rel_height=0.5)[0][0])
+    began, ended = half_width(sent, top)
+    period = 2.0 * (ended - began)
     earliest = signals.distance / (rule.fastest * signals.sampling_interval)
     # No straight line is taken off: the short quiet part at the start cannot tell how it would go on.
     received = np.asarray(received - np.median(received[: max(1, int(earliest))]))
@@ -156,7 +160,7 @@ def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFa
 
     The main peak, the reason why it is passed over, or `PickFailure.TOO_SHORT` if only a longer record could tell.
     """
-    for index in find_peaks(record.smooth, height=record.signals.floor)[0].tolist():
+    for index in _find_high_tops(record.smooth, record.signals.floor):
         possible = record.earliest < index - record.sent_peak < record.latest
         yield index, _judge_peak(record, index) if possible else PassedOver.OUTSIDE
 
@@ -178,17 +182,15 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     if ringing:  # or a P wave whose foot the top is: look until the S wave has come
         horizon = int(np.ceil(sent + rule.horizon * (low - sent)))
     view = smooth[:horizon]
-    largest, prominence = float(view.max()), float(peak_prominences(view, [index])[0][0])
-    if height < _ENOUGH * largest:
-        return PassedOver.SMALL  # which, like the next, a longer record cannot change
-    if prominence < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
-        return PassedOver.NOT_PROMINENT
-    far = 0
+    largest, prominent = float(view.max()), prominence(view, index)
+    far = horizon
     if behind_p and travel < _CUTTING * record.period:  # swing and top may be one broad P wave's: the S wave is larger
-        far = int(np.ceil(sent + rule.horizon * travel))
-        if height < _SCATTERED * float(smooth[:far].max()):
-            return PassedOver.SMALL
-    end = max(horizon, far, int(np.ceil(time + record.period)))
+        far = max(far, int(np.ceil(sent + rule.horizon * travel)))
+    if height < max(_ENOUGH * largest, _SCATTERED * float(smooth[:far].max())):
+        return PassedOver.SMALL  # which, like the next, a longer record cannot change
+    if prominent < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
+        return PassedOver.NOT_PROMINENT
+    end = max(far, int(np.ceil(time + record.period)))
     if end + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
     if not ringing and float(view[index:].max()) > height:
@@ -198,47 +200,53 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         return PassedOver.LARGER_FOLLOWS
     quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period if behind_p else np.inf)
     noise = _noise_level(record, horizon, quiet)
-    width = float(peak_widths(view, [index], rel_height=0.5)[0][0]) / (record.period / 2.0)
+    began, ended = half_width(view, index)
+    width = (ended - began) / (record.period / 2.0)
     heard = height * min(1.0, _PERIODS_FOR_NOISE * travel / record.period)
     if width < rule.width or heard <= rule.signal_to_noise * noise:
         return PassedOver.NARROW if width < rule.width else PassedOver.FAINT
+    before = view[: index + 1]
+    precursor = max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height
     if behind_p:
         time = _top_without_p(smooth[:end], trough, index)
-    precursor = float(find_peaks(view[: index + 1], prominence=0.0)[1]["prominences"].max(initial=0.0)) / height
     return MainPeak(
         index=index,
         time=time,
         height=height,
         noise=noise,
         precursor=precursor,
-        quality=min(prominence, height) / largest * max(0.0, 1.0 - precursor),
-        doubt=_doubt(record, view, index, time, trough, behind_p=behind_p, ringing=ringing),
+        quality=min(prominent, height) / largest * max(0.0, 1.0 - precursor),
+        doubt=_doubt(record, view, index, time, behind_p=behind_p, ringing=ringing),
         end=end + record.reach,
     )
 
 
 def _doubt(
-    record: PreparedSignals, view: Floats, index: int, time: float, trough: int, *, behind_p: bool, ringing: bool
+    record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool, ringing: bool
 ) -> PickFailure | None:
-    """Tell why the time of a main peak would be chance; ``trough`` is the deepest sample before it."""
-    height, travel = float(view[index]), index - record.sent_peak
-    if _has_twin(view[:index] if behind_p or ringing else view, height, index, _APART * travel):
-        return PickFailure.UNSURE
-    foot = float(view[: trough + 1].max())
-    if foot > _FOOT * height and -float(view[trough]) > _RINGING * foot:
+    """Tell why the time of a main peak would be chance."""
+    travel = index - record.sent_peak
+    if _may_be_another(record, view, index, behind_p=behind_p, ringing=ringing):
         return PickFailure.UNSURE
     if travel < _BLURRED * record.period and _is_broad(record, view, index):
         return PickFailure.BROAD
     cut = travel < _CUTTING * record.period and _lean(view, index) > _LEAN * record.period
     if behind_p and (cut or index - time > _SHIFT * travel):
         return PickFailure.PRECURSOR
-    if not behind_p and -float(view[trough]) > record.rule.precursor * height:
-        return PickFailure.UNSURE
-    if behind_p and ringing:  # the top may be the P wave's own back-swing
-        return PickFailure.UNSURE
-    if behind_p and _has_twin(view[trough:index], _EARLIER * height / (1.0 - _TWIN), index - trough, _APART * travel):
-        return PickFailure.UNSURE
     return None
+
+
+def _may_be_another(record: PreparedSignals, view: Floats, index: int, *, behind_p: bool, ringing: bool) -> bool:
+    """Whether another top than the main peak may as well be the S wave's."""
+    height, apart, trough = float(view[index]), _APART * (index - record.sent_peak), int(np.argmin(view[: index + 1]))
+    foot, swing = float(view[: trough + 1].max()), -float(view[trough])
+    if foot > _FOOT * height and swing > _RINGING * foot:
+        return True
+    if not behind_p:  # a swing that is as deep but too long ago is no P wave that came with this peak
+        before = view[:index] if ringing else view
+        return swing > record.rule.precursor * height or _has_twin(before, (1.0 - _TWIN) * height, index, apart)
+    # With ringing behind it the peak may be the back-swing of the P wave itself.
+    return ringing or _has_twin(view[trough:index], _EARLIER * height, index - trough, apart)
 
 
 def _lean(view: Floats, index: int) -> int:
@@ -250,10 +258,10 @@ def _lean(view: Floats, index: int) -> int:
 
 def _is_broad(record: PreparedSignals, view: Floats, index: int) -> bool:
     """Whether a faster wave may be part of a peak: it began too early, and not only ended late."""
-    width, _, left, _ = peak_widths(view, [index], rel_height=0.5)
+    began, ended = half_width(view, index)
     travel = index - record.sent_peak
-    before = index - float(left[0]) - record.period / 4.0
-    wide = float(width[0]) - record.period / 2.0 > _BLUR * travel
+    before = index - began - record.period / 4.0
+    wide = ended - began - record.period / 2.0 > _BLUR * travel
     return wide and (before > _BLUR_BEFORE * travel or travel < _FEWEST_PERIODS * record.period)
 
 
@@ -293,10 +301,15 @@ def _mirrored(signal: Floats, top: int) -> Floats:
     return pulse
 
 
-def _has_twin(view: Floats, height: float, index: int, apart: float) -> bool:
-    """Whether a slightly different signal would have its largest value elsewhere, further away than so many samples."""
-    tops = find_peaks(view, height=(1.0 - _TWIN) * height)[0]
-    return bool(np.any(np.abs(tops - index) > apart))
+def _has_twin(view: Floats, least: float, index: int, apart: float) -> bool:
+    """Whether a top at least so high lies further from a sample than so many others."""
+    return any(abs(top - index) > apart for top in _find_high_tops(view, least))
+
+
+def _find_high_tops(view: Floats, least: float) -> list[int]:
+    """Samples of the tops that are at least so high."""
+    tops = find_tops(view)
+    return [int(top) for top in tops[view[tops] >= least]]
 
 
 def _noise_level(record: PreparedSignals, horizon: int, quiet: float) -> float:

@@ -8,13 +8,13 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import cure_of, error_bound, error_parts, expected_error
+from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, error_parts, expected_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 
-_LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
+LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _INEXACT = "the numerical error may be above 5 %"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
@@ -166,11 +166,18 @@ def interpret_record(
     if reading.quality < experiment.least_quality:
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         return Outcome.NO_ARRIVAL, reason, *unread
-    noisy = picks.first_arrival.failure == PickFailure.NOISE
-    expected = expected_error(experiment, record, signals, frequency, reading.travel_time, noisy=noisy)
-    bound = error_bound(experiment, record, frequency, reading.travel_time, noisy=noisy)
-    bound = max(bound, _WORST_OF_HUNDRED * expected)
-    if bound > _LARGEST_BOUND:
-        parts = error_parts(experiment, record, frequency, reading.travel_time, noisy=noisy)
-        return Outcome.NO_ARRIVAL, f"{_INEXACT}: {cure_of(experiment, parts, _LARGEST_BOUND)}", *unread
+    expected, bound, parts = numerical_error(experiment, frequency, record, picks, reading.travel_time)
+    if bound > LARGEST_BOUND:
+        return Outcome.NO_ARRIVAL, f"{_INEXACT}: {cure_of(experiment, parts, LARGEST_BOUND)}", *unread
     return Outcome.DONE, "", reading.velocity, picks, expected, bound
+
+
+def numerical_error(
+    experiment: Experiment, frequency: float, record: WaveRecord, picks: Picks, travel_time: float
+) -> tuple[float, float, ErrorParts]:
+    """Relative error of a velocity to expect, its bound, and the parts of that; Hz and s."""
+    noisy = picks.first_arrival.failure == PickFailure.NOISE
+    expected = expected_error(experiment, record, signals_of(record, experiment), frequency, travel_time, noisy=noisy)
+    bound = error_bound(experiment, record, frequency, travel_time, noisy=noisy)
+    parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
+    return expected, max(bound, _WORST_OF_HUNDRED * expected), parts

@@ -6,12 +6,12 @@ in their cement alone and are computed side by side.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
 from calcidem.dem.engine.assembly import near_pairs
-from calcidem.dem.engine.material import Sand, require
+from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import SKIN, choose_features, start
@@ -123,32 +123,40 @@ def prepare_recorder(
     return Recorder(
         state,
         pulse,
-        stride=_samples_stride(packing, sand, rule, bonds, frequency),
+        stride=_samples_stride(experiment, bonds is not None, frequency),
         listeners=np.sort(rank[listening_disks(packing, rule)]),
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
-        closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(whole, pulse.stroke),
+        closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(experiment, pulse.stroke),
         breakable=rule.most_broken_bonds,
     )
 
 
-def _samples_stride(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None, frequency: float) -> int:
-    """Steps between two samples, the same for all samples of one content.
-
-    It is taken from the step of the fully cemented packing (or the bare one), so that it depends neither on the
-    pattern of a sample nor on its neighbours in the batch.
-    """
-    every = None if bonds is None else replace(bonds, pairs=packing.pairs, lanes=None)
-    scene = wave_scene(packing, sand, rule, every)
-    features = choose_features(scene, rule.regime)
-    limit = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0).critical_time_step[0]
+def _samples_stride(experiment: Experiment, cemented: bool, frequency: float) -> int:
+    """Steps between two samples, the same for all samples of one content."""
+    rule = experiment.wave
+    limit = _limit_of_whole_packing(experiment, cemented)
     return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
-def _closing_gaps(packing: Packing, stroke: float) -> float:
+@lru_cache(maxsize=8)  # for all batches of a campaign: it takes a third of what a batch needs before its first step
+def _limit_of_whole_packing(experiment: Experiment, cemented: bool) -> float:
+    """Stability limit with every contact cemented, or none, s: of no pattern, and of no batch."""
+    rule, installation = experiment.wave, experiment.installation
+    whole, sand = experiment.stiffen()
+    packing = domain_of(whole, rule, installation).packing
+    bonds = Bonds(packing.pairs, experiment.cement, installation=installation) if cemented else None
+    scene = wave_scene(packing, sand, rule, bonds)
+    features = choose_features(scene, rule.regime)
+    return float(start(scene, features=features, preload=packing.preload, steps_per_contact=0.0).critical_time_step[0])
+
+
+@lru_cache(maxsize=32)
+def _closing_gaps(experiment: Experiment, stroke: float) -> float:
     """Pairs with a gap below the stroke of a pulse, over the contacts: they may touch while it passes."""
+    packing = experiment.packing
     near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
     return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 

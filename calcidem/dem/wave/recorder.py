@@ -119,7 +119,7 @@ class Recorder:
     breakable
         See `guards.problems_of`.
     chunks
-        (`SAMPLES_PER_CHUNK`, 2, L) shear force and velocity of each chunk so far.
+        (samples, 2, L) shear force and velocity of each chunk so far.
     nonlinear
         (L,) see `linearity.nonlinear_share`; not a number until the pulse has been sent.
     """
@@ -163,9 +163,9 @@ class Recorder:
                     records[lane] = record
         return [records[lane] for lane in sorted(records)]
 
-    def record_chunk(self) -> Floats:
-        """Advance by one chunk; (samples, 2, L) shear force and velocity."""
-        steps = self.steps_per_look
+    def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> Floats:
+        """Advance by so many samples; (samples, 2, L) shear force and velocity."""
+        steps = samples * self.stride
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
@@ -176,7 +176,7 @@ class Recorder:
             stride=self.stride,
             receiver=RECEIVER,
             listeners=self.listeners,
-            samples=np.zeros((SAMPLES_PER_CHUNK, 2, lanes), dtype),
+            samples=np.zeros((samples, 2, lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
         return recording.samples

@@ -1,4 +1,4 @@
-"""Export of a campaign to one NetCDF-4 file, and the way back."""
+"""Export of a campaign to one NetCDF-4 file."""
 
 import os
 import shutil

@@ -188,12 +188,12 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
     paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
+    # Files of earlier versions lack the quantities that were added since.
+    present = {
+        name: file.variables.get(name, file.variables.get(_FORMER_QUANTITIES.get(name))) for name in _VALUE_NAMES
+    }
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
-        # Files of earlier versions lack the quantities that were added since.
-        present = {
-            name: file.variables.get(name, file.variables.get(_FORMER_QUANTITIES.get(name))) for name in _VALUE_NAMES
-        }
         columns = {
             name: _python_values(name, variable[rows]) for name, variable in present.items() if variable is not None
         }

@@ -35,7 +35,10 @@ def config_difference(stored: str, given: str) -> list[str]:
     >>> config_difference('{"packing": {"friction": 0.2}}', '{"packing": {"friction": 0.5}}')
     ['packing.friction: 0.2 -> 0.5']
     """
-    before, after = _flatten(json.loads(stored)), _flatten(json.loads(given))
+    before, after = (
+        {key: json.dumps(value, ensure_ascii=False) for key, value in flat_parameters(json.loads(text)).items()}
+        for text in (stored, given)
+    )
     absent = "(not there)"
     return [
         f"{key}: {before.get(key, absent)} -> {after.get(key, absent)}"
@@ -44,10 +47,12 @@ def config_difference(stored: str, given: str) -> list[str]:
     ]
 
 
-def _flatten(value: object, prefix: str = "") -> dict[str, str]:
-    if isinstance(value, dict) and value:
-        flat: dict[str, str] = {}
-        for key, item in value.items():
-            flat.update(_flatten(item, f"{prefix}.{key}" if prefix else str(key)))
-        return flat
-    return {prefix: json.dumps(value, ensure_ascii=False)}
+def flat_parameters(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested keys as one level, joined by points."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, dict) and value:
+            flat |= flat_parameters(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat

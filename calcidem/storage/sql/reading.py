@@ -258,23 +258,27 @@ def _arrays_of(session: Session, model: type[Base], cell_ids: Sequence[int]) -> 
 
 def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
     """All attempts at the cells that are as they were stored, by seed, content and number."""
+    return (attempt for _, attempt in _attempts_or_damage(session, cell_ids) if attempt is not None)
+
+
+def _attempts_or_damage(
+    session: Session, cell_ids: Sequence[int]
+) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
+    """Rows of the attempts at some cells, None where one can't be read, and what they stand for, None if damaged."""
     statement = select(CellRow.id, *rows.ATTEMPT_COLUMNS).join(AttemptRow, AttemptRow.cell_id == CellRow.id)
     statement = statement.order_by(*_BY_KEY, AttemptRow.number)
     for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
-        attempt = None if row is None else rows.attempt_from_row(row[1:])
-        if attempt is not None:
-            yield attempt
+        yield row, None if row is None else rows.attempt_from_row(row[1:])
 
 
 def other_damage(session: Session, campaign_id: int) -> list[str]:
     """Sentences on damaged attempts of a campaign, and on what the database itself finds (PRAGMA integrity_check)."""
     sentences = []
-    statement = select(CellRow.id, *rows.ATTEMPT_COLUMNS).join(AttemptRow, AttemptRow.cell_id == CellRow.id)
     cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id)).all()
     for chunk in chunks(cells):
-        for _, row in _readable_rows(session, statement, CellRow.id, chunk):
-            if row is None or rows.attempt_from_row(row[1:]) is None:
-                cell = "cell" if row is None else f"seed {row[1]}, {row[2]} %"
+        for row, attempt in _attempts_or_damage(session, chunk):
+            if attempt is None:
+                cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
                 sentences.append(f"An attempt at {cell} is not what was stored.")
     if session.connection().dialect.name == "sqlite":
         found = session.connection().exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
@@ -325,7 +329,7 @@ def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
 
 def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:
     """See `Store.status_counts`."""
-    columns = table(session, campaign_id, ("content", "status"), Selection(), ())
+    columns = table(session, campaign_id, ("content", "status"), Selection())
     counted = Counter(zip(columns["content"].tolist(), map(CellStatus, columns["status"]), strict=True))
     return dict(sorted(counted.items()))
 

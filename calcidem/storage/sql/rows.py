@@ -104,8 +104,8 @@ class OutcomeColumns:
             head, *values = self._row(row, model)
             if model is AttemptRow and not is_intact(model, owner, values, head):
                 return "its attempt was changed after it had been stored"
-            if model in PARTS and not is_intact_part(model, owner, None if head is None else values, checksum):
-                return f"its {_NAMES_OF_PARTS[model]} was changed after it had been stored, or is missing"
+            if model in PARTS and (damage := _damage_of_part(model, owner, None if head is None else values, checksum)):
+                return damage
         return ""
 
     def result(self, row: Sequence[Any], arrays: Mapping[Any, Mapping[int, Sequence[Any]]] | None = None) -> CellResult:
@@ -124,10 +124,8 @@ class OutcomeColumns:
         """
         damage, found = self.find_damage(row), {}
         for model, of_cells in {} if damage or arrays is None else arrays.items():
-            values = of_cells.get(row[0])
-            if not is_intact_part(model, row[1:3], values, self._row(row, ResultRow)[0]):
-                damage = f"its {_NAMES_OF_PARTS[model]} was changed after it had been stored, or is missing"
-            found[model] = values
+            found[model] = of_cells.get(row[0])
+            damage = damage or _damage_of_part(model, row[1:3], found[model], self._row(row, ResultRow)[0])
         if damage:
             raise DamagedStoreError(damage, "")
         signal, cement = found.get(SignalRow), found.get(CementRow)
@@ -148,6 +146,13 @@ class OutcomeColumns:
     def _part(self, row: Sequence[Any], model: type[Base], kind: type[_P]) -> _P | None:
         head, *values = self._row(row, model)
         return None if head is None else kind(**dict(zip(covered_columns(model), values, strict=True)))
+
+
+def _damage_of_part(model: type[Base], owner: Sequence[object], values: Sequence[object] | None, checksum: str) -> str:
+    """Return what is wrong with a row beside an outcome, as a clause; empty if nothing is (see `is_intact_part`)."""
+    if is_intact_part(model, owner, values, checksum):
+        return ""
+    return f"its {_NAMES_OF_PARTS[model]} was changed after it had been stored, or is missing"
 
 
 def _arrays_in_order(blob: bytes, names: Sequence[str]) -> list[Any]:

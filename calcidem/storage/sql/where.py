@@ -133,7 +133,7 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
         return _quantity(node.id, text)
     try:
         value = ast.literal_eval(node)
-    except ValueError:
+    except (TypeError, ValueError):  # the first of what can't be in a set
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise QueryError(

@@ -75,6 +75,14 @@ def test_damaged_cells_are_shown_and_can_be_selected(complete: Path, invoke: Inv
     assert found.splitlines()[1:] == ["1,5.0,,its numbers were changed after they had been stored"]
 
 
+def test_a_cell_without_its_attempts_is_shown(troubled: Path, invoke: Invoke) -> None:
+    """Status shows what went wrong even if the database has lost how often it was tried."""
+    with sqlite3.connect(troubled, isolation_level=None) as connection:
+        connection.execute("DELETE FROM attempt")
+    connection.close()
+    assert "cells that are quarantined pending again" in invoke("status", troubled)
+
+
 def test_damaged_stands_alone(complete: Path, invoke: Invoke) -> None:
     """Retry --damaged goes with no other choice of cells."""
     assert "stands alone" in invoke("retry", complete, "--damaged", "--seed", 1, exit_code=2)

@@ -17,7 +17,7 @@ def main() -> None:
         elif what == "gather":
             sys.stdout.write(f"{[len(text) for text in session.gather('x' * (session.rank * 100_000))]}\n")
         elif what == "once":
-            session.once_per_node(lambda: sys.stdout.write("once\n"))
+            session.share_on_node([lambda: sys.stdout.write("once\n")])
         elif what == "raise" and session.rank == 1:
             raise RuntimeError("on order")
         elif what == "raise":

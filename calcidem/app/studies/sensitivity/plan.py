@@ -93,7 +93,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
     source = os.fspath(path)
     listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
-    base["run"] = {**base.get("run", {}), "database": database, "store_signals": False}
+    _change(base, "run", {"database": database, "store_signals": False})
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
         Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
@@ -112,7 +112,7 @@ def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]
     """Read a file of variants or ranges, and its configuration with its cells; errors as `load_plan`."""
     listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
-    base["campaign"] = {**base.get("campaign", {}), "seeds": listed.seeds, "contents": listed.contents}
+    _change(base, "campaign", {"seeds": listed.seeds, "contents": listed.contents})
     return listed, read_configuration(base, os.fspath(path))
 
 
@@ -126,16 +126,24 @@ def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
 
 
+def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], without: str = "") -> None:
+    """Change keys of a section, and leave one out; what is no table stays for the reader to refuse."""
+    table = document.setdefault(section, {})
+    if isinstance(table, dict):
+        table.update(values)
+        table.pop(without, None)
+
+
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
     """Variant of the configuration ``base``."""
     document = deepcopy(dict(base))
     for place, value in entry.change.items():
         section, _, key = place.partition(".")
-        document.setdefault(section, {})[key] = value
+        _change(document, section, {key: value})
     for place in entry.without:
         section, _, key = place.partition(".")
-        document.get(section, {}).pop(key, None)
+        _change(document, section, {}, without=key)
     own = {"name": entry.name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
-    document["campaign"] = {**document.get("campaign", {}), **own}
+    _change(document, "campaign", own)
     configuration = read_configuration(document, f"{source}, {entry.name}")
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)

@@ -1,0 +1,350 @@
+"""Disks as other programs write them: LAMMPS data and dump files, text exports of YADE, tables such as PFC's lists."""
+
+import csv
+import gzip
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.sample.packing_file import PackingFileError
+
+_ATOM_STYLES = {
+    "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
+    "bpm/sphere": ("id", "molecule", "type", "diameter", "density", "x", "y", "z"),
+}
+"""Columns of the atom styles of LAMMPS that have a size (manual, command read_data)."""
+
+_IMAGE_FLAGS = 3
+_UNIT_STYLES = {"si": "m", "cgs": "cm", "micro": "um", "nano": "nm"}
+"""Unit of length of those unit styles of LAMMPS that have one a packing may be in (manual, command units)."""
+
+_PLACE = re.compile(
+    r"(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?([xyz])(?:u|pos(?:ition)?|cent(?:er|re))?"
+)
+_SCALED = re.compile(r"([xyz])su?")
+_NAMES_OF = {
+    "radius": {"r", "rad", "radius", "ballradius"},
+    "diameter": {"d", "dia", "diam", "diameter"},
+    "type": {"type", "mat", "matid", "material", "group", "clumpid"},
+    "id": {"id", "ballid"},
+}
+_UNIT_IN_NAME = re.compile(r"[\[(_]\s*(m|cm|mm|um|µm|nm)\s*[\])]?$", re.IGNORECASE)
+_DELIMITERS = ("\t", ";", "|", ",")
+_NUMBERS_OF_A_DISK = 3
+_LONGEST_SHOWN_LINE = 60
+_MOST_SHOWN_STEPS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignDisks:
+    """What a file says, in its own unit and frame.
+
+    Attributes
+    ----------
+    form, evidence
+        What the file was taken for, and why.
+    lines
+        (N,) line of each disk in the file.
+    place
+        (N, 3) centres; without a column z the third is 0.
+    radius
+        (N,).
+    kinds
+        (N,) types, groups or materials, as text; None without such a column.
+    box
+        (3, 2) lowest and highest x, y and z of the box that the file names; None if it names none.
+    unit
+        Unit of length that the file names; empty if it names none.
+    skipped
+        Lines below the first disk that are none.
+    """
+
+    form: str
+    evidence: str
+    lines: Integers
+    place: Floats
+    radius: Floats
+    kinds: tuple[str, ...] | None = None
+    box: Floats | None = None
+    unit: str = ""
+    skipped: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Numbered lines of a file cut into entries, and what their columns are called; the rest as in `ForeignDisks`."""
+
+    form: str
+    evidence: str
+    names: Sequence[str]
+    entries: list[tuple[int, list[str]]]
+    box: Floats | None = None
+    unit: str = ""
+    skipped: list[int] = field(default_factory=list)
+
+
+def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> ForeignDisks:
+    """Read the disks of a file, whose format its content tells.
+
+    Parameters
+    ----------
+    file
+        Text, or such text compressed with gzip.
+    columns
+        Names of the columns from the left, in place of those in the file; what is called otherwise than x, y, z,
+        radius, diameter, type or id is left alone.
+    timestep
+        Which snapshot of a LAMMPS dump; by default the last one.
+
+    Raises
+    ------
+    PackingFileError
+        Naming file, line and cure.
+    """
+    try:
+        content = file.read_bytes()
+        text = (gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content).decode("utf-8-sig")
+    except (OSError, EOFError, UnicodeDecodeError) as error:
+        raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
+    lines = text.splitlines()
+    rows = _recognise(lines, file)(file, lines, timestep)
+    if columns:
+        rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
+    return _disks_of(file, rows)
+
+
+def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows]:
+    """Reader for what the first lines are."""
+    head = next((line for line in lines if line.strip()), "")
+    if head.startswith("ITEM:"):
+        return _read_dump
+    if _find_line(lines, r"\s*\d+\s+atoms\b") is not None and _find_line(lines, r"\s*Atoms\b") is not None:
+        return _read_data
+    if not head:
+        raise PackingFileError(f"{file} is empty; give a file with disks")
+    return _read_yade if re.match(r"#\s*format\s", head) else _read_table
+
+
+def _find_line(lines: list[str], pattern: str) -> int | None:
+    """Index of the first line that begins like a pattern."""
+    return next((index for index, line in enumerate(lines) if re.match(pattern, line)), None)
+
+
+def _read_data(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
+    """Data file of LAMMPS (manual, commands read_data and write_data)."""
+    begin = _find_line(lines, r"\s*Atoms\b") or 0
+    tilt = _find_line(lines[:begin], r".*\bxy\s+xz\s+yz")
+    if tilt is not None and any(float(number) for number in lines[tilt].split()[:3]):
+        raise PackingFileError(f"{file}, line {tilt + 1}: the box is tilted; give disks in a rectangular box")
+    entries = []
+    for number, line in enumerate(lines[begin + 1 :], begin + 2):
+        words = line.split("#")[0].split()
+        if words and not re.match(r"[-+.\d]", words[0]):
+            break  # the next section
+        if words:
+            entries.append((number, words))
+    named = re.match(r"\s*Atoms\s*#\s*(\S+)", lines[begin])
+    style, count = named[1] if named else "sphere", len(entries[0][1]) if entries else 0
+    wanted = len(_ATOM_STYLES.get(style, ()))
+    if not entries or count not in {wanted, wanted + _IMAGE_FLAGS}:
+        raise PackingFileError(
+            f"{file}, line {begin + 1}: '{lines[begin].strip()}' with {count} columns has no sizes of disks; write it "
+            "with atom_style sphere or bpm/sphere, or write a dump with the columns id type x y z radius"
+        )
+    said = "" if named else "; no atom style is named, and sphere taken"
+    bounds = [_find_line(lines[:begin], rf".*\b{axis}lo\s+{axis}hi") for axis in "xyz"]
+    box = None
+    if None not in bounds:
+        box = np.array([[float(word) for word in lines[index or 0].split()[:2]] for index in bounds])
+    units = re.search(r"units\s*=\s*(\w+)", lines[0])
+    return _Rows(
+        "LAMMPS data file",
+        f"line {begin + 1} is '{lines[begin].strip()}'{said}",
+        _ATOM_STYLES[style],
+        entries,
+        box,
+        _UNIT_STYLES.get(units[1], "") if units else "",
+    )
+
+
+def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
+    """One snapshot of a text dump of LAMMPS (manual, command dump)."""
+    starts = [index for index, line in enumerate(lines) if line.startswith("ITEM: TIMESTEP")]
+    steps = [lines[index + 1].strip() for index in starts if index + 1 < len(lines)]
+    if timestep is not None and str(timestep) not in steps:
+        shown = ", ".join(steps) if len(steps) <= _MOST_SHOWN_STEPS else f"{steps[0]}, {steps[1]}, ... {steps[-1]}"
+        raise PackingFileError(f"{file}: timestep = {timestep} is none of its snapshots; choose of {shown}")
+    chosen = len(steps) - 1 if timestep is None else steps.index(str(timestep))
+    begin = starts[chosen]
+    end = starts[chosen + 1] if chosen + 1 < len(starts) else len(lines)
+    items = {line[6:].split(" ")[0]: index for index, line in enumerate(lines[begin:end], begin) if line[:5] == "ITEM:"}
+    if not {"BOX", "ATOMS"} <= items.keys():
+        raise PackingFileError(f"{file}: the snapshot in line {begin + 1} has no atoms; was it cut off?")
+    bounds = lines[items["BOX"]].split()
+    if "xy" in bounds or "abc" in bounds:
+        raise PackingFileError(f"{file}, line {items['BOX'] + 1}: the box is tilted; give disks in a rectangular box")
+    box = np.array([[float(word) for word in line.split()[:2]] for line in lines[items["BOX"] + 1 : items["BOX"] + 4]])
+    units = re.search(r"ITEM: UNITS\n(\w+)", "\n".join(lines[: items["ATOMS"]]))
+    return _Rows(
+        "LAMMPS dump",
+        f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}",
+        lines[items["ATOMS"]].split()[2:],
+        [(number, line.split()) for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)],
+        box,
+        _UNIT_STYLES.get(units[1], "") if units else "",
+    )
+
+
+def _read_yade(_file: Path, lines: list[str], _timestep: int | None) -> _Rows:
+    """Text export of YADE (manual, yade.export.text and textExt)."""
+    first = _find_line(lines, r"#\s*format\s") or 0
+    names = lines[first].split("format", 1)[1].strip().split("_")
+    entries = [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip() and line[:1] != "#"]
+    return _Rows("YADE text export", f"line {first + 1} is '{lines[first].strip()}'", names, entries)
+
+
+def _read_table(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
+    """Table with named columns: CSV with any delimiter, or a list as PFC prints it."""
+    first = next((index for index, line in enumerate(lines) if _has_numbers(_cut(line))), None)
+    if first is None:
+        raise PackingFileError(f"{file} has no line of numbers; give a table with the columns x, y and radius")
+    delimiter, count = _delimiter_of(lines[first]), len(_cut(lines[first]))
+    head, names = next(
+        (
+            (index, names)
+            for index in range(first - 1, -1, -1)
+            if {"x", "y"} <= set(map(_meaning_of, names := _names(lines[index], delimiter, count)))
+        ),
+        (None, []),
+    )
+    entries, skipped = [], []
+    for number, line in enumerate(lines[first:], first + 1):
+        words = _cut(line, delimiter)
+        if line.strip() and line.lstrip()[0] not in "#;%":
+            is_row = len(words) == count or _has_numbers(words)
+            (entries.append((number, words)) if is_row else skipped.append(number))
+    is_pfc = any(re.search(r"\bball\b", line, re.IGNORECASE) for line in lines[:first])
+    units = {found[1].lower() for name in names if (found := _UNIT_IN_NAME.search(name.strip()))}
+    return _Rows(
+        "PFC ball list" if is_pfc else "table",
+        f"line {(head or 0) + 1} names the columns" if names else "its columns have no names",
+        names,
+        entries,
+        unit=units.pop().replace("µ", "u") if len(units) == 1 else "",
+        skipped=skipped,
+    )
+
+
+def _delimiter_of(line: str) -> str:
+    """What separates the entries of a line; empty for white space."""
+    return "" if "(" in line else next((mark for mark in _DELIMITERS if mark in line), "")
+
+
+def _cut(line: str, delimiter: str | None = None) -> list[str]:
+    """Entries of a line; a vector in brackets is several, and where a comma separates nothing it is a decimal one."""
+    delimiter = _delimiter_of(line) if delimiter is None else delimiter
+    if not delimiter:
+        return re.sub(r"[()\[\],]", " ", line).split()
+    words = [word.strip() for word in next(csv.reader([line], delimiter=delimiter), [])]
+    return words if delimiter == "," else [re.sub(r"(?<=\d),(?=\d)", ".", word) for word in words]
+
+
+def _names(line: str, delimiter: str, count: int) -> list[str]:
+    """Names of the columns in a line; one of a vector stands for its components, of which rows of `count` have more."""
+    line = line.strip().lstrip("#;%").strip()
+    if delimiter:
+        return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
+    line = re.sub(r"\b(pos\w*|coord\w*|cent\w*)[\s.:-]+([xyz])\b", r"\1\2", line, flags=re.IGNORECASE)
+    line = re.sub(r"\s+([\[(]\s*\w+\s*[\])])", r"\1", line)  # a unit belongs to the name before it
+    line = re.sub(r"\bball\s+(id|radius)\b", r"\1", line, flags=re.IGNORECASE)
+    names: list[str] = []
+    words = line.replace(",", " ").split()
+    for word in words:
+        is_vector = word.lower() in {"pos", "position", "centroid"}
+        names += ("x", "y", "z")[: 1 + count - len(words)] if is_vector else (word,)
+    return names
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _has_numbers(words: list[str]) -> bool:
+    """Whether a line can be a disk: three numbers or more, and at least half of its entries."""
+    count = sum(map(_is_number, words))
+    return count >= _NUMBERS_OF_A_DISK and 2 * count >= len(words)
+
+
+def _meaning_of(name: str) -> str:
+    """What a column of that name holds; the name itself if nothing that counts."""
+    plain = re.sub(r"[^a-z0-9]", "", _UNIT_IN_NAME.sub("", name.strip()).lower())
+    place = _PLACE.fullmatch(plain)
+    if place:
+        return place[1]
+    if _SCALED.fullmatch(plain):
+        return f"scaled {plain[0]}"
+    return next((quantity for quantity, names in _NAMES_OF.items() if plain in names), name)
+
+
+def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
+    """Disks of rows, in the order of their numbers if they have some."""
+    columns: dict[str, int] = {}
+    for place, name in enumerate(rows.names):
+        columns.setdefault(_meaning_of(name), place)
+    if rows.box is not None:
+        scaled = {axis: columns[f"scaled {axis}"] for axis in "xyz" if f"scaled {axis}" in columns}
+        columns = scaled | columns
+    size = "radius" if "radius" in columns else "diameter"
+    if missing := [name for name in ("x", "y", size) if name not in columns]:
+        raise PackingFileError(
+            f"{file} ({rows.form}) has no column {', '.join(missing).replace('diameter', 'radius or diameter')}; "
+            f"it has {', '.join(rows.names) or 'no names'}. Name them from the left with columns, such as x,y,radius"
+        )
+    numbers = _numbers_of(file, rows, [(name, columns[name]) for name in ("x", "y", "z", size) if name in columns])
+    centres = np.column_stack([numbers.get(axis, np.zeros(len(rows.entries))) for axis in "xyz"])
+    for index, axis in enumerate("xyz"):
+        if rows.box is not None and columns.get(axis) == columns.get(f"scaled {axis}", -1):
+            centres[:, index] = rows.box[index, 0] + centres[:, index] * np.ptp(rows.box[index])
+    identity, kinds = (
+        ["".join(words[columns[name] : columns[name] + 1]) for _, words in rows.entries] if name in columns else []
+        for name in ("id", "type")
+    )
+    order = np.arange(len(rows.entries))
+    if all(word.isdecimal() for word in identity) and len(set(identity)) == len(order):
+        order = np.argsort([int(word) for word in identity], kind="stable")
+    return ForeignDisks(
+        form=rows.form,
+        evidence=rows.evidence,
+        lines=np.array([number for number, _ in rows.entries])[order],
+        place=centres[order],
+        radius=numbers[size][order] * (1.0 if size == "radius" else 0.5),
+        kinds=tuple(kinds[row] for row in order) if kinds else None,
+        box=rows.box,
+        unit=rows.unit,
+        skipped=tuple(rows.skipped),
+    )
+
+
+def _numbers_of(file: Path, rows: _Rows, columns: list[tuple[str, int]]) -> dict[str, Floats]:
+    """Finite numbers (N,) of some columns."""
+    found = np.empty((len(rows.entries), len(columns)))
+    for row, (number, words) in enumerate(rows.entries):
+        try:
+            found[row] = [float(words[place]) for _, place in columns]
+            wrong = not np.isfinite(found[row]).all()
+        except (ValueError, IndexError):
+            wrong = True
+        if wrong:
+            shown = " ".join(words)
+            shown = f"{shown[:_LONGEST_SHOWN_LINE]}{'...' * (len(shown) > _LONGEST_SHOWN_LINE)}"
+            wanted = ", ".join(f"{name} in column {place + 1}" for name, place in columns)
+            raise PackingFileError(f"{file}, line {number}: '{shown}' is no disk; {wanted} have to be finite numbers")
+    return dict(zip((name for name, _ in columns), found.T, strict=True))

@@ -1,0 +1,277 @@
+"""Disks of another program made a file that ``[packing] file`` takes, and a report on what was read."""
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calcidem.app.campaign.foreign_disks import ForeignDisks, read_foreign_disks
+from calcidem.dem.kernels.layout import Flags, Floats
+from calcidem.dem.sample.packing_file import (
+    FEWEST_DISKS,
+    LARGEST_OVERLAP,
+    PackingFileError,
+    overlapping_pairs,
+    refuse_deep_overlaps,
+    write_disks_csv,
+)
+from calcidem.storage.files import write_atomically
+
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+"""Metres in each unit."""
+
+_OUT_OF_PLANE = 0.1
+"""Of its radius: disks farther from the plane of the others are no part of it."""
+_WALL_OVERLAP = 0.01
+"""Of the smallest radius: as deep as disks lie in a wall. As near to a round number, the wall is taken to be there."""
+_LARGEST_SAND = 0.02
+_SMALLEST_SAND = 2e-5
+"""m; mean diameters beyond these are told, since a unit may be meant otherwise."""
+_LOOSE = 1.0
+"""Touching pairs over disks, below which it is told: nothing stands with fewer than 1.5."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedPacking:
+    """What was read from a file, and what became of it; its text is the report.
+
+    Attributes
+    ----------
+    source, out
+        The file that was read, and the one that was written.
+    form, evidence
+        What the source was taken for, and why.
+    x, y, radius
+        (N,) m; left wall and floor are at 0.
+    width, height
+        Of the box: between the walls, and up to the highest disk, m.
+    origin
+        Left wall and floor in the frame of the source, m.
+    left_out
+        Sentences on disks and lines that are not part of it.
+    remarks
+        Sentences on the unit, the walls and what looks strange.
+    pairs
+        Number of touching pairs.
+    mean_overlap, largest_overlap
+        Of them, m; 0 without any.
+    """
+
+    source: Path
+    out: Path
+    form: str
+    evidence: str
+    x: Floats
+    y: Floats
+    radius: Floats
+    width: float
+    height: float
+    origin: tuple[float, float]
+    left_out: tuple[str, ...]
+    remarks: tuple[str, ...]
+    pairs: int
+    mean_overlap: float
+    largest_overlap: float
+
+    @property
+    def porosity(self) -> float:
+        """1 - area of the disks / area of the box."""
+        return 1.0 - float(np.pi * np.sum(self.radius**2)) / (self.width * self.height)
+
+    def __str__(self) -> str:
+        """Report, a line for each thing."""
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        smallest, largest, mean = (2e3 * float(f(self.radius)) for f in (np.min, np.max, np.mean))
+        yield f"Read {self.source}: {self.form} ({self.evidence})"
+        yield from (f"  left out: {sentence}" for sentence in self.left_out)
+        yield f"  {len(self.radius)} disks, diameters {smallest:.4g} to {largest:.4g} mm, mean {mean:.4g} mm"
+        left, floor = self.origin
+        moved = f"left wall and floor were at ({left:.6g}, {floor:.6g}) m" if left or floor else "origin kept"
+        yield f"  box {self.width:.6g} m x {self.height:.6g} m, porosity {self.porosity:.4f}; {moved}"
+        yield (
+            f"  {self.pairs} touching pairs, overlaps: mean {self.mean_overlap:.3g} m, "
+            f"largest {self.largest_overlap:.3g} m"
+        )
+        yield from (f"  {sentence}" for sentence in self.remarks)
+
+
+def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
+    source: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    unit: str | None = None,
+    columns: Sequence[str] = (),
+    types: Sequence[str] = (),
+    plane: str = "xy",
+    walls: Sequence[float] | None = None,
+    timestep: int | None = None,
+) -> ImportedPacking:
+    """Read the disks of another program, and write them as a CSV file that ``[packing] file`` takes.
+
+    Parameters
+    ----------
+    source
+        LAMMPS data file or text dump, text export of YADE, list of PFC, or a table with named columns; its content
+        tells which.
+    out
+        CSV file with x, y and radius in m, floor and left wall at 0.
+    unit
+        Unit of length: m, cm, mm, um or nm. By default what the file says, and m if it says nothing.
+    columns
+        Names of the columns from the left, in place of the file's: x, y, z, radius or diameter, type, id; what is
+        called otherwise is left alone.
+    types
+        Only disks of these types, groups or materials.
+    plane
+        Axes of the source that become x and y.
+    walls
+        Left wall, right wall, floor and lid, in the source's unit and frame; disks that reach beyond are left out. By
+        default the outermost disks touch them, or nearly so those of a box in the file, or round numbers.
+    timestep
+        Which snapshot of a LAMMPS dump; by default the last one.
+
+    Raises
+    ------
+    PackingFileError
+        If the source can't be read as disks, or they lie in one another or in several planes.
+
+    Examples
+    --------
+    >>> print(calcidem.import_packing("dump.sand", "disks.csv", types=["1"]))  # doctest: +SKIP
+    """
+    source, out = Path(source), Path(out)
+    if out.suffix.lower() != ".csv":
+        raise PackingFileError(f"out = '{out}' does not end with .csv; disks are written as CSV")
+    if out.exists() and out.samefile(source):
+        raise PackingFileError(f"out = '{out}' is the file that is read; give another name")
+    found = read_foreign_disks(source, columns, timestep)
+    factor, remarks = _metres(found, unit)
+    axes = _axes(plane)
+    place, radius = found.place[:, axes] * factor, found.radius * factor
+    kept, left_out = _choose_disks(source, found, place, radius, types)
+    bounds = None if found.box is None else found.box[axes[:2]] * factor
+    given = None if walls is None else factor * np.asarray(walls, dtype=float).reshape(2, 2)
+    box, said = _box_of(place[kept, :2], radius[kept], bounds, given)
+    if given is not None:
+        beyond = _reach_beyond(place, radius, box) & kept
+        left_out += [f"{beyond.sum()} disks that reach beyond the walls"] * bool(beyond.any())
+        kept &= ~beyond
+    if kept.sum() < FEWEST_DISKS:
+        reasons = "; ".join(("", *left_out))
+        raise PackingFileError(f"{source} has {kept.sum()} disks{reasons}; at least {FEWEST_DISKS} are needed")
+    x, y = (place[kept, :2] - box[:, 0]).T
+    radius = radius[kept]
+    refuse_deep_overlaps(source, found.lines[kept].tolist(), x, y, radius)
+    pairs, overlap = overlapping_pairs(x, y, radius)
+    with write_atomically(out) as temporary:
+        write_disks_csv(x, y, radius, temporary)
+    return ImportedPacking(
+        source=source,
+        out=out,
+        form=found.form,
+        evidence=found.evidence,
+        x=x,
+        y=y,
+        radius=radius,
+        width=float(np.ptp(box[0])),
+        height=float(np.max(y + radius)),
+        origin=(float(box[0, 0]), float(box[1, 0])),
+        left_out=tuple(left_out),
+        remarks=(*remarks, said, *_suspicions(radius, len(pairs))),
+        pairs=len(pairs),
+        mean_overlap=float(overlap.mean()) if len(pairs) else 0.0,
+        largest_overlap=float(overlap.max(initial=0.0)),
+    )
+
+
+def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
+    """Metres in the source's unit, and where that is from."""
+    if unit is not None and unit not in LENGTH_UNITS:
+        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(LENGTH_UNITS)}; give one of them")
+    if unit is not None:
+        return LENGTH_UNITS[unit], [f"unit {unit}, as given"]
+    if found.unit:
+        return LENGTH_UNITS[found.unit], [f"unit {found.unit}, which the file says"]
+    return 1.0, ["unit m, since the file says none"]
+
+
+def _axes(plane: str) -> list[int]:
+    """Numbers of the axes that become x, y and z."""
+    if len(set(plane)) != len("xy") or not set(plane) <= set("xyz"):
+        raise PackingFileError(f"plane = '{plane}' is no pair of axes; give xy, xz or yz")
+    first, second = ("xyz".index(axis) for axis in plane)
+    return [first, second, 3 - first - second]
+
+
+def _choose_disks(
+    source: Path, found: ForeignDisks, place: Floats, radius: Floats, types: Sequence[str]
+) -> tuple[Flags, list[str]]:
+    """Disks (N,) of the types wanted that have a size and lie in one plane, and sentences on the others."""
+    kept = np.ones(len(radius), dtype=bool)
+    left_out = []
+    if found.skipped:
+        left_out.append(f"{len(found.skipped)} lines that are no disks, the first of them line {found.skipped[0]}")
+    counts = Counter(found.kinds or ())
+    if strange := [kind for kind in types if kind not in counts]:
+        known = ", ".join(sorted(counts)) or "none"
+        raise PackingFileError(f"{source}: no disk has type = '{strange[0]}'; its types are {known}")
+    for kind in sorted(set(counts) - set(types)) if types else ():
+        kept &= np.array(found.kinds) != kind
+        left_out.append(f"{counts[kind]} disks of type {kind}")
+    if (radius < 0.0).any():
+        line = found.lines[np.argmax(radius < 0.0)]
+        raise PackingFileError(f"{source}, line {line}: the radius is negative; give a positive one")
+    sizeless = kept & (radius == 0.0)
+    left_out += [f"{sizeless.sum()} points without a size"] * bool(sizeless.any())
+    kept &= ~sizeless
+    if kept.any():
+        aside = kept & (np.abs(place[:, 2] - np.median(place[kept, 2])) > _OUT_OF_PLANE * radius)
+        if 2 * aside.sum() > kept.sum():
+            extents = ", ".join(f"{axis} {np.ptp(found.place[kept, number]):.3g}" for number, axis in enumerate("xyz"))
+            raise PackingFileError(
+                f"{source}: most disks lie in no common plane (extents in its unit: {extents}); give a packing of one "
+                "layer, and with plane the two axes in which it lies, such as xz"
+            )
+        left_out += [f"{aside.sum()} disks out of the plane of the others"] * bool(aside.any())
+        kept &= ~aside
+    return kept, left_out
+
+
+def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats | None) -> tuple[Floats, str]:
+    """Walls [[left, right], [floor, lid]] in m, and where they are from."""
+    if given is not None:
+        if not (np.diff(given) > 0.0).all():
+            raise PackingFileError("walls have to be left, right, floor and lid, each pair from low to high")
+        return given, "walls as given"
+    if not len(radius):
+        return np.zeros((2, 2)), ""
+    touched = np.stack([(place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)], axis=1)
+    step = 10.0 ** np.floor(np.log10(LARGEST_OVERLAP * radius.min()))
+    rounded = np.round(touched / step) / np.round(1.0 / step) + 0.0  # no -0
+    box = np.where(np.abs(rounded - touched) <= _WALL_OVERLAP * radius.min(), rounded, touched)
+    said = "the outermost disks"
+    if bounds is not None:
+        fits = np.abs(bounds - touched) <= LARGEST_OVERLAP * radius.min()
+        box = np.where(fits, bounds, box)
+        said = "the box in the file" if fits[0].all() and fits[1, 0] else said
+    return box, f"walls from {said}"
+
+
+def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
+    """Disks (N,) that lie in a wall or the lid by more than a disk may."""
+    gap = np.minimum(place[:, :2] - box[:, 0], box[:, 1] - place[:, :2]).min(axis=1)
+    return np.asarray(gap < (1.0 - LARGEST_OVERLAP) * radius)
+
+
+def _suspicions(radius: Floats, pairs: int) -> Iterator[str]:
+    """What looks as if something were meant otherwise."""
+    mean = 2.0 * float(radius.mean())
+    if not _SMALLEST_SAND <= mean <= _LARGEST_SAND:
+        yield f"Is the unit right? A mean diameter of {mean:.3g} m is no sand's."
+    if pairs < _LOOSE * len(radius):
+        yield "Few disks touch: the lid will compress them. Are the sizes radii or diameters as they were read?"

@@ -1,0 +1,159 @@
+"""``calcidem diagnose``: why cells have no velocity, and what to try."""
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
+from calcidem.app.cli.terminal import printable
+from calcidem.sweep.progress import pluralize
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis
+    from calcidem.app.campaign.opened import OpenedCampaign
+
+_MOST_SHOWN = 12
+"""Cells that are shown one by one if none is chosen."""
+
+_WIDTH = 110
+"""Columns of what is printed."""
+
+
+def diagnose_command(
+    database: Database,
+    seed: OnlySeeds = None,
+    content: OnlyContents = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for a picture of each cell's signal.")
+    ] = None,
+    trials: Annotated[
+        int, typer.Option("--try", min=0, metavar="N", help="Compute N of these cells again with each cure.")
+    ] = 0,
+    campaign: CampaignName = None,
+) -> None:
+    """Say of every cell without a velocity why it has none, and which values may give it one.
+
+    A cell that cannot be read gives the same again, so 'calcidem retry' does not help it: its configuration has to
+    change, and that makes another campaign. With --try the cures are computed on some of the cells, beside readable
+    ones of the same content, to see what becomes of their Vs; nothing is written to the database.
+    """
+    from calcidem.app.campaign.diagnosis import diagnose
+    from calcidem.app.campaign.opened import open_campaign
+    from calcidem.app.cli.tables import make_console, tell
+
+    with open_campaign(database, campaign) as opened:
+        found = diagnose(opened, seed=seed, content=content, progress=tell)
+        typer.echo(printable("\n".join(_head_lines(opened, found, chosen=bool(seed or content)))))
+        shown = found if seed or content else found[:_MOST_SHOWN]
+        for diagnosis in shown:
+            typer.echo(printable("\n".join(["", *_cell_lines(diagnosis)])))
+            for file in _save_picture(diagnosis, out):
+                typer.echo(f"  Wrote {file}")
+        if len(shown) < len(found):
+            typer.echo(f"\nand {len(found) - len(shown)} more; choose with --content and --seed")
+        for line in _frequency_lines(opened, found):
+            typer.echo(printable(line))
+        if found and trials:
+            make_console().print(_trial_table(opened, found, trials))
+
+
+def _head_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
+    """How many cells have no velocity, at which contents, and what else there is."""
+    from calcidem.storage.records import CellStatus
+
+    counts: Counter[CellStatus] = Counter()
+    for (_, status), number in campaign.status_counts().items():
+        counts[status] += number
+    total = pluralize(sum(counts.values()), "cell")
+    unread = counts[CellStatus.NO_ARRIVAL] + counts[CellStatus.UNSTABLE]
+    if not unread:
+        yield f"Campaign {campaign.record.name}: none of its {total} was computed without giving a velocity."
+    else:
+        yield f"Campaign {campaign.record.name}: {unread} of {total} can't be read or trusted, nor would they be again."
+    if chosen and unread:
+        yield f"Of the cells chosen these are {len(found)}."
+    elif found:
+        places = Counter(diagnosis.key.content for diagnosis in found)
+        yield "They are " + ", ".join(f"{number} at {content:g} %" for content, number in sorted(places.items())) + "."
+    if others := counts[CellStatus.FAILED] + counts[CellStatus.TIMED_OUT]:
+        yield f"{others} more failed or ran out of time: those 'calcidem retry' makes pending again."
+
+
+def _cell_lines(diagnosis: "Diagnosis") -> Iterator[str]:
+    """Reason, finding and cures of a cell."""
+    key = diagnosis.key
+    yield f"seed {key.seed}, {key.content:g} %: {diagnosis.status.replace('_', ' ')}, {diagnosis.reason}"
+    yield from textwrap.wrap(diagnosis.finding, _WIDTH, initial_indent="  ", subsequent_indent="  ")
+    wide = max(len(str(cure)) for cure in diagnosis.cures)
+    for cure in diagnosis.cures:
+        head = f"    {str(cure).ljust(wide)}   "
+        yield from textwrap.wrap(cure.why, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+
+
+def _save_picture(diagnosis: "Diagnosis", folder: Path | None) -> list[Path]:
+    """Draw the signal of a cell, if a folder is given."""
+    if folder is None:
+        return []
+    from calcidem.analysis.figures.style import save
+
+    name = f"seed{diagnosis.key.seed}_content{diagnosis.key.content:g}_diagnosis"
+    return save(diagnosis.draw(), folder, name, ("png",))
+
+
+def _frequency_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]") -> Iterator[str]:
+    """Frequencies that the cures ask for, as a configuration has them for all contents."""
+    from calcidem.app.campaign.diagnosis import frequency_table
+    from calcidem.app.config.reference import written
+
+    table = frequency_table(campaign, found)
+    if table is None:
+        return
+    yield "\nA frequency is meant for its content. For the whole campaign, under another name:\n"
+    yield "    [wave.frequency]"
+    for key, values in zip(("content", "frequency"), table, strict=True):
+        yield f"    {key} = {written(values)}"
+
+
+def _trial_table(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> Table:
+    """What the cures gave on some cells."""
+    from calcidem.app.campaign.diagnosis import try_cures
+    from calcidem.app.cli.tables import tell
+
+    title = f"Tried on {min(count, len(found))} of {pluralize(len(found), 'cell')}; nothing is stored"
+    table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
+    table.add_column("content %", justify="right", no_wrap=True)
+    table.add_column("set", no_wrap=True)
+    for name in ("have Vs now", "Vs m/s (seed)", "Vs of readable neighbours"):
+        table.add_column(name)
+    for trial in try_cures(campaign, found, count, tell):
+        table.add_row(f"{trial.content:g}", *(printable(text) for text in _trial_entries(trial)))
+    return table
+
+
+def _trial_entries(trial: "CureTrial") -> tuple[str, str, str, str]:
+    """What a cure gave, in the columns of the table."""
+    if trial.refusal:
+        return str(trial.cure), "-", f"refused: {trial.refusal}", "-"
+    velocities = [f"{vs:.0f} ({seed})" for seed, vs in trial.velocities.items() if vs is not None]
+    return (
+        str(trial.cure),
+        f"{trial.cured} of {len(trial.velocities)}",
+        ", ".join(velocities) or "-",
+        _neighbours_text(trial),
+    )
+
+
+def _neighbours_text(trial: "CureTrial") -> str:
+    """How the readable neighbours changed."""
+    if not trial.neighbours:
+        return "there are none"
+    still = [after for _, after in trial.neighbours.values() if after is not None]
+    lost = len(trial.neighbours) - len(still)
+    text = f"{trial.change:+.1%} on {len(still)}" if still else ""
+    return "; ".join(part for part in (text, f"{lost} unreadable now" if lost else "") if part)

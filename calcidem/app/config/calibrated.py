@@ -1,0 +1,51 @@
+"""Calibrated values of the example configurations that are kept for a material that they were not fitted to."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+from calcidem.app.config.presets import PRESETS, preset_text
+from calcidem.app.config.reader import read_configuration
+from calcidem.app.config.reference import written
+from calcidem.app.config.schema import Configuration
+
+_MATERIAL = ("sand.shear_modulus", "sand.poisson_ratio", "cement.bond_modulus", "cement.linear_modulus")
+"""Keys of what values are calibrated to, as `Configuration.physics` has them."""
+
+_MARKED = re.compile(r"^(\w+) = .*# calibrated", re.MULTILINE)
+
+
+def calibration_note(configuration: Configuration) -> str:
+    """Say which values were calibrated for another material, and what to do; empty if none were."""
+    for preset in PRESETS:
+        text = preset_text(preset)
+        fitted, default = read_configuration(tomllib.loads(text)), Configuration()
+        kept = [
+            name
+            for name in _calibrated_keys(text)
+            if _value(configuration, name) == _value(fitted, name) != _value(default, name)
+        ]
+        changed = [name for name in _MATERIAL if _value(configuration, name) != _value(fitted, name)]
+        if kept and changed:
+            values = ", ".join(f"{name} = {written(_value(fitted, name))}" for name in kept)
+            former = ", ".join(f"{name} = {written(_value(fitted, name))}" for name in changed)
+            present = ", ".join(written(_value(configuration, name)) for name in changed)
+            return (
+                f"Note: {values}: calibrated with {former} (preset {preset}), but here that is {present}. Leave what "
+                "was calibrated out, or fit it to measurements of this material with 'calcidem calibrate'."
+            )
+    return ""
+
+
+def _calibrated_keys(text: str) -> Iterator[str]:
+    """``section.key`` of the values of a configuration that its comments call calibrated."""
+    for name, section in tomllib.loads(text).items():
+        part = text.partition(f"[{name}]")[2].partition("\n[")[0]
+        yield from (f"{name}.{key}" for key in _MARKED.findall(part) if key in section)
+
+
+def _value(configuration: Configuration, name: str) -> Any:  # noqa: ANN401 - numbers and words
+    """Value of ``section.key``."""
+    section, key = name.split(".")
+    return configuration.physics[section][key]

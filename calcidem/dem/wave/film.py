@@ -1,0 +1,73 @@
+"""A wave on its way: velocities of all disks at even times, beside the signals that a measurement records."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Flags, Floats
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import WaveRecord
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaveFilm:
+    """What a wave does to the disks that are computed.
+
+    Attributes
+    ----------
+    x, y, radius
+        (N,) m, of these disks at rest.
+    times
+        (F,) s.
+    velocity
+        (F, N) along y, in which the transmitter slides, m/s.
+    record
+        Signals, those of a measurement to the last bit.
+    """
+
+    x: Floats
+    y: Floats
+    radius: Floats
+    times: Floats
+    velocity: Floats
+    record: WaveRecord
+
+
+def film_wave(
+    experiment: Experiment,
+    bonded: Flags,
+    frequency: float,
+    *,
+    frames: int,
+    samples: int | None = None,
+    lanes: int = 8,
+    watch: Callable[[int, int], None] = lambda _done, _all: None,
+) -> WaveFilm:
+    """Send a pulse through one sample, and look at its disks at even times.
+
+    Parameters
+    ----------
+    experiment, bonded, frequency, lanes
+        As for `calcidem.dem.wave.propagation.send_waves`; one sample's contacts.
+    frames
+        How often to look, at most.
+    samples
+        Length of the signals; by default the longest that a measurement would record.
+    watch
+        Told frames done and all frames; may raise to end the run.
+    """
+    recorder = prepare_recorder(experiment, [bonded], frequency, lanes, lambda: None)
+    interval = recorder.stride * float(recorder.state.time_step[0])
+    samples = samples or int(np.ceil(recorder.longest / interval))
+    stride = -(-samples // frames)
+    times, velocity = [], []
+    for begin in range(0, samples, stride):
+        recorder.chunks.append(recorder.record_chunk(min(stride, samples - begin)))
+        times.append(float(recorder.state.time[0]))
+        velocity.append(recorder.state.velocity()[:, 1].astype(np.float32))
+        watch(len(times), -(-samples // stride))
+    scene = recorder.state.scene
+    record = recorder.record_of(0, "")
+    return WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), record)
