@@ -155,10 +155,45 @@ def test_p_wave_that_runs_into_the_s_wave_is_taken_off() -> None:
 
 
 def test_p_wave_that_moved_the_s_wave_is_a_reason() -> None:
-    """Where the swing has moved the peak by 4 % of the travel time, all readings fail, and say why."""
-    picks = read_travel_times(swing_before(0.45, 1.6))
+    """Where the swing has moved the peak by 7 % of the travel time or cut it, all readings fail, and say why."""
+    picks = read_travel_times(swing_before(0.25, 1.8))
     for reading in (picks.peak, picks.first_arrival, picks.cross_correlation):
         assert reading == Reading(failure=PickFailure.PRECURSOR)
+
+
+def test_large_p_wave_that_is_not_symmetric_leaves_the_s_wave_where_it_is() -> None:
+    """A P wave eight times as high, slow to rise and quick to fall, leaves a residual higher than the S wave if taken off."""
+    signals = delayed(200.0, 10e3)
+    top = 0.5e-4 + DISTANCE / 320.0
+    slow, quick = (bump(signals, top, frequency, 8.0 * signals.received.max()) for frequency in (6.7e3, 10e3))
+    p_wave = np.where(np.arange(len(slow)) * signals.sampling_interval < top, slow, quick)
+    assert error(read_travel_times(with_received(signals, signals.received - p_wave)).peak, 200.0) < 0.001
+
+
+def test_ripple_in_front_of_a_broad_wave_is_not_the_s_wave() -> None:
+    """A swing and a top of a few percent, on less than one period of way, are part of the wave that follows."""
+    signals = delayed(450.0, 8e3, longer=2.5)
+    height, middle = signals.received.max(), 0.5 / 8e3
+    ripple = bump(signals, middle + 9.5e-5, 16e3, 0.04 * height) - bump(signals, middle + 3.8e-5, 20e3, 0.03 * height)
+    assert error(read_travel_times(with_received(signals, signals.received + ripple)).peak, 450.0) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("swings", "doubt"),
+    [
+        (((3.1e-4, -1.5, 14e3), (3.9e-4, 0.7, 14e3), (4.3e-4, -0.7, 14e3)), "the back-swing of a P wave"),
+        (((2.275e-4, -0.8, 14e3),), "too late for the P wave before it"),
+        (((3.1e-4, -2.0, 14e3), (4.0e-4, 0.7, 30e3)), "two tops behind a P wave"),
+    ],
+)
+def test_another_top_that_may_be_the_s_wave_is_a_reason(
+    swings: tuple[tuple[float, float, float], ...], doubt: str
+) -> None:
+    """Tops that speeds and signs cannot tell from the S wave are refused."""
+    signals = delayed(200.0, 10e3, longer=1.5)
+    height = signals.received.max()
+    others = sum(bump(signals, 0.5e-4 + time, frequency, size * height) for time, size, frequency in swings)
+    assert read_travel_times(with_received(signals, signals.received + others)).peak.failure == PickFailure.UNSURE, doubt
 
 
 def test_ringing_is_not_taken_for_the_s_wave() -> None:

@@ -80,7 +80,7 @@ class PickRule:
     onset: float = 0.1
     signal_to_noise: float = 4.0
     correlation: float = 0.5
-    smoothing: float = 0.4
+    smoothing: float = 0.25
 
     def __post_init__(self) -> None:
         """Refuse rules that pick nothing or anything."""
