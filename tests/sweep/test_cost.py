@@ -22,7 +22,7 @@ def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> d
 
 
 def test_an_idle_master_sleeps(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
-    """While its workers compute, the master uses less than a tenth of a core; to wait by blocking costs half of one or more."""
+    """While its workers compute, the master uses less than a tenth of a core; one that blocks uses half of it."""
     measured = measure(campaign, batches=4, seconds=2.0, ranks=3)
     share = measured["cpu"] / measured["wall"]
     with capsys.disabled():
