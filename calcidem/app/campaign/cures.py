@@ -302,7 +302,7 @@ def _smaller_error(symptoms: Symptoms) -> Iterator[Cure]:
     else:
         if turning_error(experiment) <= LARGEST_BOUND:
             yield Cure("wave.amplitude", quieter, f"{why}, and goes with the amplitude")
-        if part == "regime":
+        if part in {"regime", "slip"}:
             yield Cure("wave.regime", "finite", "contacts then slip, open and stiffen as they do; it takes longer")
         else:
             yield from _lower_frequency(symptoms)
