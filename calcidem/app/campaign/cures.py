@@ -6,6 +6,7 @@ Nothing here is certain before it is tried, see `calcidem.app.campaign.diagnosis
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,13 +60,14 @@ class Cure:
     def apply(self, experiment: Experiment) -> Experiment:
         """Experiment with this value; `ValueError` where it is impossible."""
         section, key = self.name.split(".")
+        changed: dict[str, Any] = {key: self.value}
         if self.name == "wave.frequency":
             return replace(experiment, frequencies=((0.0, 100.0), (float(self.value),) * 2))
         if section == "wave":
-            return replace(experiment, wave=replace(experiment.wave, **{key: self.value}))
+            return replace(experiment, wave=replace(experiment.wave, **changed))
         if key == "method":
-            return replace(experiment, **{key: self.value})
-        return replace(experiment, pick=replace(experiment.pick, **{key: self.value}))
+            return replace(experiment, **changed)
+        return replace(experiment, pick=replace(experiment.pick, **changed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
