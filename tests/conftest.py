@@ -27,17 +27,13 @@ from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellSt
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
 
-sys.path.append(str(Path(__file__).parent))  # marked_processes.py and chromium.py, which tests use
+sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use
+from places import SMALL_PACKING
 
 SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)
 NOT_COMPUTED = (6, 0.34)
 FAILED = (6, 9.0)
-
-SMALL_PACKING = Path(__file__).with_name("assets") / "small_packing.npz"
-"""280 disks in a box of 30 mm x 60 mm under 5 kPa, seed 6 of the default rule.
-
-It is a file because packing is chaotic: no test may hang on what one draw gives on one processor."""
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from places import TUTORIAL
 
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
@@ -18,8 +19,6 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
-
-TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial" / "quick.db"
 
 PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'
 ERRORS = b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}'

@@ -16,7 +16,6 @@ import tempfile
 import time
 from itertools import product
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import matplotlib as mpl
@@ -29,13 +28,23 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE.parent / "peers"))
 
-from scenes import Floats, as_scene, at_rest, cached_packing, moving, touching_pairs, with_time_step
+from scenes import (
+    Floats,
+    as_scene,
+    at_rest,
+    cached_packing,
+    moving,
+    seconds_of_a_step,
+    started,
+    touching_pairs,
+    with_time_step,
+)
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.leapfrog import Precision, no_recording, run_kernel
+from calcidem.dem.engine.leapfrog import Precision
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import choose_features, start
+from calcidem.dem.engine.state import choose_features
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 
@@ -58,29 +67,14 @@ def tiled(count: int) -> tuple[Floats, Floats, Floats]:
     return x[kept], y[kept], np.tile(stored["radius"], tiles * tiles)[kept]
 
 
-def seconds_of_a_step(count: int, regime: Regime, lanes: int, precision: Precision = "float64") -> dict[str, float]:
+def cost_of_a_step(count: int, regime: Regime, lanes: int, precision: Precision = "float64") -> dict[str, float]:
     """CPU seconds of one step of all lanes, and the contacts it covers."""
     x, y, radius = tiled(count)
     rim = np.minimum.reduce([x, x.max() - x, y, y.max() - y]) - 2.0 * radius
     problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3, skin=0.01), 1e-4), 0.3)
-    scene = as_scene(problem)
-    state = start(
-        scene,
-        features=choose_features(scene, regime, lanes),
-        precision=precision,
-        time_step=problem.time_step,
-        velocity=problem.velocity,
-        spin=problem.spin,
-        skin_fraction=problem.skin,
-    )
-    steps = max(20, 400_000 // count)
-    run_kernel(state, 4, no_recording(state))
-    spent = []
-    for _ in range(ROUNDS):
-        before = time.process_time()
-        done = run_kernel(state, steps, no_recording(state))
-        spent.append((time.process_time() - before) / done)
-    return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": median(spent)}
+    state = started(problem, choose_features(as_scene(problem), regime, lanes), precision)
+    seconds = seconds_of_a_step(state, max(20, 400_000 // count), ROUNDS)
+    return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": seconds}
 
 
 def nanoseconds(row: dict[str, float], lanes: int) -> float:
@@ -92,7 +86,7 @@ def over_grains() -> list[dict[str, Any]]:
     """Kernel time against the number of disks."""
     rows = []
     for regime, count in product(("linear", "finite"), GRAINS):
-        row = seconds_of_a_step(count, regime, 8)  # type: ignore[arg-type]
+        row = cost_of_a_step(count, regime, 8)  # type: ignore[arg-type]
         rows.append({"regime": regime, **row, "ns": nanoseconds(row, 8)})
         print(f"{regime:7} {row['grains']:7} disks {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
     return rows
@@ -102,7 +96,7 @@ def over_lanes() -> list[dict[str, Any]]:
     """Kernel time against the number of samples side by side."""
     rows = []
     for regime, precision, lanes in product(("linear", "finite"), ("float64", "float32"), LANES):
-        row = seconds_of_a_step(4670, regime, lanes, precision)  # type: ignore[arg-type]
+        row = cost_of_a_step(4670, regime, lanes, precision)  # type: ignore[arg-type]
         rows.append({"regime": regime, "precision": precision, "lanes": lanes, "ns": nanoseconds(row, lanes)})
         print(f"{regime:7} {precision} {lanes:2} lanes {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
     return rows

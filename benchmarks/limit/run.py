@@ -14,8 +14,6 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import median
-from time import process_time
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
@@ -23,11 +21,11 @@ sys.path.insert(0, str(HERE.parent / "peers"))
 
 from assembly import assembly_of, fresh_kernel, pair_loop
 from ceilings import Ceilings, measure_ceilings
-from scenes import Problem, as_scene, packing_problem, touching_pairs
+from scenes import Problem, as_scene, packing_problem, seconds_of_a_step, started, touching_pairs
 
-from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.engine.state import choose_features, start
+from calcidem.dem.engine.state import choose_features
 
 LANES = 8
 ROUNDS = 7
@@ -84,41 +82,22 @@ def bandwidth(ceilings: Ceilings, size: int) -> float:
     )
 
 
-def seconds_of_a_step(state: State) -> float:
-    """Median CPU seconds of a step."""
-    run_kernel(state, 20, no_recording(state))
-    spent = []
-    for _ in range(ROUNDS):
-        before = process_time()
-        done = run_kernel(state, STEPS, no_recording(state))
-        spent.append((process_time() - before) / done)
-    return median(spent)
-
-
 def examine(case: str, problem: Problem, regime: Regime, ceilings: Ceilings) -> Report:
     """Measure and count one kernel."""
-    scene = as_scene(problem)
-    state = start(
-        scene,
-        features=choose_features(scene, regime, LANES),
-        time_step=problem.time_step,
-        velocity=problem.velocity,
-        spin=problem.spin,
-        skin_fraction=problem.skin,
-    )
+    state = started(problem, choose_features(as_scene(problem), regime, LANES))
     touching = len(touching_pairs(problem.x, problem.y, problem.radius))
     listed = len(state.assembly.pairs.second)
     kinds = dict(pair_loop(assembly_of(fresh_kernel(state)), "zmm").kinds("zmm"))
     # Divisions and roots share one unit; the other operations have two.
     divider = kinds.get("division", 0) * ceilings.division + kinds.get("square root", 0) * ceilings.square_root
     plain = sum(kinds.get(kind, 0) for kind in ("multiply-add", "other arithmetic", "estimate")) * ceilings.multiply_add
-    grains = scene.count * GRAIN_OPERATIONS[regime] * ceilings.multiply_add
+    grains = state.scene.count * GRAIN_OPERATIONS[regime] * ceilings.multiply_add
     arithmetic = max(listed * divider, listed * plain + grains)
     traffic, size = bytes_of_a_step(state)
     contact_steps = touching * LANES
     return Report(
         case=case,
-        measured=1e9 * seconds_of_a_step(state) / contact_steps,
+        measured=1e9 * seconds_of_a_step(state, STEPS, ROUNDS) / contact_steps,
         arithmetic_floor=arithmetic / contact_steps,
         memory_floor=traffic / bandwidth(ceilings, size) / contact_steps,
         listed_per_touching=listed / touching,

@@ -4,11 +4,11 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from scenes import as_scene, load_problem
+from scenes import as_scene, load_problem, started
 from worker import Engine, serve
 
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel, start_leapfrog
-from calcidem.dem.engine.state import choose_features, start
+from calcidem.dem.engine.state import choose_features
 
 
 class Calcidem(Engine):
@@ -19,9 +19,9 @@ class Calcidem(Engine):
 
     def __init__(self, path: str, regime: str, lanes: str, precision: str, mode: str, velocities: str) -> None:
         self.problem = load_problem(path)
-        self.scene = as_scene(self.problem, rescaling=mode == "1")
-        self.features = choose_features(self.scene, regime, int(lanes))  # type: ignore[arg-type]
-        self.precision = precision
+        self.rescaling, self.precision = mode == "1", precision
+        scene = as_scene(self.problem, rescaling=self.rescaling)
+        self.features = choose_features(scene, regime, int(lanes))  # type: ignore[arg-type]
         self.centred = velocities == "centred"
         self.velocity = "unset"
         self.reset()
@@ -29,14 +29,11 @@ class Calcidem(Engine):
 
     def reset(self) -> None:
         """Make the state of time zero; every lane starts the same."""
-        self.current: State = start(
-            self.scene,
-            features=self.features,
-            precision=self.precision,  # type: ignore[arg-type]
-            time_step=self.problem.time_step,
-            velocity=self.problem.velocity,
-            spin=self.problem.spin,
-            skin_fraction=self.problem.skin,
+        self.current: State = started(
+            self.problem,
+            self.features,
+            self.precision,  # type: ignore[arg-type]
+            rescaling=self.rescaling,
         )
         self.first = self.centred
 

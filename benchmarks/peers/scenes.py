@@ -2,16 +2,20 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from statistics import median
 from tempfile import gettempdir
+from time import process_time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.leapfrog import Precision, State, no_recording, run_kernel
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import choose_features, start
+from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule, make_packing
 
 Floats = npt.NDArray[np.float64]
@@ -97,6 +101,30 @@ def as_scene(problem: Problem, *, rescaling: bool = True) -> Scene:
     )
 
 
+def started(problem: Problem, features: Features, precision: Precision = "float64", *, rescaling: bool = True) -> State:
+    """State of a problem at its beginning, the same in every lane."""
+    return start(
+        as_scene(problem, rescaling=rescaling),
+        features=features,
+        precision=precision,
+        time_step=problem.time_step,
+        velocity=problem.velocity,
+        spin=problem.spin,
+        skin_fraction=problem.skin,
+    )
+
+
+def seconds_of_a_step(state: State, steps: int, rounds: int) -> float:
+    """CPU seconds of one step of all lanes, compiled: median of some rounds of so many steps."""
+    run_kernel(state, 20, no_recording(state))
+    spent = []
+    for _ in range(rounds):
+        before = process_time()
+        done = run_kernel(state, steps, no_recording(state))
+        spent.append((process_time() - before) / done)
+    return median(spent)
+
+
 def cement_of(problem: Problem) -> Cement:
     """Cement whose bonds between disks of equal size have the stiffnesses of the problem."""
     normal, shear, _ = problem.bond_stiffness
@@ -154,10 +182,13 @@ def packing_problem(*, bonded: bool) -> Problem:
     problem = at_rest(x, y, radius, rim < 0.02 * radius, damping=0.3, skin=0.01)
     if not bonded:
         return with_time_step(moving(problem, 1.0e-4), HERTZ_STEP)
-    typical = float(radius.mean())
-    stiffness = Cement().bond_stiffness(np.array([typical]), np.array([typical]))[0]
-    problem = replace(problem, bonds=touching_pairs(x, y, radius), bond_stiffness=stiffness)
-    return with_time_step(moving(problem, 1.0e-4), BOND_STEP)
+    return with_time_step(moving(with_bonds(problem, float(radius.mean())), 1.0e-4), BOND_STEP)
+
+
+def with_bonds(problem: Problem, radius: float) -> Problem:
+    """Same problem with all contacts bonded as if between disks of this radius."""
+    stiffness = Cement().bond_stiffness(np.array([radius]), np.array([radius]))[0]
+    return replace(problem, bonds=touching_pairs(problem.x, problem.y, problem.radius), bond_stiffness=stiffness)
 
 
 def impact_problem(friction: float, *, oblique: bool) -> Problem:
@@ -183,7 +214,4 @@ def lattice_problem(friction: float, speed: float, damping: float, *, bonded: bo
     y = (row * spacing * np.sqrt(0.75)).ravel()
     held = ((column == 0) | (column == columns - 1) | (row == 0) | (row == rows - 1)).ravel()
     problem = at_rest(x, y, np.full(x.size, radius), held, friction=friction, damping=damping)
-    if bonded:
-        stiffness = Cement().bond_stiffness(np.array([radius]), np.array([radius]))[0]
-        problem = replace(problem, bonds=touching_pairs(x, y, problem.radius), bond_stiffness=stiffness)
-    return with_time_step(moving(problem, speed), 0.2)
+    return with_time_step(moving(with_bonds(problem, radius) if bonded else problem, speed), 0.2)

@@ -3,16 +3,26 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph
+from calcidem.storage.campaign import open_stored_campaign
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
+
+
+@pytest.fixture(scope="session")
+def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
+    """Analysis of the small campaign."""
+    with open_stored_campaign(small_database) as campaign:
+        yield CampaignAnalysis(campaign)
 
 
 @pytest.fixture

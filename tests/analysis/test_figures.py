@@ -2,7 +2,6 @@
 
 import struct
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 from string import ascii_lowercase
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from places import TUTORIAL
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
@@ -22,16 +22,6 @@ from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, 
 from calcidem.storage.campaign import open_stored_campaign
 
 pytestmark = pytest.mark.slow
-
-TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
-"""A campaign on the published sand."""
-
-
-@pytest.fixture(scope="module")
-def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
-    """Analysis of the small campaign."""
-    with open_stored_campaign(small_database) as campaign:
-        yield CampaignAnalysis(campaign)
 
 
 @pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)

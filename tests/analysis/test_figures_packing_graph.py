@@ -1,8 +1,6 @@
 """The contact graph of a stored packing, and the products of a whole campaign."""
 
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,15 +8,7 @@ import pytest
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import packing_graph
 from calcidem.app.campaign.packing import stored_packing
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CementPattern
-
-
-@pytest.fixture(scope="module")
-def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
-    """Analysis of the small campaign."""
-    with open_stored_campaign(small_database) as campaign:
-        yield CampaignAnalysis(campaign)
 
 
 def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalysis) -> None:

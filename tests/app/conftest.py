@@ -13,14 +13,12 @@ from pathlib import Path
 
 import pytest
 from marked_processes import MarkedProcesses
+from places import CHECKOUT, SMALL_PACKING
 from typer.testing import CliRunner
 
 from calcidem.app.cli.main import build_application
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.campaign import open_stored_campaign
-
-CHECKOUT = Path(__file__).parents[2]
-SMALL_PACKING = CHECKOUT / "tests" / "assets" / "small_packing.npz"
 
 PATIENCE = 120.0
 """Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""

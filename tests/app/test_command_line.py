@@ -4,11 +4,11 @@ import os
 import subprocess
 import sys
 import venv
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 import xarray as xr
+from places import CHECKOUT
 
 import calcidem
 from calcidem.app.cli.main import COMMANDS
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from conftest import Workshop
 
 pytestmark = pytest.mark.slow
-
-CHECKOUT = Path(__file__).parents[2]
 
 
 def test_help_and_typos_do_not_wait_for_numerical_libraries() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import CHECKOUT
 
 from calcidem.app.cli.main import main
 from calcidem.app.config import schema
@@ -18,7 +19,6 @@ from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-CHECKOUT = Path(__file__).parents[2]
 
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {

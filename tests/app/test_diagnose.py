@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration
 from calcidem.app.report.page import _velocity_remarks
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.main_peak import PERIODS_ASKED
 from calcidem.dem.wave.measurement import measure
@@ -34,8 +36,8 @@ from calcidem.storage.sql.store import open_store
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
 
-def store_campaign(path: Path, configuration: Configuration, packing: Packing, **columns: object) -> Path:
-    """Compute a campaign and store it, some of its cells with other columns."""
+def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_signals: bool = True) -> Path:
+    """Compute a campaign and store it."""
     plan, experiment = configuration.campaign, configuration.experiment(packing)
     with open_store(path) as store:
         physics = canonical_json(configuration.physics)
@@ -45,9 +47,7 @@ def store_campaign(path: Path, configuration: Configuration, packing: Packing, *
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         for content in plan.contents:
             found = measure(experiment, content, plan.seed_numbers)
-            store.record_results(
-                replace(cell_result(cell, experiment, store_signals=True), **columns) for cell in found
-            )
+            store.record_results(cell_result(cell, experiment, store_signals) for cell in found)
     return path
 
 
@@ -118,7 +118,7 @@ def test_signals_that_were_not_stored_are_computed_again(
     unread: Path, impatient: Configuration, small_packing: Packing, tmp_path: Path
 ) -> None:
     """Without stored signals a cell is diagnosed as with them, to the last bit."""
-    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, signal=None)
+    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, store_signals=False)
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
         (one,), (other,) = full.diagnose(seed=2), campaign.diagnose(seed=2)
     assert other.cures == one.cures
@@ -133,8 +133,9 @@ def test_every_reason_has_cures_that_can_be_set(
     """Whatever the reason, something is proposed: keys of the configuration, with values that it accepts."""
     experiment = small_configuration.experiment(small_packing)
     known = {f"{key.section}.{key.name}" for key in key_references()}
-    for regime, verdict, travel in product(("linear", "finite"), (None, *PassedOver), (None, 5e-5)):
-        changed = replace(experiment, wave=replace(experiment.wave, regime=regime), method="first_arrival")
+    for regime, verdict, travel in product(get_args(Regime), (None, *PassedOver), (None, 5e-5)):
+        wave = replace(experiment.wave, regime=regime)
+        changed = replace(experiment, wave=wave, method="first_arrival")
         cures = find_cures(Symptoms(changed, 24e3, failure, verdict, travel))
         assert cures
         assert {cure.name for cure in cures} <= known

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from places import CHECKOUT
 
 if TYPE_CHECKING:
     from conftest import Workshop
 
-CHECKOUT = Path(__file__).parents[2]
 FULL = pytest.mark.full
 
 pytestmark = [

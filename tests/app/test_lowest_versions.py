@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from places import CHECKOUT
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -23,7 +24,6 @@ pytestmark = [
     ),
 ]
 
-CHECKOUT = Path(__file__).parents[2]
 TOOLS = ("pytest", "pytest-xdist", "hypothesis")
 
 TESTS = (

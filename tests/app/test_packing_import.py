@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +192,7 @@ SPREAD = "x,y,z,radius\n" + lines_of(np.insert(LATTICE, 2, LATTICE[:, 1], axis=1
         ("1 2 3\n" * 20, {}, ("no column x, y, radius or diameter", "columns, such as x,y,radius")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 0.1 0.1x\n", {}, ("line 110", "'0.1 0.1 0.1x' is no disk")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 nan 0.1\n", {}, ("line 110", "finite")),
+        ("x y r\n" + lines_of(LATTICE) + "0.1 1e99 0.1\n", {}, ("line 110", "finite")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 0.1 -0.1\n", {}, ("line 110", "negative")),
         ("x y r\n" + lines_of(LATTICE[:5]), {}, ("has 5 disks", "at least 10")),
         ("x y r\n" + lines_of(LATTICE) * 2, {}, (", lines ", "overlap by 0.00219")),
@@ -214,6 +216,17 @@ def test_what_is_wrong_names_the_place_and_the_cure(
     assert not [word for word in words if word not in str(caught.value)], caught.value
     assert exit_code_of(caught.value) == 2
     assert not (tmp_path / "disks.csv").exists()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_was_cut_off_is_refused(name: str, tmp_path: Path) -> None:
+    """Wherever it ends, a file is bad input or a table with fewer disks; LAMMPS says how many there should be."""
+    form, text = FILES[name][0], FILES[name][1]()
+    text = text[max(0, text.rfind("ITEM: TIMESTEP")) :]
+    for length in range(0, len(text) - 30, len(text) // 60):
+        with suppress(PackingFileError):
+            assert len(bring(tmp_path, text[:length]).x) < 108
+            assert "LAMMPS" not in form
 
 
 def test_strange_sizes_are_remarked(tmp_path: Path) -> None:

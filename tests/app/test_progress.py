@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from places import CHECKOUT
 from rich.console import Console
 
 import calcidem
@@ -31,7 +32,6 @@ from calcidem.sweep.starter import DESCRIPTOR_VARIABLE
 if TYPE_CHECKING:
     from conftest import Workshop
 
-CHECKOUT = Path(__file__).parents[2]
 PLACE = Place(rank=2, host="node7")
 BATCHES = [
     Batch(number, ((1, content), (2, content)), cost=1.0 + number, group=content)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from places import TUTORIAL
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
@@ -28,7 +29,6 @@ from calcidem.storage.errors import UnknownCellError
 pytestmark = pytest.mark.slow
 
 VOID = {"meta", "link", "img", "br", "input"}
-TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "quick.db"
 """A campaign on the published sand; the small one is on a sand of its own."""
 
 

@@ -6,14 +6,12 @@ import platform
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from places import CHECKOUT
 
 from calcidem.app.campaign.workers import describe_doubt, describe_unlike, describe_worker, group_workers
 from calcidem.storage.records import WorkerRecord
-
-CHECKOUT = Path(__file__).parents[2]
 
 DESCRIBE = """
 import json

@@ -9,6 +9,9 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing, PackingReport
 
 RADIUS = 1.0e-3
+SPACING = 2.0 * RADIUS * (1.0 - 1e-3)
+"""Of chains and lattices whose disks overlap, so that the contacts have a stiffness."""
+
 SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see
 
 # Each combination of features is compiled once, some seconds each, so tests share a few.
@@ -25,6 +28,13 @@ def pair_scene(gap: float = 0.0, second_radius: float = RADIUS, **options: objec
     """Two disks side by side along x, ``gap`` apart (negative: overlapping)."""
     radius = np.array([RADIUS, second_radius])
     return Scene(x=np.array([0.0, radius.sum() + gap]), y=np.zeros(2), radius=radius, **options)  # type: ignore[arg-type]
+
+
+def contact_stiffness() -> tuple[float, float]:
+    """Normal and shear stiffness (N/m) of contacts of `SOFT` disks `SPACING` apart."""
+    radius = np.array([RADIUS])
+    normal = 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt(2.0 * RADIUS - SPACING)
+    return normal, SOFT.shear_ratio * normal
 
 
 def hexagonal(columns: int, rows: int, spacing: float) -> tuple[Floats, Floats]:

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from scenes import LINEAR, RADIUS, SOFT
+from scenes import LINEAR, RADIUS, SOFT, SPACING
 
 from calcidem.dem.engine.leapfrog import no_recording, run_kernel
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.state import start
 
-SPACING = 2.0 * RADIUS * (1.0 - 1e-3)
 WIDTH = 12.0 * SPACING  # of the front: a chain is slower than the continuum by (a / width)^2 / 24 or so
 COUNT = 400
 WATCHED = (180, 240)  # passed before what the free end behind the front sends, at c sqrt(1 + alpha), catches up

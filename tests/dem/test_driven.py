@@ -5,7 +5,7 @@ from dataclasses import replace
 import naive
 import numpy as np
 import pytest
-from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
+from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_stiffness, jumble, throw
 
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.leapfrog import Precision, State, run_in_place
@@ -20,7 +20,6 @@ from calcidem.dem.wave.domain import driven_disks
 from calcidem.dem.wave.guards import broken_bonds, cheap_limit, problems_of
 from calcidem.dem.wave.rule import WaveRule
 
-SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
 COUNT, STEPS = 40, 300
 FULL_KINDS: list[tuple[Regime, Precision]] = [("linear", "float32"), ("finite", "float64"), ("finite", "float32")]
 
@@ -62,19 +61,12 @@ def row_of_disks(along_y: bool, *, rotation: bool) -> Scene:
     return Scene(x, y, np.full(COUNT, RADIUS), SOFT, (wall,), held=np.arange(COUNT) == 0, rotation=rotation)
 
 
-def stiffness() -> tuple[float, float]:
-    """Normal and shear stiffness of the contacts."""
-    radius = np.array([RADIUS])
-    normal = 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt(2.0 * RADIUS - SPACING)
-    return normal, SOFT.shear_ratio * normal
-
-
 @pytest.mark.parametrize("heard", [0, 1, 20])
 def test_a_driven_end_of_a_chain_sends_its_pulse_one_disk_further_each_step(heard: int) -> None:
     """At dt = sqrt(m / k) leapfrog solves the wave equation of a chain exactly: disk n is n steps late."""
     scene = row_of_disks(along_y=True, rotation=False)
     state = start(scene, features=features_for(scene, "linear", 8), step_fraction=1.0)
-    assert state.time_step[0] * np.sqrt(stiffness()[0] / scene.mass[0]) == pytest.approx(1.0, rel=1e-11)
+    assert state.time_step[0] * np.sqrt(contact_stiffness()[0] / scene.mass[0]) == pytest.approx(1.0, rel=1e-11)
     drive = pulses(8)
     _, found = send(state, drive, [0], heard)
     expected = np.concatenate([np.zeros((heard, 8)), drive[: STEPS - heard]])
@@ -115,7 +107,7 @@ def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int)
     scene = row_of_disks(along_y=False, rotation=True)
     state = start(scene, features=features_for(scene, "linear", 8), step_fraction=0.5)
     drive = pulses(8)
-    courant = float(state.time_step[0] * np.sqrt(stiffness()[1] / scene.mass[0]))
+    courant = float(state.time_step[0] * np.sqrt(contact_stiffness()[1] / scene.mass[0]))
     end, found = send(state, drive, [0], heard)
     assert end.rotation()[0] == 0.0
     assert np.abs(end.rotation()[1:]).min() > 0.0

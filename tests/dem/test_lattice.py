@@ -2,24 +2,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import LINEAR, RADIUS, SOFT, hexagonal
+from scenes import LINEAR, RADIUS, SOFT, SPACING, contact_stiffness, hexagonal
 
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
 
-SPACING = 2.0 * RADIUS * (1.0 - 1e-3)  # overlaps, so that the contacts have a stiffness
 EIGHT = replace(LINEAR, lanes=8)  # four of them are used
 WAVELENGTH = 20.0 * SPACING
 LANES = ((0, 0), (0, 1), (1, 1), (1, 0))  # direction of travel and of motion: P and S along x, P and S along y
-
-
-def stiffness() -> tuple[float, float]:
-    """Normal and shear stiffness of all contacts."""
-    radius = np.array([RADIUS])
-    normal = 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt(2.0 * RADIUS - SPACING)
-    return normal, SOFT.shear_ratio * normal
 
 
 def standing_waves(x: Floats, y: Floats, wavelength: float) -> Floats:
@@ -48,7 +40,7 @@ def standing_waves(x: Floats, y: Floats, wavelength: float) -> Floats:
 
 def quarter_period(wavelength: float) -> float:
     """A little more than a quarter of the period of the slowest wave looked at here, s."""
-    slowest = SPACING * np.sqrt(stiffness()[1] / (2.0 * SOFT.density * np.pi * RADIUS**2))
+    slowest = SPACING * np.sqrt(contact_stiffness()[1] / (2.0 * SOFT.density * np.pi * RADIUS**2))
     return 1.2 * wavelength / (4.0 * slowest)
 
 
@@ -66,7 +58,7 @@ def signals(state: State, disk: int, duration: float) -> Floats:
 
 def test_waves_in_a_hexagonal_lattice_travel_at_the_speeds_of_theory() -> None:
     """c_s^2 = 3/8 (k_n + k_s) a^2 / m and c_p^2 = 3/8 (3 k_n + k_s) a^2 / m, along x as along y."""
-    normal, shear = stiffness()
+    normal, shear = contact_stiffness()
     scale = 0.375 * SPACING**2 / (SOFT.density * np.pi * RADIUS**2)
     p, s = np.sqrt(scale * (3.0 * normal + shear)), np.sqrt(scale * (normal + shear))
     speeds = standing_waves(*hexagonal(43, 49, SPACING), WAVELENGTH)
@@ -77,7 +69,7 @@ def test_waves_in_a_hexagonal_lattice_travel_at_the_speeds_of_theory() -> None:
 
 def test_waves_along_the_axes_of_a_square_lattice_travel_at_the_speeds_of_theory() -> None:
     """c_p^2 = k_n a^2 / m and, because the disks turn, c_s^2 = k_s a^2 / (2 m)."""
-    normal, shear = stiffness()
+    normal, shear = contact_stiffness()
     scale = SPACING**2 / (SOFT.density * np.pi * RADIUS**2)
     p, s = np.sqrt(scale * normal), np.sqrt(scale * shear / 2.0)
     column, row = np.meshgrid(np.arange(51.0), np.arange(51.0))
@@ -103,7 +95,7 @@ def test_a_chain_has_the_dispersion_of_the_leapfrog_grid(mode: int) -> None:
     for step in range(steps):
         place[step] = state.motion.displacement[:, 0, 0]
         run_kernel(state, 1, no_recording(state))
-    frequency = np.sqrt(stiffness()[0] / scene.mass[0])
+    frequency = np.sqrt(contact_stiffness()[0] / scene.mass[0])
     angle = 2.0 * np.arcsin(dt * frequency * np.sin(0.5 * q * SPACING))
     expected = dt / np.sin(angle) * np.sin(angle * np.arange(1, steps + 1))[:, None] * shape
     # 500 steps of roundings, a hundredfold amplified by the other modes they excite.

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from naive import Twin, add_pair, make_twin
-from scenes import LINEAR, RADIUS, SOFT, SOFT_CEMENT, hexagonal
+from scenes import LINEAR, RADIUS, SOFT, SOFT_CEMENT, SPACING, hexagonal
 
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -16,8 +16,6 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
-
-SPACING = 2.0 * RADIUS * (1.0 - 1e-3)
 
 
 def rows_of(columns: int, rows: int) -> list[Integers]:

@@ -65,7 +65,9 @@ def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
         for name, table in Base.metadata.tables.items():  # what alembic does not compare
             constraints = table.constraints.union(*(column.constraints for column in table.columns))
             checks = {str(check.name) for check in constraints if isinstance(check, CheckConstraint)}
-            assert {check["name"] for check in found.get_check_constraints(name)} == checks
+            # SQLAlchemy 2.0.30 takes what follows a column's constraint in SQLite for a part of its name.
+            reflected = " ".join(f"{check['name']} {check['sqltext']}" for check in found.get_check_constraints(name))
+            assert set(re.findall(r"\bck_\w+", reflected)) == checks
 
 
 @pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004", "0005"])

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from marked_processes import MarkedProcesses
+from places import CHECKOUT
 
 from calcidem.app.campaign.launch import NO_LISTENER, starter_command
 from calcidem.sweep import Batch, BatchOutcome
@@ -23,7 +24,6 @@ from calcidem.sweep.rank_watch import RankWatch
 from calcidem.sweep.starter import COMMAND_VARIABLE
 
 PROGRAMS = Path(__file__).parent / "programs"
-CHECKOUT = Path(__file__).parents[2]
 CONTENTS = (0.0, 2.55, 9.0)
 Values = dict[tuple[int, float], str]
 

@@ -1,4 +1,4 @@
-"""What the scheduler itself costs. The rates are printed, since a shared machine allows no sharper limits."""
+"""What the scheduler itself costs, in CPU time, which a busy machine changes least."""
 
 import json
 from typing import TYPE_CHECKING
@@ -22,24 +22,21 @@ def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> d
 
 
 def test_an_idle_master_sleeps(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
-    """While its workers compute, the master uses less than 3 % of a core."""
+    """While its workers compute, the master uses less than a tenth of a core; one that blocks uses half of it."""
     measured = measure(campaign, batches=4, seconds=2.0, ranks=3)
     share = measured["cpu"] / measured["wall"]
     with capsys.disabled():
         print(f"\nidle master: {share:.2%} of a core over {measured['wall']:.1f} s")  # noqa: T201 - see above
-    assert share < 0.03
+    assert share < 0.1
 
 
 @pytest.mark.parametrize("ranks", [2, 4])
 def test_the_dispatch_rate_is_far_above_the_need(
     campaign: "Campaign", ranks: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Even one worker on a busy machine gets more than 200 empty batches a second; real ones take seconds."""
+    """An empty batch costs the master less than 2 ms of CPU time; real ones take a worker seconds."""
     measured = measure(campaign, batches=3000, seconds=0.0, ranks=ranks)
-    rate = measured["cells"] / measured["wall"]
+    cost = measured["cpu"] / measured["cells"]
     with capsys.disabled():
-        print(  # noqa: T201 - see above
-            f"\n{ranks} ranks: {rate:.0f} empty batches a second,"
-            f" {1e6 * measured['cpu'] / measured['cells']:.0f} us of the master's CPU time for each"
-        )
-    assert rate > 200
+        print(f"\n{ranks} ranks: {1e6 * cost:.0f} us of the master's CPU time for an empty batch")  # noqa: T201 - see above
+    assert cost < 2e-3

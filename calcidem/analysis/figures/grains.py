@@ -1,5 +1,7 @@
 """Drawing grains, cement, paths and walls of a packing in one axes; lengths in millimetres."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
@@ -21,6 +23,15 @@ from calcidem.analysis.figures.style import (
 )
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.storage.records import C_CONTACT, P_CONTACT, PackingRecord
+
+RING: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markerfacecolor": "white",
+    "markeredgecolor": PURPLE,
+    "markeredgewidth": 1.3,
+}
+"""Look of an uncemented contact on a path."""
 
 
 def draw_grains(
@@ -104,17 +115,8 @@ def draw_path(axes: Axes, sample: PackingGraph, path: PreferentialPath, width: f
     axes.plot(x, y, color="white", linewidth=width + 1.4, zorder=6, solid_joinstyle="round")
     axes.plot(x, y, color=BLACK, linewidth=width, zorder=7, solid_joinstyle="round")
     bare_contacts = ~np.array(path.bonded, dtype=np.bool_)
-    axes.plot(
-        (x[:-1] + x[1:])[bare_contacts] / 2,
-        (y[:-1] + y[1:])[bare_contacts] / 2,
-        linestyle="none",
-        marker="o",
-        markersize=4.2,
-        markerfacecolor="white",
-        markeredgecolor=PURPLE,
-        markeredgewidth=1.3,
-        zorder=8,
-    )
+    middles = [((ends[:-1] + ends[1:]) / 2)[bare_contacts] for ends in (x, y)]
+    axes.plot(*middles, markersize=4.2, zorder=8, **RING)
 
 
 def _draw_contacts(axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64], colour: str, width: float) -> None:

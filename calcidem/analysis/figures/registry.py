@@ -1,7 +1,7 @@
 """All figures of a campaign: file name, title, caption, and how each is drawn from the analysis."""
 
-import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,8 +103,24 @@ def _pick_evenly(contents: list[float], count: int) -> list[float]:
     return [contents[place] for place in places]
 
 
-def _measured_contents(analysis: CampaignAnalysis, at_least: int = 1) -> list[float]:
-    return [row.content for row in analysis.distributions if row.vs.n >= at_least]
+def _measured_contents(analysis: CampaignAnalysis) -> list[float]:
+    """Contents with a velocity; raises `UnavailableError` if there are none."""
+    if found := [row.content for row in analysis.distributions if row.vs.n]:
+        return found
+    raise UnavailableError("no sample has a velocity")
+
+
+def _varied_contents(analysis: CampaignAnalysis) -> list[float]:
+    """Contents whose velocities scatter; raises `UnavailableError` if there are none."""
+    rows = [row for row in analysis.distributions if row.vs.n >= _SAMPLES_OF_A_CONTENT]
+    if found := [row.content for row in rows if row.vs.standard_deviation > 0]:
+        return found
+    raise UnavailableError(f"no content has {_SAMPLES_OF_A_CONTENT} different velocities")
+
+
+def _first_arrival_at(analysis: CampaignAnalysis, content: float) -> Arrival:
+    """Signals of the first seed that has a velocity at a content."""
+    return load_arrival(analysis, int(analysis.vs.sel(content=content).dropna("seed")["seed"][0]), content)
 
 
 def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
@@ -124,11 +140,10 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
 
 def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     wave = analysis.campaign.config.get("wave", {})
-    shown = _typical_sample(analysis)
-    try:
-        arrival = None if shown is None else load_arrival(analysis, *shown)
-    except UnavailableError:
-        arrival = None
+    arrival: Arrival | None = None
+    with suppress(UnavailableError):  # then without signals
+        contents = _measured_contents(analysis)
+        arrival = _first_arrival_at(analysis, contents[len(contents) // 2])
     return draw_measurement(
         analysis.graphs[0],
         transmitter_half_width=float(wave["transmitter_half_width"]),
@@ -138,35 +153,17 @@ def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     )
 
 
-def _typical_sample(analysis: CampaignAnalysis) -> tuple[int, float] | None:
-    """Give seed and content of a sample with a velocity near the middle of the contents."""
-    contents = _measured_contents(analysis)
-    if not contents:
-        return None
-    content = contents[len(contents) // 2]
-    column = analysis.vs.sel(content=content).dropna("seed")
-    return int(column["seed"][0]), content
-
-
 def _plot_signals(analysis: CampaignAnalysis) -> Figure:
-    arrivals = []
-    for content in _pick_evenly(_measured_contents(analysis) or [math.nan], _SHOWN_SIGNALS):
-        if math.isnan(content):
-            raise UnavailableError("no sample has a velocity")
-        seed = int(analysis.vs.sel(content=content).dropna("seed")["seed"][0])
-        arrivals.append(load_arrival(analysis, seed, content))
-    return draw_signals(arrivals)
+    shown = _pick_evenly(_measured_contents(analysis), _SHOWN_SIGNALS)
+    return draw_signals([_first_arrival_at(analysis, content) for content in shown])
 
 
 def _plot_range(analysis: CampaignAnalysis) -> Figure:
-    if not _measured_contents(analysis):
-        raise UnavailableError("no sample has a velocity")
+    _measured_contents(analysis)  # refuses a campaign without
     return draw_range(analysis.vs, analysis.distributions, published_velocities(analysis))
 
 
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
-    if not _measured_contents(analysis):
-        raise UnavailableError("no sample has a velocity")
     shown = _pick_evenly(_measured_contents(analysis), _SHOWN_HISTOGRAMS)
     return draw_histograms(analysis.vs, [row for row in analysis.distributions if row.content in shown])
 
@@ -178,13 +175,8 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
-    contents = _measured_contents(analysis, _SAMPLES_OF_A_CONTENT)
-    spread = [
-        row.content for row in analysis.distributions if row.content in contents and row.vs.standard_deviation > 0
-    ]
-    if not spread:
-        raise UnavailableError(f"no content has {_SAMPLES_OF_A_CONTENT} different velocities")
-    ordered = analysis.measured_samples(min(spread, key=lambda content: abs(content - _PATHS_CONTENT)))
+    varied = _varied_contents(analysis)
+    ordered = analysis.measured_samples(min(varied, key=lambda content: abs(content - _PATHS_CONTENT)))
     ordered = [sample for sample in ordered if sample.packing_index == 0]
     if len(ordered) < _SAMPLES_OF_A_CONTENT:
         raise UnavailableError(f"fewer than {_SAMPLES_OF_A_CONTENT} samples have a stored cement pattern")
@@ -206,14 +198,7 @@ def _plot_laws(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_narrowing(analysis: CampaignAnalysis) -> Figure:
-    varied = [
-        row.content
-        for row in analysis.distributions
-        if row.vs.n >= _SAMPLES_OF_A_CONTENT and row.vs.standard_deviation > 0
-    ]
-    if not varied:
-        raise UnavailableError(f"no content has {_SAMPLES_OF_A_CONTENT} different velocities")
-    contents = _pick_evenly(varied, _SHOWN_NARROWINGS)
+    contents = _pick_evenly(_varied_contents(analysis), _SHOWN_NARROWINGS)
     return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), _SEED_COUNTS) for c in contents})
 
 

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from calcidem.analysis.campaign_analysis import MeasuredSample
-from calcidem.analysis.figures.grains import draw_bands, draw_frame, draw_grains, draw_path
+from calcidem.analysis.figures.grains import RING, draw_bands, draw_frame, draw_grains, draw_path
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -19,7 +19,6 @@ from calcidem.analysis.figures.style import (
     GREY,
     MM,
     P_CEMENT,
-    PURPLE,
     SAND_GRAIN,
     VERMILION,
     apply_style,
@@ -37,17 +36,7 @@ _CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
 _P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
 _C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
 _PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
-_BARE_KEY = Line2D(
-    [],
-    [],
-    linestyle="none",
-    marker="o",
-    markersize=4.5,
-    markerfacecolor="white",
-    markeredgecolor=PURPLE,
-    markeredgewidth=1.3,
-    label="uncemented contact on it",
-)
+_BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **RING)
 
 
 @apply_style
@@ -64,7 +53,7 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
     packing = graph.packing
     middle, half = packing.height / 2, min(0.011, packing.height / 4)
     figure = new_figure(height=7.6)
-    detail_share = 2.1 * half / packing.width * (packing.width / (2 * half)) / (packing.height / packing.width)
+    detail_share = 1.05 * packing.width / packing.height  # of the height of a whole sample, for a square as wide
     grid = figure.subplots(
         2, len(samples), squeeze=False, height_ratios=[1.0, min(1.0, detail_share)], gridspec_kw={"hspace": 0.03}
     )

@@ -6,6 +6,7 @@ Nothing here is certain before it is tried, see `calcidem.app.campaign.diagnosis
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +19,9 @@ from calcidem.dem.wave.measurement import LARGEST_BOUND
 from calcidem.dem.wave.pick import PassedOver, PickFailure
 
 _MARGIN = 1.1  # over the periods that the rule of reading asks for
-_STEP = 1.3  # from a frequency to another one, where the rule asks for no number
+_RATIO = 1.3  # from a frequency to another one, where the rule asks for no number
 _PASSED_ON = 0.8  # of the cut-off frequency, up to which grains pass a wave on
-_NOTICEABLE = 1.05  # ratio of two values that differ enough to be tried
+_WORTH_TRYING = 1.05  # ratio of two values that differ enough to be tried
 _WIDE = 0.05  # by which the way to the receiver's edge may be longer than to its middle; the presets' is 4.8 %
 _EDGE = math.sqrt((1.0 + _WIDE) ** 2 - 1.0)  # half a receiver that wide over its distance
 _NARROWEST = 3.0  # mean diameters that half a receiver has to hold
@@ -59,13 +60,14 @@ class Cure:
     def apply(self, experiment: Experiment) -> Experiment:
         """Experiment with this value; `ValueError` where it is impossible."""
         section, key = self.name.split(".")
+        changed: dict[str, Any] = {key: self.value}
         if self.name == "wave.frequency":
             return replace(experiment, frequencies=((0.0, 100.0), (float(self.value),) * 2))
         if section == "wave":
-            return replace(experiment, wave=replace(experiment.wave, **{key: self.value}))
+            return replace(experiment, wave=replace(experiment.wave, **changed))
         if key == "method":
-            return replace(experiment, **{key: self.value})
-        return replace(experiment, pick=replace(experiment.pick, **{key: self.value}))
+            return replace(experiment, **changed)
+        return replace(experiment, pick=replace(experiment.pick, **changed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +139,7 @@ def _needed_periods(symptoms: Symptoms) -> float:
         return _MARGIN * asked
     if symptoms.failure is None and present < _ENOUGH_PERIODS:
         return _MARGIN * _ENOUGH_PERIODS
-    return _STEP * present
+    return _RATIO * present
 
 
 def _round_up(value: float) -> float:
@@ -149,9 +151,9 @@ def _round_up(value: float) -> float:
 def _higher_frequency(symptoms: Symptoms) -> Iterator[Cure]:
     """More wavelengths on the way."""
     present = symptoms.periods
-    wanted = symptoms.frequency * (_needed_periods(symptoms) / present if present else _STEP)
+    wanted = symptoms.frequency * (_needed_periods(symptoms) / present if present else _RATIO)
     value = min(_round_up(wanted), float(f"{symptoms.highest_frequency:.2g}"))
-    if value < _NOTICEABLE * symptoms.frequency:
+    if value < _WORTH_TRYING * symptoms.frequency:
         return
     why = "more wavelengths on the way part the waves that arrive"
     if present:
@@ -163,7 +165,7 @@ def _higher_frequency(symptoms: Symptoms) -> Iterator[Cure]:
 
 def _lower_frequency(symptoms: Symptoms) -> Iterator[Cure]:
     """Longer waves, which scatter less and are damped less."""
-    wanted = min(symptoms.frequency / _STEP, symptoms.highest_frequency)
+    wanted = min(symptoms.frequency / _RATIO, symptoms.highest_frequency)
     why = "longer waves scatter less at grains and cement"
     if symptoms.frequency > symptoms.highest_frequency:
         why = "grains do not pass higher ones on (lattice cut-off)"
@@ -182,7 +184,7 @@ def _receiver(symptoms: Symptoms) -> tuple[float, float, float]:
 def _narrower_receiver(symptoms: Symptoms) -> Iterator[Cure]:
     """A receiver all of whose disks have about the same way."""
     half, wanted, longer = _receiver(symptoms)
-    if half > _NOTICEABLE * wanted:
+    if half > _WORTH_TRYING * wanted:
         now = math.hypot(1.0, wanted / symptoms.experiment.distance) - 1.0
         why = f"the way to its edge is {longer:.0%} longer than to its middle and blurs the peak; then {now:.0%}"
         yield Cure("wave.receiver_half_width", wanted, why)
@@ -191,7 +193,7 @@ def _narrower_receiver(symptoms: Symptoms) -> Iterator[Cure]:
 def _other_receiver(symptoms: Symptoms) -> Iterator[Cure]:
     """A receiver of the presets' proportions."""
     half, wanted, _ = _receiver(symptoms)
-    if wanted > _NOTICEABLE * half:
+    if wanted > _WORTH_TRYING * half:
         why = f"scattered waves average out over {wanted / half:.1f} times as many disks"
         yield Cure("wave.receiver_half_width", wanted, why)
     yield from _narrower_receiver(symptoms)
@@ -200,7 +202,7 @@ def _other_receiver(symptoms: Symptoms) -> Iterator[Cure]:
 def _wider_box(symptoms: Symptoms) -> Iterator[Cure]:
     """As many wavelengths by a longer way."""
     present, width = symptoms.periods, symptoms.experiment.packing.width
-    if present and (needed := _needed_periods(symptoms)) > _NOTICEABLE * present:
+    if present and (needed := _needed_periods(symptoms)) > _WORTH_TRYING * present:
         why = f"{needed:.1f} periods on the way at the same frequency; it makes another packing"
         yield Cure("packing.width", _round_up(width * needed / present), why)
 
@@ -302,7 +304,7 @@ def _smaller_error(symptoms: Symptoms) -> Iterator[Cure]:
     else:
         if turning_error(experiment) <= LARGEST_BOUND:
             yield Cure("wave.amplitude", quieter, f"{why}, and goes with the amplitude")
-        if part == "regime":
+        if part in {"regime", "slip"}:
             yield Cure("wave.regime", "finite", "contacts then slip, open and stiffen as they do; it takes longer")
         else:
             yield from _lower_frequency(symptoms)

@@ -310,10 +310,10 @@ def _unread_signal(
     return UnreadSignal(
         title=f"{cell.key.content:g} %, seed {cell.key.seed}",
         reason=cell.reason,
-        time=record.times,
-        sent=np.asarray(record.sent, dtype=float),
-        received=prepared.received,
-        smooth=prepared.smooth,
+        time=np.asarray(record.times, dtype=np.float64),
+        sent=np.asarray(record.sent, dtype=np.float64),
+        received=np.asarray(prepared.received, dtype=np.float64),
+        smooth=np.asarray(prepared.smooth, dtype=np.float64),
         sent_peak=start + prepared.sent_peak * interval,
         distance=distance,
         possible=(prepared.rule.slowest, prepared.rule.fastest),
@@ -338,7 +338,8 @@ def try_cures(
     diagnoses
         Of its cells, from `diagnose`.
     count
-        How many of these cells, spread over the contents.
+        How many of these cells, spread over the contents. Of the values of a key that the cells of a content ask for,
+        the most extreme are tried on all.
     progress
         Told what is being computed.
 
@@ -361,7 +362,8 @@ def try_cures(
         known = {cell.key.seed: cell.vs for cell in readable if cell.vs is not None and cell.packing_index == 0}
         near = sorted(known, key=lambda seed: min(abs(seed - other) for other in seeds))
         near = near[: max(1, _BATCH - len(seeds))]
-        for cure in _strongest_cures(chosen, experiment):
+        of_content = [diagnosis for diagnosis in diagnoses if diagnosis.key.content == content]
+        for cure in _strongest_cures(of_content, experiment):
             progress(f"Trying {cure} at {content:g} %")
             try:
                 found = measure_all(cure.apply(experiment), content, [*seeds, *near], lanes=_BATCH, ordering=ordering)
@@ -385,10 +387,10 @@ def _spread_over_contents(diagnoses: Sequence[Diagnosis], count: int) -> dict[fl
     return dict(chosen)
 
 
-def _strongest_cures(chosen: Sequence[Diagnosis], experiment: Experiment) -> list[Cure]:
+def _strongest_cures(diagnoses: Sequence[Diagnosis], experiment: Experiment) -> list[Cure]:
     """Cures of cells of one content that can be tried; of several values of a key the highest and the lowest."""
     found: dict[tuple[str, bool], Cure] = {}
-    for diagnosis in chosen:
+    for diagnosis in diagnoses:
         for cure in diagnosis.cures:
             if cure.needs_packing:
                 continue

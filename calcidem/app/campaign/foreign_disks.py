@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.sample.packing_file import PackingFileError
+from calcidem.dem.sample.packing_file import FARTHEST, PackingFileError
 
 _ATOM_STYLES = {
     "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
@@ -18,12 +18,13 @@ _ATOM_STYLES = {
 }
 """Columns of the atom styles of LAMMPS that have a size (manual, command read_data)."""
 
+_ATOMS_LINE = r"\s*\d+\s+atoms\b"
 _IMAGE_FLAGS = 3
 _UNIT_STYLES = {"si": "m", "cgs": "cm", "micro": "um", "nano": "nm"}
 """Unit of length of those unit styles of LAMMPS that have one a packing may be in (manual, command units)."""
 
 _PLACE = re.compile(
-    r"(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?([xyz])(?:u|pos(?:ition)?|cent(?:er|re))?"
+    r"(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?([xyz])(?:u|pos(?:ition)?|cent(?:er|re))?"
 )
 _SCALED = re.compile(r"([xyz])su?")
 _NAMES_OF = {
@@ -111,7 +112,11 @@ def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | 
     except (OSError, EOFError, UnicodeDecodeError) as error:
         raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
     lines = text.splitlines()
-    rows = _recognise(lines, file)(file, lines, timestep)
+    read = _recognise(lines, file)
+    try:
+        rows = read(file, lines, timestep)
+    except (ValueError, IndexError, csv.Error) as error:
+        raise PackingFileError(f"{file} begins well, but can't be read on ({error}); was it cut off?") from error
     if columns:
         rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
     return _disks_of(file, rows)
@@ -122,7 +127,7 @@ def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int |
     head = next((line for line in lines if line.strip()), "")
     if head.startswith("ITEM:"):
         return _read_dump
-    if _find_line(lines, r"\s*\d+\s+atoms\b") is not None and _find_line(lines, r"\s*Atoms\b") is not None:
+    if _find_line(lines, _ATOMS_LINE) is not None and _find_line(lines, r"\s*Atoms\b") is not None:
         return _read_data
     if not head:
         raise PackingFileError(f"{file} is empty; give a file with disks")
@@ -155,6 +160,7 @@ def _read_data(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
             f"{file}, line {begin + 1}: '{lines[begin].strip()}' with {count} columns has no sizes of disks; write it "
             "with atom_style sphere or bpm/sphere, or write a dump with the columns id type x y z radius"
         )
+    _refuse_missing(file, lines[_find_line(lines, _ATOMS_LINE) or 0], entries)
     said = "" if named else "; no atom style is named, and sphere taken"
     bounds = [_find_line(lines[:begin], rf".*\b{axis}lo\s+{axis}hi") for axis in "xyz"]
     box = None
@@ -182,21 +188,31 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
     begin = starts[chosen]
     end = starts[chosen + 1] if chosen + 1 < len(starts) else len(lines)
     items = {line[6:].split(" ")[0]: index for index, line in enumerate(lines[begin:end], begin) if line[:5] == "ITEM:"}
-    if not {"BOX", "ATOMS"} <= items.keys():
+    if not {"NUMBER", "BOX", "ATOMS"} <= items.keys():
         raise PackingFileError(f"{file}: the snapshot in line {begin + 1} has no atoms; was it cut off?")
     bounds = lines[items["BOX"]].split()
     if "xy" in bounds or "abc" in bounds:
         raise PackingFileError(f"{file}, line {items['BOX'] + 1}: the box is tilted; give disks in a rectangular box")
     box = np.array([[float(word) for word in line.split()[:2]] for line in lines[items["BOX"] + 1 : items["BOX"] + 4]])
+    entries = [
+        (number, line.split()) for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)
+    ]
+    _refuse_missing(file, lines[items["NUMBER"] + 1], entries)
     units = re.search(r"ITEM: UNITS\n(\w+)", "\n".join(lines[: items["ATOMS"]]))
     return _Rows(
         "LAMMPS dump",
         f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}",
         lines[items["ATOMS"]].split()[2:],
-        [(number, line.split()) for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)],
+        entries,
         box,
         _UNIT_STYLES.get(units[1], "") if units else "",
     )
+
+
+def _refuse_missing(file: Path, line: str, entries: list[tuple[int, list[str]]]) -> None:
+    """Refuse fewer or more atoms than a line says."""
+    if int(line.split(maxsplit=1)[0]) != len(entries):
+        raise PackingFileError(f"{file} says '{line.strip()}', but has {len(entries)} atoms; was it cut off?")
 
 
 def _read_yade(_file: Path, lines: list[str], _timestep: int | None) -> _Rows:
@@ -339,7 +355,7 @@ def _numbers_of(file: Path, rows: _Rows, columns: list[tuple[str, int]]) -> dict
     for row, (number, words) in enumerate(rows.entries):
         try:
             found[row] = [float(words[place]) for _, place in columns]
-            wrong = not np.isfinite(found[row]).all()
+            wrong = not (np.abs(found[row]) <= FARTHEST).all()
         except (ValueError, IndexError):
             wrong = True
         if wrong:

@@ -20,7 +20,7 @@ from calcidem.dem.sample.packing_file import (
 )
 from calcidem.storage.files import write_atomically
 
-LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 """Metres in each unit."""
 
 _OUT_OF_PLANE = 0.1
@@ -191,12 +191,12 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
 
 def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
     """Metres in the source's unit, and where that is from."""
-    if unit is not None and unit not in LENGTH_UNITS:
-        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(LENGTH_UNITS)}; give one of them")
+    if unit is not None and unit not in _LENGTH_UNITS:
+        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(_LENGTH_UNITS)}; give one of them")
     if unit is not None:
-        return LENGTH_UNITS[unit], [f"unit {unit}, as given"]
+        return _LENGTH_UNITS[unit], [f"unit {unit}, as given"]
     if found.unit:
-        return LENGTH_UNITS[found.unit], [f"unit {found.unit}, which the file says"]
+        return _LENGTH_UNITS[found.unit], [f"unit {found.unit}, which the file says"]
     return 1.0, ["unit m, since the file says none"]
 
 

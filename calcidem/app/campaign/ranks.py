@@ -52,13 +52,14 @@ class _Orders:
     anything_to_do: bool
 
 
-def run_on_ranks(load: Callable[[], Configuration], view: RunView) -> NoReturn:
+def run_on_ranks(load: Callable[[], Configuration], open_view: Callable[[], RunView]) -> NoReturn:
     """Run a campaign, or what is left of it, and end with the exit code that says how it went.
 
-    To be called on all ranks; the configuration is loaded on rank 0 only.
+    To be called on all ranks; the configuration is loaded, and the view opened, on rank 0 only.
     """
     with Session() as session:
         if session.rank == 0:
+            view = open_view()
             with view.display() as display:
                 code, end = _lead(session, load, view, ProgressReporter(display))
         else:

@@ -49,7 +49,7 @@ def diagnose_command(
 
     with open_campaign(database, campaign) as opened:
         found = diagnose(opened, seed=seed, content=content, progress=tell)
-        typer.echo(printable("\n".join(_head_lines(opened, found, chosen=bool(seed or content)))))
+        typer.echo(printable("\n".join(_overview_lines(opened, found, chosen=bool(seed or content)))))
         shown = found if seed or content else found[:_MOST_SHOWN]
         for diagnosis in shown:
             typer.echo(printable("\n".join(["", *_cell_lines(diagnosis)])))
@@ -63,7 +63,7 @@ def diagnose_command(
             make_console().print(_trial_table(opened, found, trials))
 
 
-def _head_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
+def _overview_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
     """How many cells have no velocity, at which contents, and what else there is."""
     from calcidem.storage.records import CellStatus
 

@@ -2,12 +2,16 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
 from calcidem.app.cli.terminal import printable
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.cli.run_view import TerminalView
+    from calcidem.app.config.schema import Configuration
 
 
 def run_command(
@@ -71,7 +75,19 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     from calcidem.app.campaign.ranks import run_on_ranks
-    from calcidem.app.cli.run_view import TerminalView
+
+    run_on_ranks(partial(_load, configuration, overrides), partial(_open_view, with_report=with_report))
+
+
+def _load(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":
+    """The configuration, on rank 0 alone; the others do not wait for what reads it."""
     from calcidem.app.config.reader import load_configuration
 
-    run_on_ranks(partial(load_configuration, configuration, overrides), TerminalView(with_report=with_report))
+    return load_configuration(configuration, overrides)
+
+
+def _open_view(*, with_report: bool) -> "TerminalView":
+    """What a person reads, on rank 0 alone."""
+    from calcidem.app.cli.run_view import TerminalView
+
+    return TerminalView(with_report=with_report)

@@ -15,7 +15,6 @@ from rich.table import Table
 
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
-from calcidem.app.campaign.status import UNREAD
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection, Store
@@ -68,6 +67,8 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 def vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
+    from calcidem.app.campaign.status import UNREAD  # loads pandas, which no cell waits for
+
     columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds"), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
     for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):

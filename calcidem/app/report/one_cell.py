@@ -1,6 +1,7 @@
 """A closer look at one sample: outcome, cement, path and signals."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
@@ -69,16 +70,11 @@ def _text(quantity: Quantity, value: str | float | None) -> str:
 def _draw(analysis: CampaignAnalysis, seed: int, content: float, folder: Path) -> list[Path]:
     name = f"seed{seed}_content{content:g}"
     files: list[Path] = []
-    try:
+    with suppress(UnavailableError):
         sample = analysis.sample(seed, content)
-    except UnavailableError:
-        pass
-    else:
         graph = analysis.graphs[sample.packing_index]
         files += save(draw_cemented_samples(graph, [sample]), folder, f"{name}_cement")
         files += save(draw_preferential_paths(graph, [sample]), folder, f"{name}_path")
-    try:
-        arrival = load_arrival(analysis, seed, content)
-    except UnavailableError:
-        return files
-    return [*files, *save(draw_signals([arrival]), folder, f"{name}_signals")]
+    with suppress(UnavailableError):
+        files += save(draw_signals([load_arrival(analysis, seed, content)]), folder, f"{name}_signals")
+    return files

@@ -27,7 +27,6 @@ from calcidem.storage.files import write_text_atomically
 _FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
 
-
 _MOST_SAMPLES = 5000
 """Paths of so many samples are analysed; it takes a minute."""
 

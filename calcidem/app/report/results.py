@@ -5,7 +5,6 @@ from collections import Counter
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.features import FEATURES
@@ -257,7 +256,7 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
                 decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
                 decimal(_median_known(column["steps"])),
                 significant(100 * _median_known(column["expected_error"]), 2),
-                significant(100 * _largest_known(column["error_bound"]), 2),
+                significant(100 * float(column["error_bound"].max()), 2),
                 decimal(relative, 2),
                 time_span(_median_known(column["seconds"])),
             )
@@ -282,15 +281,7 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
 
 
 def _median_known(values: xr.DataArray) -> float:
-    known = _known(values)
-    return float(np.median(known)) if known.size else math.nan
-
-
-def _largest_known(values: xr.DataArray) -> float:
-    known = _known(values)
-    return float(known.max()) if known.size else math.nan
-
-
-def _known(values: xr.DataArray) -> NDArray[np.float64]:
+    """Median of the finite values, NaN without any."""
     found = values.to_numpy()
-    return np.asarray(found[np.isfinite(found)])
+    known = found[np.isfinite(found)]
+    return float(np.median(known)) if known.size else math.nan

@@ -21,9 +21,12 @@ def listed_pairs(assembly: Assembly) -> Integers:
 def install_forces(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> None:
     """Give the contacts of a new assembly the forces they start with: preloaded shear, and the cement's share of them.
 
-    In the linear regime there are none: its forces are those added to the reference state.
+    In the linear regime the forces are those added to the reference state: its preload moves nothing, and tells only
+    how far each contact is from slipping.
     """
     pairs, wall_pairs = assembly.pairs, assembly.wall_pairs
+    if preload is not None:
+        pairs.shear[...] = _preload_of_pairs(scene, assembly, preload)[:, None]
     if features.linear:
         return
     if not features.finite:
@@ -32,8 +35,6 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
         pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
     pairs.root[...] = overlap_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
     wall_pairs.root[...] = overlap_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
-    if preload is not None:
-        pairs.shear[...] = _preload_of_pairs(scene, assembly, preload)[:, None]
     if scene.bonds is None:
         return
     overlap = pairs.geometry[:, OVERLAP]

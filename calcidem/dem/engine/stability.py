@@ -52,7 +52,13 @@ def critical_time_step(
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
     contacts, and that rules of thumb overestimate it.
     """
-    squared = squared_frequencies(scene, assembly, features, overlap, wall_overlap).max(axis=0)
+    matrices, factor = _contact_matrices(scene, assembly, features, overlap, wall_overlap)
+    # An eigenvalue lies between the largest entry of the diagonal and the sum of all three: few can be the largest.
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
+    possible = 1.000001 * factor * diagonal.sum(axis=-1) >= (factor * diagonal.max(axis=-1)).max(axis=0)
+    squared = np.zeros(possible.shape)
+    squared[possible] = largest_eigenvalue(matrices[possible])
+    squared = (factor * squared).max(axis=0)
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
 
@@ -61,14 +67,21 @@ def squared_frequencies(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
 ) -> Floats:
     """Each disk's part in the bound of `critical_time_step` on the highest frequency: (N, L) squares, rad^2/s^2."""
+    matrices, factor = _contact_matrices(scene, assembly, features, overlap, wall_overlap)
+    return np.asarray(factor * largest_eigenvalue(matrices))
+
+
+def _contact_matrices(
+    scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
+) -> tuple[Floats, Floats]:
+    """Matrices (N, L, 3, 3) of `critical_time_step`, and what makes squared frequencies of their eigenvalues (N, 1)."""
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
     _add_pairs(matrices, scene, assembly, features, overlap)
     _add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
     if not features.rotation:
         matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
-    largest = largest_eigenvalue(matrices)
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
-    return np.asarray(2.0 * inverse_mass[:, None] * largest)
+    return matrices, 2.0 * inverse_mass[:, None]
 
 
 def largest_eigenvalue(matrices: Floats) -> Floats:

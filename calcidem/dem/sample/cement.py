@@ -8,6 +8,7 @@ needs, so the samples of a seed are nested: what is cemented stays cemented at e
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -356,11 +357,13 @@ def _circles(
         centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
         # The tree looks a little further than need be: which of its points lie inside is decided here.
         near = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
-        for centre, indices in zip(centres, near, strict=True):
-            found = np.array(indices, dtype=np.int64)
-            inside = found[length(*(points[found] - centre).T) <= radius]
-            if len(inside):
-                yield centre, inside
+        found = np.fromiter(chain.from_iterable(near), dtype=np.int64)
+        circle = np.repeat(np.arange(len(centres)), [len(indices) for indices in near])
+        inside = length(*(points[found] - centres[circle]).T) <= radius
+        ends = np.cumsum(np.bincount(circle[inside], minlength=len(centres)))
+        for centre, contacts in zip(centres, np.split(found[inside], ends[:-1]), strict=True):
+            if len(contacts):
+                yield centre, contacts
 
 
 def _running_sum(values: Floats) -> Floats:

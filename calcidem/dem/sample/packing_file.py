@@ -26,7 +26,7 @@ _CSV_COLUMNS = ("x", "y", "radius")
 LARGEST_OVERLAP = 0.1
 """Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
 FEWEST_DISKS = 10
-_FARTHEST = 1e30
+FARTHEST = 1e30
 """m; distances of disks and their squares are finite."""
 _LONGEST_SHOWN = 80
 
@@ -142,10 +142,10 @@ def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[fl
         except (ValueError, IndexError) as error:
             shown = f"{line[:_LONGEST_SHOWN]}{'...' if len(line) > _LONGEST_SHOWN else ''}"
             raise PackingFileError(f"{file}, line {number}: '{shown}' is no disk; give three numbers in m") from error
-        if not (abs(x) <= _FARTHEST and abs(y) <= _FARTHEST and 1.0 / _FARTHEST <= radius <= _FARTHEST):
+        if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and 1.0 / FARTHEST <= radius <= FARTHEST):
             raise PackingFileError(
                 f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "
-                f"radius, in m, up to {_FARTHEST:g}"
+                f"radius, in m, up to {FARTHEST:g}"
             )
         yield number, (x, y, radius)
 

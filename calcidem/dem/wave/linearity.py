@@ -1,54 +1,132 @@
 """How far a wave of the linear regime leaves what constant stiffnesses stand for."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.kernels.layout import (
     FIRST_ARM,
     MOMENT,
     NORMAL,
+    NORMAL_PATH,
     NORMAL_X,
     NORMAL_Y,
     OVERLAP,
     ROTATION,
     SECOND_ARM,
     SHEAR,
+    TANGENT_PATH,
+    Flags,
     Floats,
     X,
     Y,
 )
 
 
-def nonlinear_share(state: State) -> Floats:
-    """(L,) share of the work of all contacts of disks that Hertz's and Coulomb's laws would change.
+class Nonlinearity(NamedTuple):
+    """What Hertz's and Coulomb's laws would change in a wave of the linear regime; zero in other regimes.
 
-    It is the sum of ``|dF| |du|`` over that of ``F du``: du is the displacement between two disks since the start, F
-    the force that constant stiffnesses answer with, dF what separates it from that of the contact laws, where contacts
-    stiffen, open and slip. Cement is linear in either case. Zero in other regimes.
+    Each is (L,), or the number of one sample.
+
+    Attributes
+    ----------
+    share
+        Sum of ``|dF| |du|`` over that of ``F du`` of all contacts of disks: du is the displacement between two disks
+        since the start, F the force that constant stiffnesses add, dF what separates it from that of the contact laws,
+        where contacts stiffen, open and slip. Cement is linear in either case.
+    softening
+        Part of its stiffness that the sample may lose by slip, see `nonlinearity`.
+    slipped
+        Part of the transmitter's force that its contacts cannot pass on, since they would slip.
+    """
+
+    share: Floats | float = 0.0
+    softening: Floats | float = 0.0
+    slipped: Floats | float = 0.0
+
+
+def nonlinearity(state: State, transmitter: int) -> Nonlinearity:
+    """What the contact laws would change at the present displacements; ``transmitter`` is a wall.
+
+    A contact with more shear than its friction bears slips before the wave comes: it begins at its limit here.
+
+    A wave whose contacts lack the part s of its work by slip has s less stiffness as long as it moves the disks the
+    same way (Rayleigh's quotient). But they give way where a contact slips: without one component of a contact whose
+    share of its own deformation is taken by the others to the part p, the energy falls by 1 / (1 - p) times as much.
+    The mean of p over all components is that of degrees of freedom over components (trace of a projection; Calladine
+    1978, doi:10.1016/0020-7683(78)90052-5), so softening is s over the part of the components that is spare. At
+    isostaticity there is no bound, and softening is infinite.
     """
     lanes = state.features.lanes
     if not state.features.linear:
-        return np.zeros(lanes)
+        return Nonlinearity(*np.zeros((3, lanes)))
     pairs = state.assembly.pairs
     approach, slide, twist = _relative_displacements(state)
     overlap = pairs.geometry[:, OVERLAP, None].astype(float)
     hertz, rubbing = (values[:, None].astype(float) for values in (pairs.hertz, pairs.friction))
     stiff, shear_stiff = (pairs.tangent[:, column, None].astype(float) for column in (NORMAL, SHEAR))
-    before, held = hertz * three_halves(np.maximum(overlap, 0.0)), pairs.shear.astype(float)
-    pressed, sheared = before + stiff * approach, held - shear_stiff * slide
+    before = hertz * three_halves(np.maximum(overlap, 0.0))
     normal = hertz * three_halves(np.maximum(overlap + approach, 0.0))
-    shear = np.clip(sheared, -rubbing * normal, rubbing * normal)
-    changed = length(normal - pressed, shear - sheared) * length(approach, slide)
-    work = stiff * approach * approach + shear_stiff * slide * slide
+    installed = pairs.shear.astype(float)
+    held = np.clip(installed, -rubbing * before, rubbing * before)
+    sheared = held - shear_stiff * slide
+    lacking = np.clip(sheared, -rubbing * normal, rubbing * normal) - sheared
+    changed = length(normal - before - stiff * approach, lacking) * length(approach, slide)
     springs = pairs.bond.astype(float)
     if state.features.linear_group:
         springs[:, :MOMENT] += pairs.linear[:, :MOMENT]
     bound = springs[:, NORMAL, None] * approach * approach + springs[:, SHEAR, None] * slide * slide
     bound = bound + springs[:, MOMENT, None] * twist * twist
-    intact = (pairs.intact[:, None] >> np.arange(lanes, dtype=np.uint32) & 1).astype(bool)
-    total, otherwise = _lane_sums(np.where(intact, bound, work)), _lane_sums(np.where(intact, 0.0, changed))
-    return np.asarray(otherwise / np.where(total > 0.0, total, 1.0))
+    intact = lanes_of_bits(pairs.intact, lanes)
+    total = _lane_sums(np.where(intact, bound, stiff * approach * approach + shear_stiff * slide * slide))
+    total = np.where(total > 0.0, total, 1.0)
+    slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * slide))) / total
+    spare = _spare_share(state, intact, (lacking != 0.0) | (held != installed))
+    softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
+    return Nonlinearity(
+        _lane_sums(np.where(intact, 0.0, changed)) / total, softening, _slipped_force(state, transmitter)
+    )
+
+
+def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
+    """(L,) 1 - degrees of freedom / components of contact forces; ``intact`` and ``slipping`` are (M, L).
+
+    A contact has a normal and a shear force, one that slips a normal force alone, a bond a moment, too. Disks that
+    lean on one thing at most bear nothing.
+    """
+    pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
+    touching, leaning = pairs.geometry[:, OVERLAP, None] > 0.0, wall_pairs.overlap > 0.0
+    sticking = (pairs.tangent[:, SHEAR, None] > 0.0) & ~slipping
+    components = np.where(intact, 3, np.where(touching, 1 + sticking, 0)).sum(axis=0)
+    components = components + (1 + (wall_pairs.tangent[leaning, SHEAR] > 0.0)).sum()
+    neighbours = np.zeros((len(grains.radius), state.features.lanes), dtype=int)
+    for disk, present in ((pairs.first, touching | intact), (pairs.second, touching | intact)):
+        np.add.at(neighbours, disk, present)
+    np.add.at(neighbours, wall_pairs.disk, leaning[:, None])
+    moving = np.count_nonzero((grains.inverse_mass > 0.0)[:, None] & (neighbours > 1), axis=0)
+    return np.asarray(1.0 - 3.0 * moving / np.maximum(components, 1))
+
+
+def _slipped_force(state: State, transmitter: int) -> Floats:
+    """(L,) sum of the shear forces that disks at the transmitter would not take over, over that of all."""
+    assembly, moved = state.assembly, state.motion.displacement.astype(float)
+    pairs = assembly.wall_pairs
+    here = np.flatnonzero((pairs.wall == transmitter) & (pairs.overlap > 0.0))
+    disk, overlap = pairs.disk[here], pairs.overlap[here, None].astype(float)
+    hertz, shear_stiff = pairs.hertz[here, None].astype(float), pairs.tangent[here, SHEAR, None].astype(float)
+    normal_x, normal_y = assembly.walls.normal[transmitter].astype(float)
+    path = assembly.walls.motion[transmitter].astype(float)
+    away = normal_x * moved[disk, X] + normal_y * moved[disk, Y]
+    along = normal_x * moved[disk, Y] - normal_y * moved[disk, X]
+    arm = assembly.grains.radius[disk, None].astype(float) - 0.5 * overlap
+    shear = np.abs(shear_stiff * (along - path[TANGENT_PATH] - arm * moved[disk, ROTATION]))
+    rubbing = np.minimum(assembly.walls.friction[transmitter], assembly.grains.friction[disk])[:, None].astype(float)
+    limit = rubbing * hertz * three_halves(np.maximum(overlap + path[NORMAL_PATH] - away, 0.0))
+    total = _lane_sums(shear)
+    return np.asarray(_lane_sums(np.maximum(shear - limit, 0.0)) / np.where(total > 0.0, total, 1.0))
 
 
 def _lane_sums(values: Floats) -> Floats:

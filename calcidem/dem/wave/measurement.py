@@ -177,7 +177,6 @@ def numerical_error(
 ) -> tuple[float, float, ErrorParts]:
     """Relative error of a velocity to expect, its bound, and the parts of that; Hz and s."""
     noisy = picks.first_arrival.failure == PickFailure.NOISE
-    expected = expected_error(experiment, record, signals_of(record, experiment), frequency, travel_time, noisy=noisy)
-    bound = error_bound(experiment, record, frequency, travel_time, noisy=noisy)
-    parts = error_parts(experiment, record, frequency, travel_time, noisy=noisy)
-    return expected, max(bound, _WORST_OF_HUNDRED * expected), parts
+    given = experiment, record, signals_of(record, experiment), frequency, travel_time
+    expected, parts = expected_error(*given, noisy=noisy), error_parts(*given, noisy=noisy)
+    return expected, max(error_bound(parts), _WORST_OF_HUNDRED * expected), parts

@@ -9,7 +9,7 @@ from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
 from calcidem.dem.wave.guards import broken_bonds, problems_of
-from calcidem.dem.wave.linearity import nonlinear_share
+from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 
@@ -43,8 +43,8 @@ class WaveRecord:
         in the finite regime, where they may touch.
     broken_bonds
         Bonds that broke until then.
-    nonlinear_share
-        See `linearity.nonlinear_share`, when the pulse has been sent.
+    nonlinear
+        What the contact laws would change when the pulse has been sent.
     problem
         Empty, or why the run cannot be trusted.
     retry
@@ -61,7 +61,7 @@ class WaveRecord:
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
-    nonlinear_share: float = 0.0
+    nonlinear: Nonlinearity = field(default_factory=Nonlinearity)
     problem: str = ""
     retry: str = ""
 
@@ -121,7 +121,7 @@ class Recorder:
     chunks
         (samples, 2, L) shear force and velocity of each chunk so far.
     nonlinear
-        (L,) see `linearity.nonlinear_share`; not a number until the pulse has been sent.
+        (3, L) see `linearity.Nonlinearity`; not a number until the pulse has been sent.
     """
 
     state: State
@@ -139,7 +139,7 @@ class Recorder:
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
-        self.nonlinear = np.full(self.state.features.lanes, np.nan)
+        self.nonlinear = np.full((len(Nonlinearity._fields), self.state.features.lanes), np.nan)
 
     @property
     def steps_per_look(self) -> int:
@@ -153,9 +153,11 @@ class Recorder:
         while len(records) < self.samples:
             check()
             self.chunks.append(self.record_chunk())
-            just_sent = np.isnan(self.nonlinear) & (self.state.steps * self.state.time_step >= self.pulse.duration)
+            sent = self.state.steps * self.state.time_step >= self.pulse.duration
+            just_sent = np.isnan(self.nonlinear) & sent
             if just_sent.any():
-                self.nonlinear = np.where(just_sent, nonlinear_share(self.state), self.nonlinear)
+                found = np.array(nonlinearity(self.state, TRANSMITTER))
+                self.nonlinear = np.where(just_sent, found, self.nonlinear)
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             for lane in sorted(set(range(self.samples)) - set(records)):
                 record = self.record_of(lane, problems[lane])
@@ -197,6 +199,6 @@ class Recorder:
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),
-            nonlinear_share=float(np.nan_to_num(self.nonlinear[lane])),
+            nonlinear=Nonlinearity(*np.nan_to_num(self.nonlinear[:, lane], posinf=np.inf).tolist()),
             problem=problem,
         )

@@ -5,17 +5,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from places import TUTORIAL
 
 from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
 from calcidem.storage.sql.store import open_store
-
-TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial"
 
 
 @pytest.fixture(scope="session")
 def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the tutorial's database, in the present schema; tests only read it."""
-    path = Path(shutil.copy(TUTORIAL / "quick.db", tmp_path_factory.mktemp("tutorial")))
+    path = Path(shutil.copy(TUTORIAL, tmp_path_factory.mktemp("tutorial")))
     open_store(path).close()
     return path
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SMALL_PACKING
 from sqlalchemy import create_engine, text
 
 from calcidem.app.campaign import identity
@@ -30,7 +31,6 @@ pytestmark = pytest.mark.slow
 
 Invoke = Callable[..., str]
 Change = Callable[..., Path]
-SMALL_PACKING = Path(__file__).parents[2] / "assets" / "small_packing.npz"
 
 CONFIGURATION = """
 [campaign]

@@ -6,13 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from places import TUTORIAL
 from workbench import Workbench, open_workbench
 
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
-
-TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorial" / "quick.db"
-"""Database of 8 seeds x 5 contents, really computed and complete."""
 
 TROUBLES = {
     CellKey(9, 0.0): CellStatus.FAILED,

@@ -117,6 +117,13 @@ def test_a_byte_order_mark_is_no_matter(bench: Workbench, name: str) -> None:
     assert said.startswith("Packing: the disks in")
 
 
+@pytest.mark.parametrize("line", ["query quick.db --out quick.db", "export quick.db quick.db"])
+def test_no_command_writes_over_its_database(bench: Workbench, line: str) -> None:
+    """Commands that once destroyed the database that they read refuse to, and leave it as it was."""
+    assert "quick.db" in bench.judge(*line.split())
+    assert (bench.folder / "quick.db").read_bytes() == bench.files["quick.db"]
+
+
 SHOWN = (
     "status",
     "status --json",

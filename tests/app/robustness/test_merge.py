@@ -27,9 +27,10 @@ def results(database: Path) -> dict[CellKey, CellResult]:
 def test_seed_ranges_join_to_the_whole(
     complete: Path, part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path
 ) -> None:
-    """Two halves of a campaign merge into all of its outcomes, signals and cement included, bit for bit."""
-    low, high, out = part("low.db", {1, 2, 3}), part("high.db", {3, 4, 5, 6, 7, 8}), tmp_path / "all.db"
-    output = invoke("merge", low, high, "--out", out)
+    """Eight parts of a campaign merge into all of its outcomes, signals and cement included, bit for bit."""
+    seeds, out = [{1, 2}, *({seed} for seed in range(2, 9))], tmp_path / "all.db"
+    parts = [part(f"{number}.db", own) for number, own in enumerate(seeds)]
+    output = invoke("merge", *parts, "--out", out)
     assert results(out) == results(complete)
     assert "5 cells were in several databases with the same values" in output
     with open_stored_campaign(out) as campaign:

@@ -36,6 +36,9 @@ function number(value, digits = 4) {
 }
 const withUnit = (value, unit, digits = 4) => number(value, digits) + (typeof value === "number" && unit ? ` ${unit}` : "");
 
+const swatch = (colour) => `<span class="swatch" style="background:${colour}"></span>`;
+const key = (colour, text) => `<span>${swatch(`var(--${colour})`)}${text}</span>`;
+
 const probe = document.body.appendChild(Object.assign(document.createElement("span"), { hidden: true }));
 /** A colour of the style sheet as a canvas takes it. */
 function paint(name) {

@@ -85,7 +85,6 @@ function drawSignal({ start, interval, sent, received, unit, arrivals }) {
     const [at, on] = [x(arrivals[method]), y(level(arrivals[method]))];
     return `<line x1="${at}" x2="${at}" y1="${top}" y2="${height - bottom}" stroke="var(--${method})" stroke-dasharray="2 3"/><circle cx="${at}" cy="${on}" r="4.5" fill="var(--${method})" stroke="var(--wash)"/>`;
   });
-  const key = (colour, text) => `<span><span class="swatch" style="background:var(--${colour})"></span>${text}</span>`;
   const said = found.map((method) => `${method.replace("_", " ")}: ${withUnit(columns[`vs_${method}`]?.[opened] ?? null, "m/s")}, ${number(arrivals[method])} ms`);
   const label = `Sent and received signal of ${labelOf(opened)} over ${number(end)} ms. ${said.join("; ") || "No arrival was read"}.`;
   host.innerHTML = `
@@ -132,9 +131,10 @@ function drawSample() {
   const at = (grain) => [left + packing.x[grain] * scale, edge + (packing.height - packing.y[grain]) * scale];
   const first = sums(packing.first);
   const inCluster = new Uint8Array(packing.x.length);
+  const contactOf = (one, other) => Math.min(one, other) * packing.x.length + Math.max(one, other);
   const kindOf = new Map();
   kinds.forEach((kind, row) => {
-    kindOf.set(Math.min(first[row], packing.second[row]) * packing.x.length + Math.max(first[row], packing.second[row]), kind);
+    kindOf.set(contactOf(first[row], packing.second[row]), kind);
     if (kind === 2) inCluster[first[row]] = inCluster[packing.second[row]] = 1;
   });
   for (const clustered of [0, 1]) {
@@ -173,8 +173,7 @@ function drawSample() {
   }
   let bare = 0;
   for (let place = 1; place < path.length; place++) {
-    const [one, other] = [path[place - 1], path[place]];
-    if (kindOf.get(Math.min(one, other) * packing.x.length + Math.max(one, other))) continue;
+    if (kindOf.get(contactOf(path[place - 1], path[place]))) continue;
     bare++;
     brush.beginPath();
     brush.arc((points[place - 1][0] + points[place][0]) / 2, (points[place - 1][1] + points[place][1]) / 2, 4, 0, 7);
@@ -200,7 +199,6 @@ function drawSample() {
   brush.rotate(-Math.PI / 2);
   brush.textAlign = "center";
   brush.fillText("y (mm)", -height / 2, 11);
-  const key = (colour, text) => `<span><span class="swatch" style="background:var(--${colour})"></span>${text}</span>`;
   const said = `${packing.x.length} grains, ${counts[1]} P contacts, ${counts[2]} C contacts` + (path.length ? `, preferential path of ${path.length - 1} contacts, ${bare} of them uncemented` : "");
   canvas.setAttribute("aria-label", `Sample of ${labelOf(opened)}: ${said}.`);
   byId("sample-keys").innerHTML =

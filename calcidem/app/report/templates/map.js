@@ -13,6 +13,7 @@ const ROWS = 20;
 const seedOf = (place) => seeds[Math.floor(place / contents.length)];
 const contentOf = (place) => contents[place % contents.length];
 const statusOf = (place) => columns.status[place] || "not computed";
+const outcomes = () => [...new Set(Array.from({ length: cellCount }, (_, place) => statusOf(place)))].sort();
 const link = (place) => `#seed=${seedOf(place)}&content=${contentOf(place)}`;
 const labelOf = (place) => `seed ${seedOf(place)} at ${contentOf(place)} %`;
 function valueOf(name, place) {
@@ -112,7 +113,7 @@ let cellWidth, cellHeight, shades;
 function shade() {
   const name = byId("colour").value;
   if (name === "status") {
-    const names = [...new Set(Array.from({ length: cellCount }, (_, place) => statusOf(place)))].sort();
+    const names = outcomes();
     const colours = names.map((status) => (status === "not computed" ? null : NAMED[names.indexOf(status) % NAMED.length]));
     shades = { colour: (place) => colours[names.indexOf(statusOf(place))], names, colours, label: "outcome" };
     return;
@@ -132,18 +133,18 @@ function shade() {
   if (relative) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
   const known = quantities.find((quantity) => quantity.name === name);
   shades = {
-    ...{ values, low, high, stops: relative ? DIVERGING : RISING },
+    values,
+    low,
+    high,
+    stops: relative ? DIVERGING : RISING,
     label: relative ? "Vs against the mean of its content" : name === "vs" ? "Vs" : known.meaning,
     unit: relative ? "%" : known.unit,
     colour: (place) => (values[place] === null ? null : mix(shades.stops, (values[place] - low) / (high - low || 1))),
   };
 }
 function showScale() {
-  const gap = `<span><span class="swatch" style="background:var(--wash)"></span>without a number (×) or not computed</span>`;
   if (shades.names) {
-    const keys = shades.names.map((name, at) => {
-      return `<span><span class="swatch" style="background:${shades.colours[at] ?? "none"}"></span>${escape(name.replace("_", " "))}</span>`;
-    });
+    const keys = shades.names.map((name, at) => `<span>${swatch(shades.colours[at] ?? "none")}${escape(number(name))}</span>`);
     byId("scale").innerHTML = keys.join("");
     return;
   }
@@ -151,7 +152,7 @@ function showScale() {
   const stops = shades.stops.map((stop) => `#${stop}`).join();
   byId("scale").innerHTML =
     `<span>${escape(shades.label)}:</span><span>${low}</span>` +
-    `<span role="presentation" style="width:12rem;height:.9rem;background:linear-gradient(90deg,${stops})"></span><span>${high}</span>${gap}`;
+    `<span role="presentation" style="width:12rem;height:.9rem;background:linear-gradient(90deg,${stops})"></span><span>${high}</span>${key("wash", "without a number (×) or not computed")}`;
 }
 function layOutMap() {
   const room = byId("viewport").clientWidth - LEFT - EDGE;
@@ -306,8 +307,7 @@ async function start() {
     option("vs", "Vs") + option("deviation", "Vs against the mean of its content") + option("status", "outcome") +
     numeric.map(({ name, meaning }) => option(name, meaning)).join("");
   byId("content").innerHTML = option("", "all") + contents.map((content) => option(content, `${content} %`)).join("");
-  const outcomes = [...new Set(Array.from({ length: cellCount }, (_, place) => statusOf(place)))].sort();
-  byId("outcome").innerHTML = option("", "all") + outcomes.map((outcome) => option(outcome, number(outcome))).join("");
+  byId("outcome").innerHTML = option("", "all") + outcomes().map((outcome) => option(outcome, number(outcome))).join("");
   const refreshColours = () => {
     shade();
     showScale();
