@@ -43,6 +43,19 @@ for *words, code, said in [
     assert done.returncode == 0, done.stderr
 
 
+def test_ranks_do_not_wait_for_what_only_reads_and_reports() -> None:
+    """Before its first cell a rank loads no library of statistics, tables or graphs."""
+    program = """
+import sys
+import calcidem.app.campaign.ranks, calcidem.app.cli.run_view, calcidem.app.config.reader
+heavy = {"matplotlib", "netCDF4", "networkx", "pandas", "scipy.signal", "scipy.stats", "xarray"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
+"""
+    variables = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+    done = subprocess.run([sys.executable, "-c", program], check=False, env=variables, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [("st", "status study stability"), ("query --co", "--content --columns")],
