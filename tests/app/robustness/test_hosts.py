@@ -11,14 +11,19 @@ from pathlib import Path
 
 import pytest
 
+from calcidem.storage.campaign import open_stored_campaign
+
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
-from fault_matrix import CHECKOUT, Cells, RunEnd, Trial, reference
+from fault_matrix import CHECKOUT, NO_LIMIT, Cells, RunEnd, Trial, reference
+from slurm_cluster import NO_SLURM, Cluster, can_start_slurm
 
 HOSTS = Path(__file__).with_name("programs") / "hosts.sh"
 PROGRAMS = ("ip", "unshare", "nsenter", "ssh", "ssh-keygen", "sshd", "pgrep")
 SEEDS = 12
-PATIENCE = 400.0
+PATIENCE = 500.0
+LIMIT = 15.0
+"""Time limit of a batch, s, that a busy machine does not reach either."""
 
 
 def can_make_hosts() -> bool:
@@ -45,21 +50,33 @@ class HostTrial(Trial):
     command_host = "nodeA"
     ranks_on = "nodeA slots=2\nnodeB slots=1\nnodeC slots=1\n"
 
+    @property
+    def variables(self) -> dict[str, str]:
+        """Variables of the environment that any launch needs."""
+        return {
+            "PYTHONPATH": str(CHECKOUT),
+            "CALCIDEM_CACHE": str(self.folder / "cache"),
+            "OMPI_MCA_btl": "^ofi",
+            "FAULT_FOLDER": str(self.folder),
+        }
+
+    def on(self, host: str) -> list[str]:
+        """Beginning of a command line that is to run on a host."""
+        return [str(HOSTS), str(self.folder), "in", host]
+
     def begin(self, *options: str) -> subprocess.Popen[str]:
         """Start the command."""
         (self.folder / "hostfile").write_text(self.ranks_on)
         own = {
-            "PYTHONPATH": str(CHECKOUT),
-            "CALCIDEM_CACHE": str(self.folder / "cache"),
-            "OMPI_MCA_btl": "^ofi",
             "PRTE_MCA_plm_ssh_args": f"-F {self.folder}/.hosts/ssh_config",
             "PRTE_MCA_prte_default_hostfile": f"{self.folder}/hostfile",
-            "FAULT_FOLDER": str(self.folder),
         }
-        command = [str(HOSTS), str(self.folder), "in", self.command_host, sys.executable, "-m", "calcidem"]
-        command += ["run", "c.toml", "--ranks", "4", *options]
+        command = [*self.on(self.command_host), sys.executable, "-m", "calcidem", "run", "c.toml", *options]
+        environment = os.environ | self.variables | own
         with (self.folder / "output").open("w") as output:
-            return subprocess.Popen(command, env=os.environ | own, stdout=output, stderr=output, text=True)
+            return subprocess.Popen(
+                [*command, "--ranks", "4"], env=environment, stdout=output, stderr=output, text=True
+            )
 
     def do(self, *words: str) -> None:
         """Do something with the hosts."""
@@ -107,7 +124,7 @@ def trial(undisturbed: Cells, host_cache: Path) -> Iterator[HostTrial]:
 
 @pytest.mark.parametrize("command_host", ["nodeA", "nodeC"])
 def test_a_campaign_completes_over_hosts(trial: HostTrial, undisturbed: Cells, command_host: str) -> None:
-    """The bits are those of one host and the exit code is 0, also where the command runs on a host without rank 0."""
+    """The bits are those of one host and the exit code is 0, also from a login node, which has no rank."""
     trial.command_host = command_host
     trial.ranks_on = "nodeA slots=3\nnodeB slots=1\n"
     ended = trial.finish(trial.begin())
@@ -115,16 +132,28 @@ def test_a_campaign_completes_over_hosts(trial: HostTrial, undisturbed: Cells, c
     assert trial.cells() == undisturbed
 
 
-def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: Cells) -> None:
-    """Without any time limit the run says which rank is lost, completes on the other hosts and ends with 0."""
-    configuration = trial.folder / "c.toml"
-    configuration.write_text(re.sub("time_limit = .*", "", configuration.read_text()))
-    process = trial.begin("--silence-timeout", "20")
+def test_hosts_need_no_shared_folder(trial: HostTrial, undisturbed: Cells) -> None:
+    """What workers on other hosts need comes from rank 0: neither configuration nor packing have to be there."""
+    for host in ("nodeB", "nodeC"):
+        trial.do("part", host)
+    ended = trial.finish(trial.begin())
+    assert ended.code == 0, ended.output
+    assert trial.cells() == undisturbed
+
+
+@pytest.mark.parametrize("limit", [None, LIMIT], ids=["no limit", "time limit"])
+def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: Cells, limit: float | None) -> None:
+    """The run notices it by the host's silence, or earlier by a time limit, completes on the others and ends with 0."""
+    trial.configure(limit or NO_LIMIT)
+    if limit is None:
+        configuration = trial.folder / "c.toml"
+        configuration.write_text(re.sub("time_limit = .*", "", configuration.read_text()))
+    process = trial.begin("--silence-timeout", "60" if limit else "20")
     trial.wait_for("cells (")
     trial.do("link", "nodeB", "down")
     ended = trial.finish(process)
     assert ended.code == 0, ended.output
-    assert "(nodeB): has not been heard of for 20 s" in ended.output
+    assert ("(nodeB): has not been heard of for 20 s" in ended.output) == (limit is None)
     assert trial.cells() == undisturbed
 
 
@@ -139,11 +168,53 @@ def test_a_host_that_dies_is_left_out(trial: HostTrial, undisturbed: Cells) -> N
     assert trial.cells() == undisturbed
 
 
-def test_a_host_that_cannot_start_is_no_reason_to_requeue(trial: HostTrial) -> None:
-    """A host file that names a host that is not there ends the run with 1, not 75, and nothing is said to be stored."""
-    trial.ranks_on = "nodeA slots=3\nnodeX slots=1\n"
+def test_a_run_whose_host_dies_goes_on_elsewhere(trial: HostTrial, undisturbed: Cells) -> None:
+    """Where command and rank 0 die with their host, another one waits until their lease is over, and completes."""
+    process = trial.begin()
+    trial.wait_for("cells (")
+    trial.do("kill", "nodeA")
+    process.wait(10.0)
+    trial.command_host, trial.ranks_on = "nodeB", "nodeB slots=2\nnodeC slots=2\n"
+    ended = trial.finish(trial.begin())
+    assert ended.code == 0, ended.output
+    assert "on nodeA was writing this campaign" in ended.output
+    assert "Taken over from" in ended.output
+    assert trial.cells() == undisturbed
+    assert trial.attempts().total() == len(undisturbed)
+
+
+@pytest.mark.parametrize("trouble", ["unknown", "down", "no launcher"])
+def test_a_host_that_cannot_start_is_no_reason_to_requeue(trial: HostTrial, trouble: str) -> None:
+    """A host that is unknown, down or without Open MPI ends the run with 1, not 75; nothing is said to be stored."""
+    match trouble:
+        case "unknown":
+            trial.ranks_on = "nodeA slots=3\nnodeX slots=1\n"
+        case "down":
+            trial.do("kill", "nodeB")
+        case "no launcher":
+            trial.do("in", "nodeB", "mount", "-t", "tmpfs", "tmpfs", str(Path(sys.executable).parent))
     ended = trial.finish(trial.begin())
     assert ended.code == 1, ended.output
     assert "The run did not begin" in ended.output
     assert "everything stored is safe" not in ended.output
     assert not trial.database.exists()
+
+
+@pytest.mark.skipif(not can_start_slurm(), reason=NO_SLURM)
+def test_the_example_for_slurm_uses_all_nodes(trial: HostTrial, undisturbed: Cells) -> None:
+    """A job of examples/slurm.sbatch with three tasks on three nodes computes on all of them, with the bits of one."""
+    (trial.folder / "slurm").mkdir()
+    hosts = {host: trial.on(host) for host in ("nodeA", "nodeB", "nodeC")}
+    cluster = Cluster(trial.folder / "slurm", hosts, "/tmp/munge.socket")  # noqa: S108 - each host has its own
+    cluster.variables |= trial.variables | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    try:
+        cluster.start()
+        options = ("--nodes=3", "--ntasks=3", f"--output={trial.folder}/output", f"--chdir={trial.folder}")
+        job = cluster.submit(*options, str(CHECKOUT / "examples" / "slurm.sbatch"), "c.toml")
+        state = cluster.wait_for_end(job, PATIENCE)
+    finally:
+        cluster.stop()
+    assert (state["JobState"], state["ExitCode"]) == ("COMPLETED", "0:0"), (trial.folder / "output").read_text()
+    assert trial.cells() == undisturbed
+    with open_stored_campaign(trial.database) as campaign:
+        assert {cell.host for cell in campaign.select()} == {"nodeA", "nodeB", "nodeC"}

@@ -4,13 +4,9 @@ Needs Debian's packages slurm-wlm and munge, and root to start their daemons.
 """
 
 import os
-import re
-import shutil
-import signal
-import socket
-import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,128 +15,16 @@ from calcidem.storage.campaign import open_stored_campaign
 
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
-from collections.abc import Callable, Iterator
-
 from fault_matrix import CHECKOUT, CONFIGURATION, NO_LIMIT
+from slurm_cluster import NO_SLURM, Cluster, can_start_slurm
 
-PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol")
-
-pytestmark = [
-    pytest.mark.mpi,
-    pytest.mark.full,
-    pytest.mark.skipif(
-        os.geteuid() != 0 or any(shutil.which(program) is None for program in PROGRAMS),
-        reason="no Slurm to start: needs root and apt-get install --no-install-recommends slurm-wlm munge",
-    ),
-]
+pytestmark = [pytest.mark.mpi, pytest.mark.full, pytest.mark.skipif(not can_start_slurm(), reason=NO_SLURM)]
 
 PATIENCE = 400.0
 """Seconds for a job with one requeue; Slurm looks at time limits every half minute, and the machine may be busy."""
 
 SEEDS = 200
 """400 cells: half a minute on one core, so that the job does not end before its signal, 0 to 30 s after its start."""
-
-CONFIGURATION_OF_SLURM = """
-ClusterName=test
-SlurmctldHost={host}
-SlurmUser=root
-SlurmctldPort={port}
-SlurmdPort={next_port}
-AuthType=auth/munge
-CryptoType=crypto/munge
-AuthInfo=socket={folder}/munge.socket,cred_expire=5
-ProctrackType=proctrack/linuxproc
-TaskPlugin=task/none
-JobAcctGatherType=jobacct_gather/none
-AccountingStorageType=accounting_storage/none
-MpiDefault=none
-ReturnToService=2
-SelectType=select/cons_tres
-SelectTypeParameters=CR_Core
-SchedulerParameters=sched_interval=2
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd.log
-NodeName={host} CPUs={cores} State=UNKNOWN
-PartitionName=test Nodes={host} Default=YES MaxTime=INFINITE State=UP
-"""
-
-
-class Cluster:
-    """Slurm with this machine as its only node."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.variables = os.environ | {"SLURM_CONF": str(folder / "slurm.conf")}
-        self._daemons: list[subprocess.Popen[bytes]] = []
-
-    def start(self) -> None:
-        """Start the daemons and wait until the node is there."""
-        host = socket.gethostname().partition(".")[0]
-        port = free_port()
-        for name in ("state", "spool"):
-            (self.folder / name).mkdir()
-        cores = len(os.sched_getaffinity(0))
-        text = CONFIGURATION_OF_SLURM.format(
-            host=host, port=port, next_port=free_port(), folder=self.folder, cores=cores
-        )
-        (self.folder / "slurm.conf").write_text(text)
-        key = self.folder / "munge.key"
-        key.write_bytes(os.urandom(1024))
-        key.chmod(0o400)
-        options = [f"--{name}-file={self.folder}/munge.{name}" for name in ("key", "pid", "log", "seed")]
-        self._daemon("munged", "--foreground", "--force", f"--socket={self.folder}/munge.socket", *options)
-        self._wait_for((self.folder / "munge.socket").exists)
-        self._daemon("slurmctld", "-D", "-f", str(self.folder / "slurm.conf"))
-        self._daemon("slurmd", "-D", "-f", str(self.folder / "slurm.conf"), "-N", host)
-        self._wait_for(lambda: "idle" in self.ask("sinfo", "-h", "-o", "%t"))
-
-    def stop(self) -> None:
-        """End jobs and daemons."""
-        self.ask("scancel", "--user=root")
-        end = time.monotonic() + 15.0
-        while self.ask("squeue", "-h") and time.monotonic() < end:
-            time.sleep(0.5)  # a job that is still being ended would outlive its daemons
-        for daemon in reversed(self._daemons):
-            daemon.send_signal(signal.SIGTERM)
-        for daemon in self._daemons:
-            try:
-                daemon.wait(10)
-            except subprocess.TimeoutExpired:
-                daemon.kill()
-
-    def ask(self, *command: str) -> str:
-        """Answer of one of Slurm's programs."""
-        return subprocess.run(
-            command, check=False, capture_output=True, text=True, env=self.variables, timeout=60
-        ).stdout
-
-    def job(self, number: str) -> dict[str, str]:
-        """What Slurm knows of a job."""
-        return dict(re.findall(r"(\w+)=(\S*)", self.ask("scontrol", "show", "job", number)))
-
-    def _daemon(self, *command: str) -> None:
-        with (self.folder / f"{command[0]}.out").open("wb") as output:
-            self._daemons.append(subprocess.Popen(command, env=self.variables, stdout=output, stderr=output))
-
-    def _wait_for(self, happened: Callable[[], bool]) -> None:
-        end = time.monotonic() + 30.0
-        while not happened():
-            if time.monotonic() > end:
-                logs = "\n".join(f"{log}:\n{log.read_text()[-2000:]}" for log in self.folder.glob("*.out"))
-                pytest.skip(f"Slurm did not start here:\n{logs}")
-            time.sleep(0.2)
-
-
-def free_port() -> int:
-    """A port that nobody listens at."""
-    with socket.socket() as listener:
-        listener.bind(("", 0))
-        port: int = listener.getsockname()[1]
-        return port
 
 
 @pytest.fixture
@@ -168,9 +52,7 @@ def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp
     }
     log = tmp_path / "job.log"
     limits = ("--ntasks=1", "--time=1", "--signal=B:USR1@30", f"--output={log}", f"--chdir={tmp_path}")
-    answer = cluster.ask("sbatch", "--parsable", *limits, str(CHECKOUT / "examples" / "slurm.sbatch"), "c.toml")
-    number = answer.strip()
-    assert number.isdigit(), answer
+    number = cluster.submit(*limits, str(CHECKOUT / "examples" / "slurm.sbatch"), "c.toml")
     end = time.monotonic() + PATIENCE
     enough = False
     while (job := cluster.job(number))["JobState"] not in {"COMPLETED", "FAILED", "TIMEOUT", "CANCELLED", "NODE_FAIL"}:

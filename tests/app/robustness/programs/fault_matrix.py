@@ -251,7 +251,7 @@ def reference(folder: Path, cache: Path, seeds: int = SEEDS) -> Cells:
     trial = Trial(folder, cache, seeds)
     packing_hash = load_configuration(folder / "c.toml").packing_hash
     shutil.copy(SMALL_PACKING, cache / f"packing-{packing_hash[:32]}.npz")
-    ended = trial.wait(trial.start(), 3.0 * PATIENCE)  # the first run compiles
+    ended = trial.wait(trial.start("--start-timeout", "300"), 4.0 * PATIENCE)  # the first run compiles
     if ended.code != 0:
         raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")
     return trial.cells()
