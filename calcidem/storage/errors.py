@@ -59,7 +59,7 @@ class DamagedStoreError(StoreError):
 
 
 class OutputRefusedError(StoreError):
-    """A file that is to be written has the name of a database, or of another campaign's file, or a format that can't be made."""
+    """A file that is to be written has the name of a database or of another file, or a format that cannot be made."""
 
 
 class ReplacedStoreError(StoreError):
