@@ -55,7 +55,7 @@ COLUMNS = ("phase", "victim", "restarts", "code", "seconds", "complaints")
 
 
 class KillTrial(Trial):
-    """A campaign with a file of disks, and with a cache of its own, so that its packing has to be made."""
+    """A campaign with a file of disks."""
 
     def configure(self, time_limit: float = NO_LIMIT) -> None:
         """Write disks and configuration."""
@@ -95,7 +95,7 @@ class Killing:
         self._begun: list[KillTrial] = []
         self._count = 0
         os.environ["NUMBA_CACHE_DIR"] = str(top / "kernels")
-        trial = self._new_trial()
+        trial = self._new_trial("cache")
         ended = self._finish(trial)
         self._expected = trial.cells()
         if ended.code != 0 or len(self._expected) != 2 * SEEDS:
@@ -104,7 +104,9 @@ class Killing:
     def kill_in(self, phase: str, numbers: random.Random) -> dict[str, Any] | None:
         """Kill a process of a campaign about this phase and judge what comes of it; None if it ended before that."""
         anew = phase in NEEDS_A_NEW_CAMPAIGN or not self._begun
-        trial = self._new_trial() if anew else self._begun.pop(0)
+        trial = (
+            self._new_trial(f"cache-{self._count}" if phase == "packing" else "cache") if anew else self._begun.pop(0)
+        )
         os.environ["NUMBA_CACHE_DIR"] = str((trial.folder if phase == "compile" else self._top) / "kernels")
         (trial.folder / "output").write_text("")
         restarts = numbers.choice((0, 1, 1))
@@ -126,11 +128,12 @@ class Killing:
         os.environ["NUMBA_CACHE_DIR"] = str(self._top / "kernels")
         return all(self._finish(trial).code == 0 and trial.cells() == self._expected for trial in self._begun)
 
-    def _new_trial(self) -> KillTrial:
+    def _new_trial(self, cache: str) -> KillTrial:
+        """Give a campaign; its packing has to be made if this cache is not that of the undisturbed one."""
         folder = self._top / f"campaign-{self._count}"
         self._count += 1
         folder.mkdir()
-        return KillTrial(folder, folder / "cache", SEEDS)
+        return KillTrial(folder, self._top / cache, SEEDS)
 
     def _finish(self, trial: KillTrial) -> RunEnd:
         return trial.wait(trial.start("--start-timeout", "600"), 10.0 * self._patience)  # the first run compiles
