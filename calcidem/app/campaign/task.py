@@ -36,9 +36,8 @@ from calcidem.storage.records import (
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, Compute
 
-_SEEDS_REMEMBERED = 512
-"""Seeds whose cement is not drawn again for each content; 0.3 MB and, to draw, half a sample's time each. Contents come
-one after the other, so with more seeds than these none would be found again."""
+_SEEDS_REMEMBERED = 64
+"""Seeds whose cement is not drawn again for each content; 0.3 MB each. Batches of the same seeds follow each other."""
 
 _AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
