@@ -1,32 +1,45 @@
 """What the scheduler itself costs, in CPU time, which a busy machine changes least."""
 
 import json
-from typing import TYPE_CHECKING
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from calcidem.sweep.protocol import Backoff
 
 if TYPE_CHECKING:
     from conftest import Campaign
 
 pytestmark = [pytest.mark.mpi, pytest.mark.full]
 
+_SHORT_SLEEPS = 100
+"""At most, before the sleeps are `Backoff.LONGEST`: seven after each message of four batches, and at the end."""
 
-def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> dict[str, float]:
-    """Return wall and CPU seconds of the master for so many batches."""
+
+def measure(campaign: "Campaign", batches: int, seconds: float, ranks: int) -> dict[str, Any]:
+    """Return for so many batches wall and CPU seconds of the master, and CPU seconds of its loop between two sleeps."""
     options = ("--batches", str(batches), "--seconds", str(seconds))
     launch = campaign.start(*options, ranks=ranks, program="measure_program.py").wait()
     assert launch.exit_code == 0, launch.errors
-    measured: dict[str, float] = json.loads(launch.output)
+    measured: dict[str, Any] = json.loads(launch.output)
     assert measured["cells"] == batches
     return measured
 
 
 def test_an_idle_master_sleeps(campaign: "Campaign", capsys: pytest.CaptureFixture[str]) -> None:
-    """While its workers compute, the master uses less than a tenth of a core; one that blocks uses half of it."""
+    """While its workers compute, the master turns as seldom as its longest sleep has it, and does little in a turn."""
     measured = measure(campaign, batches=4, seconds=2.0, ranks=3)
-    share = measured["cpu"] / measured["wall"]
+    share, turns = measured["cpu"] / measured["wall"], measured["turns"]
+    ratio = median(turns) / median(measured["bare"])
     with capsys.disabled():
-        print(f"\nidle master: {share:.2%} of a core over {measured['wall']:.1f} s")  # noqa: T201 - see above
+        print(  # noqa: T201 - see above
+            f"\nidle master: {share:.2%} of a core over {measured['wall']:.1f} s, {len(turns)} turns of"
+            f" {1e6 * median(turns):.0f} us, {ratio:.1f} times a bare look for messages"
+        )
+    assert len(turns) < measured["wall"] / Backoff.LONGEST + _SHORT_SLEEPS
+    assert ratio < 4.0
+    # 2 % on a free machine; with others on it, what they push out of the caches has to be fetched again in each turn.
     assert share < 0.1
 
 

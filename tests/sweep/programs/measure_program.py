@@ -1,6 +1,7 @@
-"""Measures what a sweep costs: CPU time of the master and wall time, printed by rank 0 as JSON."""
+"""Measures what a sweep costs: wall time and CPU time of the master, of all and of each turn, printed as JSON."""
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -8,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
+from calcidem.sweep.protocol import Backoff, wait_until
 
 
 class Counter:
@@ -21,6 +23,19 @@ class Counter:
 
     def store_loss(self, batch: Batch[int], reason: str) -> None:
         """Count nothing."""
+
+
+def note_sleeps() -> list[float]:
+    """Return a list that gets the CPU time of the thread before each sleep from now on, s."""
+    noted: list[float] = []
+    sleep = Backoff.sleep
+
+    def note_and_sleep(backoff: Backoff) -> None:
+        noted.append(time.thread_time())
+        sleep(backoff)
+
+    Backoff.sleep = note_and_sleep  # type: ignore[method-assign]
+    return noted
 
 
 def main() -> None:
@@ -40,11 +55,15 @@ def main() -> None:
         session.broadcast(0)  # so that the clock starts when all ranks are there
         sink = Counter()
         batches = [Batch(number, (number,)) for number in range(options.batches)]
-        wall, cpu = time.perf_counter(), time.process_time()
+        sleeps, wall, cpu = note_sleeps(), time.perf_counter(), time.process_time()
         end = run_sweep(session.comm, batches, compute, sink)
         measured = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, "cells": sink.cells}
+        swept = len(sleeps)
         if session.rank == 0:
-            sys.stdout.write(json.dumps(measured))
+            if session.comm is not None and options.seconds:  # what sleeping and looking for messages alone costs here
+                wait_until(session.comm.Iprobe, options.seconds)
+            turns = [after - before for before, after in itertools.pairwise(sleeps)]
+            sys.stdout.write(json.dumps(measured | {"turns": turns[: swept - 1], "bare": turns[swept:]}))
         session.end(end.exit_code, end)
 
 
