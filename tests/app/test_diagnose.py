@@ -23,7 +23,7 @@ from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration
-from calcidem.app.report.page import _velocity_remarks
+from calcidem.app.report.page import velocity_remarks
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.main_peak import PERIODS_ASKED
@@ -171,7 +171,7 @@ def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke:
     assert "calcidem diagnose" in said
     assert "calcidem retry" not in said
     with open_campaign(unread) as campaign:
-        remarks = " ".join(_velocity_remarks(CampaignAnalysis(campaign)))
+        remarks = " ".join(velocity_remarks(CampaignAnalysis(campaign)))
     assert f"{CONTENT:g} % ({len(SEEDS)} of {len(SEEDS)})" in remarks
 
 

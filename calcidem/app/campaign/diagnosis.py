@@ -159,7 +159,7 @@ class _Examiner:
     def __init__(self, campaign: StoredCampaign, progress: Callable[[str], None]) -> None:
         self.campaign = campaign
         self.progress = progress
-        self.experiment = lru_cache(lambda index: experiment_of(campaign, index))
+        self.experiment = lru_cache(lambda index: _experiment_of(campaign, index))
         self.readable = lru_cache(
             lambda content: [cell.vs for cell in campaign.select(content=content, status=CellStatus.DONE) if cell.vs]
         )
@@ -225,7 +225,7 @@ class _Examiner:
         return (_SLOWED * speed, speed), f"the stiffness of the sample at rest ({speed:.0f} m/s for long waves)"
 
 
-def experiment_of(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
+def _experiment_of(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
     """What the cells of a packing share; errors as `OpenedCampaign.experiment`."""
     return Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, packing_index))
 
@@ -354,7 +354,7 @@ def try_cures(
         If the campaign was computed with another version of the physics.
     """
     refuse_other_physics(campaign.record)
-    experiment = experiment_of(campaign)
+    experiment = _experiment_of(campaign)
     ordering = lru_cache(experiment.ordering)
     for content, chosen in sorted(_spread_over_contents(diagnoses, count).items()):
         seeds = [diagnosis.key.seed for diagnosis in chosen]
