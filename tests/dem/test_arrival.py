@@ -155,7 +155,7 @@ def test_p_wave_that_runs_into_the_s_wave_is_taken_off() -> None:
 
 
 def test_p_wave_that_moved_the_s_wave_is_a_reason() -> None:
-    """Where the swing has moved the peak by 7 % of the travel time or cut it, all readings fail, and say why."""
+    """Where the swing has moved the peak by 5 % of the travel time or cut it, all readings fail, and say why."""
     picks = read_travel_times(swing_before(0.25, 1.8))
     for reading in (picks.peak, picks.first_arrival, picks.cross_correlation):
         assert reading == Reading(failure=PickFailure.PRECURSOR)

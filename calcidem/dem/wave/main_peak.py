@@ -29,11 +29,11 @@ _TWIN = 0.05  # of the height of a top; step and regime change signals by a thir
 _SCATTERED = 0.2  # of what comes behind the S wave at most, where a larger P wave came before it
 _EARLIER = 0.5  # of the main peak; a top between a P wave and it, which it cannot be told from, is as large
 _APART = 0.05  # of the travel time; tops that are nearer to each other do not make a velocity wrong
-_BLUR = 0.16  # of the travel time that the additional width of a peak may be ...
+_BLUR = 0.14  # of the travel time that the additional width of a peak may be ...
 _BLUR_BEFORE = 0.06  # ... and that of its rising half alone ...
 _BLURRED = 1.4  # ... in records with fewer periods on the way
 _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin much earlier
-_SHIFT = 0.07  # of the travel time by which a P wave of opposite sign may have moved the peak
+_SHIFT = 0.05  # of the travel time by which a P wave of opposite sign may have moved the peak
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
 

@@ -75,7 +75,7 @@ class PickRule:
     fastest: float = 5000.0
     prominence: float = 0.5
     width: float = 0.4
-    precursor: float = 0.5
+    precursor: float = 0.25
     horizon: float = 2.1
     onset: float = 0.1
     signal_to_noise: float = 4.0
