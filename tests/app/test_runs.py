@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from conftest import Cells, Workshop
 
 CHECKOUT = Path(__file__).parents[2]
+OTHER_EXPORT = CHECKOUT / "tests" / "storage" / "assets" / "layout_2.nc"
 
 pytestmark = [
     pytest.mark.mpi,
@@ -122,16 +123,18 @@ def test_a_lost_worker_costs_only_its_batch(workshop: "Workshop", expected: "Cel
 
 
 def test_a_complete_campaign_is_not_computed_again(workshop: "Workshop") -> None:
-    """Running a complete campaign again computes nothing, and writes the NetCDF file anew."""
+    """Running a complete campaign again computes nothing, and writes the NetCDF file anew, but not over another's."""
     workshop.configure(seeds=2, contents=(0.0,))
     assert workshop.run("run", "c.toml").code == 0
     netcdf = workshop.database.with_suffix(".nc")
-    netcdf.unlink()
+    shutil.copy(OTHER_EXPORT, netcdf)
     again = workshop.run("run", "c.toml")
     assert again.code == 0, again.errors
     assert workshop.attempts() == 2
     assert "Nothing to compute" in again.output
-    assert netcdf.exists()
+    assert netcdf.read_bytes() == OTHER_EXPORT.read_bytes()
+    with open_stored_campaign(workshop.database) as campaign:
+        assert netcdf.with_stem(f"small-{campaign.record.hash[:8]}").exists()
 
 
 def test_another_physics_is_refused(workshop: "Workshop") -> None:

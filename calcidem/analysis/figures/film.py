@@ -27,6 +27,8 @@ _PICTURE_SHARE = 0.66
 _SHOWN = 0.6
 """Heights above and below the middle that are shown, over the width of the box: what is damped beyond shows nothing."""
 _GIF_PALETTE = 96
+_COLOURED = 0.999
+"""Of all velocities; those above, of a few disks that rattle, have the last colour."""
 _DOTS = 90
 _MOVIE_RATE = 15
 _MARGIN_MM = 1.5
@@ -115,7 +117,7 @@ def draw_film(
     sample.add_collection(EllipseCollection(sizes, sizes, 0 * sizes, offsets=whole, facecolor=PALE, **style))
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
-    largest = float(arrival.sent.max())  # disks that rattle are faster
+    largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
     # Equal steps of colour are equal steps of the root: what arrives is a tenth of what is sent.
     moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
     moving.set_array(frames[1][0])

@@ -1,0 +1,186 @@
+"""Where time goes beside the kernel: libraries, compilation, the first command, and the phases of a campaign.
+
+    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper.toml] [--json FILE]
+
+Seconds of the processor (user and system) of whole processes or of the main thread, and of the clock where people
+wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out.
+"""
+
+import argparse
+import contextlib
+import importlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LIBRARIES = {
+    "Python alone": "pass",
+    "a worker": "import calcidem.app.campaign.ranks",
+    "rank 0": "import calcidem.app.campaign.ranks, calcidem.app.cli.run_view, calcidem.app.config.reader",
+}
+
+KERNELS = """
+import json, sys, time
+from calcidem.app.campaign.packing import kept_packing
+from calcidem.app.campaign.task import kernel_compilations
+from calcidem.app.config.reader import load_configuration
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+configuration = load_configuration(sys.argv[1], {})
+found = {}
+def clock(name, action):
+    began = time.process_time()
+    action()
+    found[name] = time.process_time() - began
+rule = PackingRule(width=0.02, height=0.02, expansion_steps=1)
+generator = random_generator(0, 1, RandomPurpose.DISKS)
+clock("packing: both kernels", lambda: make_packing(rule, Sand(), generator))
+packing = kept_packing(configuration.packing_hash, lambda _: None)
+for number, action in enumerate(kernel_compilations(configuration, packing)):
+    clock(f"wave: {('largest', 'smallest')[number]} content", action)
+print(json.dumps(found))
+"""
+
+PHASES = {
+    "kernel": ("calcidem.dem.engine.leapfrog.advance_steps",),
+    "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
+    "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
+    "looks at the records": ("calcidem.dem.wave.measurement.has_arrived",),
+    "guards": ("calcidem.dem.wave.recorder.problems_of", "calcidem.dem.wave.recorder.nonlinear_share"),
+    "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
+    "other work of a batch": ("calcidem.app.campaign.task.measure",),
+    "path and graph": ("calcidem.app.campaign.task.with_graph",),
+    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.app.campaign.task.pack_result"),
+    "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
+    "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),
+}
+
+
+class Phases:
+    """Processor seconds of the main thread in each phase, without those of phases within it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inner = [0.0]
+        for phase, places in PHASES.items():
+            for place in places:
+                owner, _, name = place.rpartition(".")
+                module = importlib.import_module(owner)
+                setattr(module, name, self._timed(phase, getattr(module, name)))
+
+    def _timed(self, phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, with its time counted."""
+
+        def call(*arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - any function
+            began = time.thread_time()
+            self._inner.append(0.0)
+            try:
+                return function(*arguments, **named)
+            finally:
+                spent = time.thread_time() - began
+                self.seconds[phase] += spent - self._inner.pop()
+                self._inner[-1] += spent
+
+        return call
+
+
+def children_seconds() -> float:
+    """Processor seconds of the processes that have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def run_python(program: str, *arguments: str, cache: Path | None = None) -> tuple[float, str]:
+    """Processor seconds and output of a program."""
+    environment = os.environ | ({} if cache is None else {"NUMBA_CACHE_DIR": str(cache)})
+    began = children_seconds()
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], check=True, capture_output=True, text=True, env=environment
+    )
+    return children_seconds() - began, done.stdout
+
+
+def run_command(configuration: Path, ranks: int, folder: Path, cache: Path) -> dict[str, float]:
+    """Seconds of `calcidem run`: of the clock until rank 0 says that it computes cells, of all, and of the processor."""
+    command = [sys.executable, "-m", "calcidem", "run", str(configuration), "--db", str(folder / "c.db")]
+    command += ["--output", str(folder), *(["--ranks", str(ranks)] if ranks > 1 else [])]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONUNBUFFERED": "1"}
+    used, began = children_seconds(), time.monotonic()
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    found: dict[str, float] = {}
+    for line in process.stdout or ():
+        if " batches on " in line:
+            found.setdefault("until cells are computed", time.monotonic() - began)
+    process.wait()
+    return found | {"whole command": time.monotonic() - began, "processor": children_seconds() - used}
+
+
+def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
+    """Processor seconds of the phases of a campaign in this process, kernels taken from the cache."""
+    phases = Phases()
+    run = importlib.import_module("calcidem.app.campaign.run")
+    export = importlib.import_module("calcidem.storage.netcdf.export")
+    open_store = importlib.import_module("calcidem.storage.sql.store").open_store
+    with scratch() as folder:
+        values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}
+        run.run(configuration, set=values, progress=False).close()
+        with open_store(folder / "c.db", read_only=True) as store:
+            export.export_netcdf(store, store.use_campaign(None), folder / "c.nc")
+    return dict(phases.seconds)
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for a moment."""
+    with tempfile.TemporaryDirectory(prefix="calcidem-start-") as folder:
+        yield Path(folder)
+
+
+def show(title: str, seconds: dict[str, float]) -> None:
+    """Print a table."""
+    print(f"\n{title}")
+    for name, value in seconds.items():
+        print(f"  {name:40s} {value:8.2f} s")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper.toml")
+    parser.add_argument("--ranks", type=int, default=2)
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found: dict[str, dict[str, float]] = {}
+    found["libraries"] = {name: run_python(program)[0] for name, program in LIBRARIES.items()}
+    show("Loading libraries, processor", found["libraries"])
+    with scratch() as cache:
+        for title in ("compiling", "loading kernels from the cache"):
+            found[title] = json.loads(run_python(KERNELS, str(options.config), cache=cache)[1])
+            show(f"{title.capitalize()}, processor", found[title])
+    with scratch() as folder, scratch() as cache:
+        for title in ("first command", "same command again"):
+            (folder / "c.db").unlink(missing_ok=True)
+            found[title] = run_command(ROOT / "examples" / "quick.toml", options.ranks, folder, cache)
+            show(f"{title.capitalize()}, quick.toml on {options.ranks} ranks", found[title])
+    if options.seeds:
+        campaign_phases(options.config, 1)  # compiles, if need be
+        found["campaign"] = campaign_phases(options.config, options.seeds)
+        show(f"Campaign of {options.seeds} seeds, one process, processor", found["campaign"])
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
