@@ -159,6 +159,25 @@ def test_a_run_in_python_tells_a_function(workshop: "Workshop", monkeypatch: pyt
     assert told[-1].contents == ((0.0, 2, 2), (5.0, 2, 2))
 
 
+HOLD_BATCHES = """
+import time
+from pathlib import Path
+from calcidem.sweep.attempt import Deadline
+begin, begun = Deadline.__init__, []
+
+def hold(deadline, *arguments):
+    begun.append(deadline)
+    end = time.monotonic() + 20.0
+    while len(begun) > 1 and time.monotonic() < end and not Path({shown!r}).exists():
+        time.sleep(0.05)
+    begin(deadline, *arguments)
+
+Deadline.__init__ = hold
+"""
+"""Python runs this when it starts: batches after a process's first wait until the terminal has shown that one is done,
+which on a busy machine all might be before."""
+
+
 def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
     """What the command writes to a terminal of 110 columns, as it comes."""
     master, slave = pty.openpty()
@@ -169,7 +188,8 @@ def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
         stdout=slave,
         stderr=slave,
         env=os.environ
-        | {"PYTHONPATH": str(CHECKOUT), "CALCIDEM_CACHE": str(workshop.cache), "WORKSHOP": str(workshop.folder)}
+        | {"PYTHONPATH": f"{workshop.folder}:{CHECKOUT}", "CALCIDEM_CACHE": str(workshop.cache)}
+        | {"WORKSHOP": str(workshop.folder)}
         | {"OMPI_MCA_btl": "^ofi", "COLUMNS": "110", "LINES": "40", "TERM": "xterm", "LANG": "C.UTF-8"},
     )
     os.close(slave)
@@ -201,8 +221,13 @@ def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_
         text = (workshop.folder / "c.toml").read_text(encoding="utf-8")
         own = text.replace("[packing]", f"[packing]\nseed = {ranks + 7}")
         (workshop.folder / "c.toml").write_text(own, encoding="utf-8")
-    written = "".join(run_in_terminal(workshop, "run", "c.toml", "--ranks", str(ranks)))
-    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
+    (workshop.folder / "sitecustomize.py").write_text(HOLD_BATCHES.format(shown=str(workshop.folder / "shown")))
+    plain = written = ""
+    for text in run_in_terminal(workshop, "run", "c.toml", "--ranks", str(ranks)):
+        written += text
+        plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
+        if re.search(r"[1-9]\d* of 12 cells", plain):
+            (workshop.folder / "shown").touch()
     lines = [line.rstrip() for line in re.split(r"[\r\n]+", plain)]
     for stage in ("Starting",) * (ranks > 1) + ("Packing ",) * own_packing + ("Computing",):
         frames = dict.fromkeys(line for line in lines if re.match(rf"[-|/\\] {stage}", line))
