@@ -76,7 +76,7 @@ def error_bound(parts: ErrorParts) -> float:
 _CURES = {
     "step": "make step_fraction smaller",
     "sampling": "make samples_per_period larger",
-    "slip": "contacts slip that the linear regime holds; choose regime = 'finite', or a lower amplitude if the pulse moves them",
+    "slip": "contacts slip that the linear regime holds; choose regime = 'finite', or a lower amplitude",
     "precision": "choose precision = 'float64'",
     "noise": "noise moves the peak; lower amplitude or the frequency",
     "chatter": "make step_fraction or damping smaller",
