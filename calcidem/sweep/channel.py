@@ -3,6 +3,7 @@
 import os
 import socket
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cache
 
 from calcidem.sweep.starter import DESCRIPTOR_VARIABLE
@@ -10,14 +11,45 @@ from calcidem.sweep.starter import DESCRIPTOR_VARIABLE
 _MOST_UNHEARD = 4
 """Pictures of the progress that may be under way to the command; one that is busy or stopped gets no more."""
 
-_heard = bytearray()
-"""Of the command, up to the last whole line."""
 
-_lost: dict[int, str] = {}
-"""Ranks that the command has called lost, and that were not asked for yet."""
+@dataclass(slots=True)
+class _Command:
+    """The command that listens to this process.
 
-_unheard: list[None] = []
-"""One entry for each picture of the progress that the command has not taken yet."""
+    Attributes
+    ----------
+    connection
+        To it; the starter writes in the same end.
+    buffer
+        What has come in of its next line.
+    lost
+        Ranks that it has called lost, and that were not asked for yet, with reasons.
+    unheard
+        Number of pictures of the progress that it has not taken yet.
+    """
+
+    connection: socket.socket
+    buffer: bytes = b""
+    lost: dict[int, str] = field(default_factory=dict)
+    unheard: int = 0
+
+    def say(self, text: str) -> None:
+        """Tell it a line."""
+        with suppress(OSError):  # it is gone; the launcher or the starter will end this process
+            self.connection.sendall(f"{text}\n".encode())
+
+    def listen(self) -> None:
+        """Take in what it says: `lost RANK REASON`, or `heard` for each picture of the progress."""
+        with suppress(OSError):  # nothing new, or it is gone
+            self.buffer += self.connection.recv(1 << 16, socket.MSG_DONTWAIT)
+        *lines, self.buffer = self.buffer.split(b"\n")
+        for line in lines:
+            word, _, rest = line.decode(errors="replace").partition(" ")
+            if word == "lost":
+                rank, _, reason = rest.partition(" ")
+                self.lost[int(rank)] = reason
+            else:
+                self.unheard -= 1
 
 
 def tell_command(text: str) -> None:
@@ -33,14 +65,13 @@ def tell_command(text: str) -> None:
 
     progress JSON   how far the run is, for the display
     """
-    if (connection := _connection()) is not None:
-        with suppress(OSError):  # the command is gone; the launcher or the starter will end this process
-            connection.sendall(f"{text}\n".encode())
+    if (command := _command()) is not None:
+        command.say(text)
 
 
 def command_listens() -> bool:
     """Whether this process was started by a command that listens, and ends what is left when rank 0 has ended."""
-    return _connection() is not None
+    return _command() is not None
 
 
 def tell_progress(text: str) -> None:
@@ -48,40 +79,25 @@ def tell_progress(text: str) -> None:
 
     Were it not for that, a command that is stopped would fill its socket and be taken for lost.
     """
-    _listen()
-    if len(_unheard) < _MOST_UNHEARD:
-        _unheard.append(None)
-        tell_command(f"progress {text}")
+    if (command := _command()) is None:
+        return
+    command.listen()
+    if command.unheard < _MOST_UNHEARD:
+        command.unheard += 1
+        command.say(f"progress {text}")
 
 
 def lost_according_to_command() -> dict[int, str]:
     """Ranks that are lost as the command now knows from their starters, with reasons, each told once; for rank 0."""
-    _listen()
-    lost = dict(_lost)
-    _lost.clear()
+    if (command := _command()) is None:
+        return {}
+    command.listen()
+    lost, command.lost = command.lost, {}
     return lost
 
 
-def _listen() -> None:
-    """Take in what the command says: `lost RANK REASON`, or `heard` for each picture of the progress."""
-    if (connection := _connection()) is None:
-        return
-    with suppress(OSError):  # nothing new, or the command is gone
-        _heard.extend(connection.recv(1 << 16, socket.MSG_DONTWAIT))
-    end = _heard.rfind(b"\n") + 1
-    lines = bytes(_heard[:end]).decode(errors="replace").splitlines()
-    del _heard[:end]
-    for line in lines:
-        word, _, rest = line.partition(" ")
-        if word == "lost":
-            rank, _, reason = rest.partition(" ")
-            _lost[int(rank)] = reason
-        elif _unheard:
-            _unheard.pop()
-
-
 @cache
-def _connection() -> socket.socket | None:
-    """The connection, in whose other end the starter writes too; None if this process was started in another way."""
+def _command() -> _Command | None:
+    """The command at the other end of the starter's connection; None if this process was started in another way."""
     descriptor = os.environ.get(DESCRIPTOR_VARIABLE)
-    return None if descriptor is None else socket.socket(fileno=int(descriptor))
+    return None if descriptor is None else _Command(socket.socket(fileno=int(descriptor)))

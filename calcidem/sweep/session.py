@@ -140,21 +140,19 @@ class Session:
         self._flush(exit_code)
         self._ending = True
         if self.comm is not None and self.size > 1:
-            if sweep_end is not None and sweep_end.unresponsive_ranks and not command_listens():
-                self._abort_mpi(exit_code)  # a command ends those that are left, and more quietly
-            own_code = exit_code if self.rank == 0 else EXIT_COMPLETE
             # A rank that ends early makes mpirun end the others: always without ULFM, and now and then with it.
-            from calcidem.sweep.protocol import barrier, release, wait_for_release  # noqa: PLC0415 - as above
+            from calcidem.sweep.protocol import release, wait_for_release  # noqa: PLC0415 - as above
 
+            deaf = frozenset() if sweep_end is None else sweep_end.unresponsive_ranks
+            if deaf and not (fault_tolerance_enabled() and command_listens()):
+                self._abort_mpi(exit_code)  # with ULFM a command ends those that are left, and more quietly
+            if self.rank == 0:
+                release(self.comm, set(range(1, self.size)) - deaf, _RELEASE_LIMIT)
+            else:
+                wait_for_release(self.comm)
+                exit_code = EXIT_COMPLETE
             if fault_tolerance_enabled():
-                if self.rank == 0:
-                    deaf = frozenset() if sweep_end is None else sweep_end.unresponsive_ranks
-                    release(self.comm, set(range(1, self.size)) - deaf, _RELEASE_LIMIT)
-                else:
-                    wait_for_release(self.comm)
-                os._exit(own_code)  # MPI_Finalize would wait for lost ranks for ever
-            barrier(self.comm)
-            sys.exit(own_code)
+                os._exit(exit_code)  # MPI_Finalize would wait for lost ranks for ever
         sys.exit(exit_code)
 
     def abort(self, exit_code: int) -> NoReturn:
