@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -110,6 +111,15 @@ class Launch:
             self.wait_for_line(text)
         else:
             pytest.fail(f"{text!r} was never written")
+
+    def wait_for_ranks(self) -> None:
+        """Wait until all ranks have found one another."""
+        end = time.monotonic() + PATIENCE
+        while not self.watch.begun:
+            if self.process.poll() == NO_LISTENER and self.again is not None:
+                self.process, self.again = self.again(), None
+            assert time.monotonic() < end, "the ranks did not find one another"
+            time.sleep(0.02)
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to mpirun."""

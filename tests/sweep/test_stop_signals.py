@@ -33,7 +33,8 @@ def test_sigusr1_finishes_what_runs(campaign: "Campaign", expected: "Values", ul
 def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """SIGUSR2 to mpirun: the end comes long before the running batches would be done, with 75."""
     launch = campaign.start("--seconds", "5", "--seeds", "4", ulfm=ulfm)
-    time.sleep(2.0)
+    launch.wait_for_ranks()
+    time.sleep(0.5)
     start = time.monotonic()
     launch.signal(signal.SIGUSR2)
     launch.wait()
