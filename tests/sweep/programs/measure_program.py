@@ -34,7 +34,7 @@ def note_sleeps() -> list[float]:
         noted.append(time.thread_time())
         sleep(backoff)
 
-    Backoff.sleep = note_and_sleep  # type: ignore[method-assign]
+    Backoff.sleep = note_and_sleep  # type: ignore[assignment,method-assign]
     return noted
 
 
