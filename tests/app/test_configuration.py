@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
+        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper.toml"): (
-        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
+        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-literal.toml"): (
-        "4331266831f3cd48d6da5a3e040a3085a78fb9bbe0b48b4cf754dcd7dda22456",
+        "6b701d6621d513d6b57213f21c9fdaaf1bb5c20c86502d07b1a5fe914353032b",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
     (3, "examples/paper-locked.toml"): (
-        "86427a55981b003f7b25c371ec956d72f79dc07345ecc4f2b5860275930cb74e",
+        "503ac0c54511e4e5a564250b8776db16827c14271696441df9293cc375ecc9f4",
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "c74d7a6240b122b93d6ae0cd5cf5c59fd376122bfbe09eaaf06efd6cc42ad1ad",
+        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
 }
