@@ -12,7 +12,7 @@ code reads the plain dataclass.
 from typing import Any
 
 from numba.core import ir, types
-from numba.core.rewrites import Rewrite, register_rewrite
+from numba.core.rewrites.registry import Rewrite, register_rewrite
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
 from calcidem.dem.kernels.features import Features
