@@ -74,7 +74,6 @@ def test_a_silent_worker_is_given_up_without_a_time_limit(
     launch = campaign.run("--fault", "stop", "--once", str(once), "--seconds", "0.02", "--silence-floor", "2")
     assert once.exists()
     assert launch.exit_code == 0, launch.errors
-    assert "lost rank 1 (" in launch.errors
     assert "no answer within " in launch.errors  # 2 s at least, more where the batches took longer
     assert campaign.values() == expected
     assert campaign.leaves_no_process()
