@@ -12,7 +12,7 @@ that an idle rank costs next to nothing and a dead or silent partner cannot hold
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
 
-The collective operations (`barrier`, `broadcast`, `gather`, `share_on_node`) sleep while they wait, too: those of MPI
+The collective operations (`broadcast`, `gather`, `share_on_node`) sleep while they wait, too: those of MPI
 that block keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
@@ -175,7 +175,7 @@ def acknowledge_failures(comm: MPI.Comm) -> None:
     group.Free()
 
 
-def barrier(comm: MPI.Comm) -> None:
+def _barrier(comm: MPI.Comm) -> None:
     """Return once all ranks have called this."""
     wait_until(comm.Ibarrier().Test)
 
@@ -213,4 +213,4 @@ def share_on_node(comm: MPI.Comm, actions: Sequence[Callable[[], object]]) -> No
     for action in actions[node.Get_rank() :: node.Get_size()]:
         action()
     node.Free()
-    barrier(comm)
+    _barrier(comm)

@@ -47,7 +47,8 @@ def experiment(small_packing: Packing) -> Experiment:
 def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     """Give a study of the default and of single precision, of a pulse that suits so short a way."""
     # At Table 2's frequencies the way is shorter than a wavelength, and most readings are refused.
-    gentle = replace(with_wave(experiment, amplitude=4e-4), frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))
+    # At 4e-4 m/s contacts of this small packing slip so much that a cell's two tops change places.
+    gentle = replace(with_wave(experiment, amplitude=1e-4), frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))
     single = Setting("precision", "float32", with_wave(gentle, precision="float32"))
     compared = [Setting(DEFAULT, "", gentle), single]
     return run_study(gentle, *request.param, compared=compared, coarsest=0.1, rounds=1)

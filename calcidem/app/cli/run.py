@@ -76,10 +76,10 @@ def run_command(
         )
     from calcidem.app.campaign.ranks import run_on_ranks
 
-    run_on_ranks(partial(_load, configuration, overrides), partial(_open_view, with_report=with_report))
+    run_on_ranks(partial(_read_overridden, configuration, overrides), partial(_open_view, with_report=with_report))
 
 
-def _load(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":
+def _read_overridden(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":
     """The configuration, on rank 0 alone; the others do not wait for what reads it."""
     from calcidem.app.config.reader import load_configuration
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import chain
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -356,7 +357,8 @@ def _circles(
     for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
         centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
         # The tree looks a little further than need be: which of its points lie inside is decided here.
-        near = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
+        lists = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
+        near = cast("list[list[int]]", lists)
         found = np.fromiter(chain.from_iterable(near), dtype=np.int64)
         circle = np.repeat(np.arange(len(centres)), [len(indices) for indices in near])
         inside = length(*(points[found] - centres[circle]).T) <= radius
