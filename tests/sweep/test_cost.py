@@ -39,7 +39,7 @@ def test_an_idle_master_sleeps(campaign: "Campaign", capsys: pytest.CaptureFixtu
         )
     assert len(turns) < measured["wall"] / Backoff.LONGEST + _SHORT_SLEEPS
     assert ratio < 4.0
-    # 2 % on a free machine; with others on it, what they push out of the caches has to be fetched again in each turn.
+    # With others on the machine, what they push out of the caches has to be fetched again in each turn.
     assert share < 0.1
 
 
