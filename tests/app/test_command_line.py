@@ -104,7 +104,9 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
     with xr.open_dataset(database.with_suffix(".nc")) as exported, calcidem.open_campaign(database) as campaign:
         assert exported["vs"].equals(campaign.vs())
         strong, weak = campaign.vs().sel(content=0.66), campaign.vs().sel(content=0.1)
-        assert (strong > weak).all(), "cement stiffens"
+        read = strong.notnull() & weak.notnull()
+        assert read.any()
+        assert (strong > weak).where(read, True).all(), "cement stiffens"  # noqa: FBT003 - xarray's name for the rest
     status = workshop.run("status", str(database))
     assert status.code == 0, status.errors
     assert "2 seeds x 2 contents" in status.output

@@ -19,7 +19,6 @@ _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as whic
 _INEXACT = "the numerical error may be above 5 %"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 _MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
-_FEWEST_WAVELENGTHS = 0.4  # of way; on less, P and S wave are one peak whose time is neither's: 26 % too early at 0.3
 _MUTING = 0.6  # sample damping above which that is so: scenes with 0.62 and 0.68 changed Vs by 8 and 11 % with the step
 
 
@@ -167,8 +166,6 @@ def interpret_record(
     if reading.quality < experiment.least_quality:
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         return Outcome.NO_ARRIVAL, reason, *unread
-    if reading.travel_time * frequency < _FEWEST_WAVELENGTHS:
-        return Outcome.NO_ARRIVAL, str(PickFailure.BROAD), *unread
     expected, bound, parts = numerical_error(experiment, frequency, record, picks, reading.travel_time)
     if bound > LARGEST_BOUND:
         return Outcome.NO_ARRIVAL, f"{_INEXACT}: {cure_of(experiment, parts, LARGEST_BOUND)}", *unread
