@@ -106,7 +106,7 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
         strong, weak = campaign.vs().sel(content=0.66), campaign.vs().sel(content=0.1)
         read = strong.notnull() & weak.notnull()
         assert read.any()
-        assert (strong > weak).where(read, True).all(), "cement stiffens"  # noqa: FBT003 - xarray's name for the rest
+        assert (strong > weak).where(read, True).all(), "cement stiffens"
     status = workshop.run("status", str(database))
     assert status.code == 0, status.errors
     assert "2 seeds x 2 contents" in status.output

@@ -58,8 +58,8 @@ def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> 
     measured = [measure(lattice_experiment(columns), 0.0, [1])[0] for columns in (1, 3, 5, 7)]
     velocity = np.array([found.vs for found in measured])
     assert np.ptp(velocity) < 0.01 * shear_speed()
-    # The lattice is 1 % slower than theory at this wavelength; what the receiver throws back makes it faster, and so does
-    # the small swing before the peak, which is taken off as if it were a P wave.
+    # The lattice is 1 % slower than theory at this wavelength; what the receiver throws back makes it faster, and
+    # so does the small swing before the peak, which is taken off as if it were a P wave.
     np.testing.assert_allclose(velocity, shear_speed(), rtol=0.06)
     over_width = velocity * square_lattice().width / np.array([found.distance for found in measured])
     assert np.ptp(over_width) > 0.1 * shear_speed()
