@@ -11,7 +11,7 @@ from calcidem.analysis.figures.style import BLUE, GREY, MS, ORANGE, SKY, VERMILI
 from calcidem.analysis.unread_signal import SignalTop, UnreadSignal
 
 _LINE = 0.16  # inches of a line below the picture
-_WIDEST = 104  # characters of such a line
+_WIDEST = 96  # characters of such a line
 _ROOM = 1.5  # top of the picture over the largest value: numbers and names of windows stand there
 
 
