@@ -1,7 +1,11 @@
 """What a command concludes from the words of its ranks, which are sockets of the test here."""
 
+import fcntl
 import selectors
 import socket
+import sys
+import termios
+import time
 from collections.abc import Iterator
 from typing import Self
 
@@ -25,8 +29,15 @@ class SpokenRank:
     def say(self, *lines: str) -> Self:
         """Tell the command some lines, which it takes in."""
         self.connection.sendall("".join(f"{line}\n" for line in lines).encode())
+        until = time.monotonic() + 10.0
+        while self._unsent() and time.monotonic() < until:  # on a busy machine even a loopback takes its time
+            time.sleep(1e-3)
         hear(self._watch)
         return self
+
+    def _unsent(self) -> int:
+        """Bytes that are not yet where the watch can read them."""
+        return int.from_bytes(fcntl.ioctl(self.connection, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 class Clock:
