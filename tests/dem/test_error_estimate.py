@@ -11,7 +11,7 @@ from scenes import RADIUS as SCENE_RADIUS
 
 from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
 from calcidem.dem.engine.state import start
-from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, error_parts, expected_error
+from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity
 from calcidem.dem.wave.pick import Signals
@@ -65,7 +65,7 @@ def parts(
     noisy: bool = False,
 ) -> ErrorParts:
     """Parts of the error, of the cell at hand but for what is given."""
-    return error_parts(experiment, record, received(), frequency, travel_time, noisy=noisy)
+    return estimate_error(experiment, record, received(), frequency, travel_time, noisy=noisy)[1]
 
 
 def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
@@ -195,7 +195,7 @@ def test_the_cure_of_a_large_bound_works() -> None:
 def expected(share: float, stretch: float = 1.0, experiment: Experiment = EXACT) -> float:
     """Error to expect if that share of the work is nonlinear."""
     record = replace(RECORD, nonlinear=Nonlinearity(share, 0.0, 0.0))
-    return expected_error(experiment, record, received(stretch), FREQUENCY, TRAVEL_TIME)
+    return estimate_error(experiment, record, received(stretch), FREQUENCY, TRAVEL_TIME)[0]
 
 
 def test_a_changed_signal_moves_its_peak_as_far_as_is_expected() -> None:
@@ -216,14 +216,14 @@ def test_a_flat_peak_lets_expect_a_larger_error() -> None:
     rough = received()
     rough.received[:] += 1e-2 * AMPLITUDE * (-1.0) ** np.arange(len(rough.received))
     level = 1e-2 / 2.0  # of a peak of twice the amplitude
-    chattering = expected_error(EXACT, RECORD, rough, FREQUENCY, TRAVEL_TIME)
+    chattering = estimate_error(EXACT, RECORD, rough, FREQUENCY, TRAVEL_TIME)[0]
     assert chattering - expected(0.0) == pytest.approx(narrow * 0.25 * level / 1.7e-3, rel=0.1)
 
 
 def test_the_step_lets_expect_an_error_of_first_order() -> None:
     """Half the limit means twice the step over it, 1.6 for 0.8, and all is below the bound."""
     coarse = replace(RECORD, stability_limit=0.5 * RECORD.stability_limit)
-    errors = [expected_error(EXACT, record, received(), FREQUENCY, TRAVEL_TIME) for record in (RECORD, coarse)]
+    errors = [estimate_error(EXACT, record, received(), FREQUENCY, TRAVEL_TIME)[0] for record in (RECORD, coarse)]
     assert errors[1] - errors[0] == pytest.approx(6e-5 * 0.8)
     assert errors[0] < error_bound(parts(EXACT))
 

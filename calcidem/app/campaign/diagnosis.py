@@ -175,7 +175,7 @@ class _Examiner:
         travel = _travel_time(prepared, tops, expected)
         symptoms = Symptoms(experiment, frequency, travel=travel, unstable=cell.status is CellStatus.UNSTABLE)
         if not symptoms.unstable:
-            symptoms = self._symptoms_of_reading(cell, symptoms, record, prepared)
+            symptoms = self._symptoms_of_reading(cell, symptoms, prepared, tops)
         else:
             symptoms = replace(symptoms, broken="bonds broke" in cell.reason)
         return Diagnosis(
@@ -189,21 +189,21 @@ class _Examiner:
         )
 
     def _symptoms_of_reading(
-        self, cell: CellResult, symptoms: Symptoms, record: WaveRecord, prepared: PreparedSignals
+        self, cell: CellResult, symptoms: Symptoms, prepared: PreparedSignals, tops: Sequence[tuple[int, object]]
     ) -> Symptoms:
         """Why the record gave no velocity: its reading failed, is of low quality, or its numbers are not trusted."""
         experiment, frequency = symptoms.experiment, symptoms.frequency
-        picks = read_travel_times(signals_of(record, experiment), experiment.pick)
+        picks = read_travel_times(prepared.signals, experiment.pick)
         reading: Reading = getattr(picks, experiment.method)
         if reading.failure is not None or reading.travel_time is None:
-            tops = _judged_tops(prepared)
             passed = [(prepared.smooth[index], verdict) for index, verdict in tops if isinstance(verdict, PassedOver)]
             verdict = max(passed, key=lambda top: float(top[0]))[1] if passed else None
             return replace(symptoms, failure=reading.failure, verdict=verdict)
         if reading.quality < experiment.least_quality:
             return symptoms
         full = self._record(cell)  # what is stored of it does not tell its errors
-        _, bound, parts = numerical_error(experiment, frequency, full, picks, reading.travel_time)
+        given = full, signals_of(full, experiment), picks, reading.travel_time
+        _, bound, parts = numerical_error(experiment, frequency, *given)
         return replace(symptoms, error=(bound, parts))
 
     def _record(self, cell: CellResult) -> WaveRecord:

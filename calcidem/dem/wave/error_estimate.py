@@ -101,7 +101,7 @@ def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
     return "lower amplitude, or choose regime = 'finite'"
 
 
-def expected_error(
+def estimate_error(
     experiment: Experiment,
     record: WaveRecord,
     signals: Signals,
@@ -109,22 +109,23 @@ def expected_error(
     travel_time: float,
     *,
     noisy: bool = False,
-) -> float:
-    """Relative error to expect of a velocity: the order of its size, which ranks cells; Hz and s.
+) -> tuple[float, ErrorParts]:
+    """Relative error to expect of a velocity, and the bounds of its parts; Hz and s.
 
-    A change of a signal by the part e of its height, as fast as the pulse is, tilts it by ``2 pi f e`` and so moves a
-    peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with the nonlinear share in the linear regime,
-    and with how rough the signal is, since another step makes another chatter. To this come an error of first order in
-    the step over its limit, and a part of what else the bound has.
+    The first is the order of its size, which ranks cells. A change of a signal by the part e of its height, as fast as
+    the pulse is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change
+    goes with the nonlinear share in the linear regime, and with how rough the signal is, since another step makes
+    another chatter. To this come an error of first order in the step over its limit, and a part of what else the bound
+    has. ``noisy`` where noise hides the first arrival.
     """
-    parts = error_parts(experiment, record, signals, frequency, travel_time, noisy=noisy)
     shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
+    parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
     change = _USUAL_CHANGE * record.nonlinear.share + _USUAL_ROUGHNESS * roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
-    return float(step + shift * change + _USUAL * others)
+    return float(step + shift * change + _USUAL * others), parts
 
 
 def _shift_by_change(
@@ -132,7 +133,7 @@ def _shift_by_change(
 ) -> tuple[float, float]:
     """Shift of the peak over the travel time by a change of the signal, over that change; and the signal's roughness.
 
-    The first is ``2 pi f w^2 / travel time``, see `expected_error`; w^2 is height over curvature of three smoothed
+    The first is ``2 pi f w^2 / travel time``, see `estimate_error`; w^2 is height over curvature of three smoothed
     values a sixteenth of the sent period apart, and at most the square of that period; where they are not as a peak's,
     it is that square. Roughness is the rms of what smoothing takes away, over the height.
     """
@@ -152,16 +153,10 @@ def _shift_by_change(
     return over_width * min(widest, height / bend), roughness
 
 
-def error_parts(
-    experiment: Experiment,
-    record: WaveRecord,
-    signals: Signals,
-    frequency: float,
-    travel_time: float,
-    *,
-    noisy: bool = False,
+def _error_parts(
+    experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, shift: float, *, noisy: bool
 ) -> ErrorParts:
-    """Bounds of the parts of the error of a velocity; ``noisy`` where noise hides the first arrival. Hz and s."""
+    """Bounds of the parts of the error of a velocity; ``shift`` is that of `_shift_by_change`."""
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
     # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     periods = frequency * travel_time
@@ -171,7 +166,7 @@ def error_parts(
         step=0.5 * record.time_step / travel_time + coarse * coarse / 24.0,
         sampling=_SAMPLING * record.sampling_interval / travel_time,
         regime=shape * geometry,
-        slip=_slip_error(record, _shift_by_change(experiment, signals, frequency, travel_time)[0], periods),
+        slip=_slip_error(record, shift, periods),
         precision=shape * (_SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
         noise=experiment.pick.onset / (np.pi * periods) if noisy else 0.0,
         chatter=_chatter_error(experiment, record),
@@ -217,7 +212,7 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
     """Bound of the relative error of a velocity by contacts that do not slip in the linear regime; 1 says nothing.
 
     - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away; on a
-      way of less than a wavelength that changes the shape, as in `error_parts`. ``periods`` are f travel time.
+      way of less than a wavelength that changes the shape, as in `_error_parts`. ``periods`` are f travel time.
     - Where contacts at the transmitter slip, the part e of its force is missing from then on. That moves a peak as
       changes of the signal do, by ``shift`` e, and the top of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
 

@@ -8,7 +8,7 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, error_parts, expected_error
+from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
@@ -166,17 +166,16 @@ def interpret_record(
     if reading.quality < experiment.least_quality:
         reason = f"quality {reading.quality:.2f} of the pick is below {experiment.least_quality}"
         return Outcome.NO_ARRIVAL, reason, *unread
-    expected, bound, parts = numerical_error(experiment, frequency, record, picks, reading.travel_time)
+    expected, bound, parts = numerical_error(experiment, frequency, record, signals, picks, reading.travel_time)
     if bound > LARGEST_BOUND:
         return Outcome.NO_ARRIVAL, f"{_INEXACT}: {cure_of(experiment, parts, LARGEST_BOUND)}", *unread
     return Outcome.DONE, "", reading.velocity, picks, expected, bound
 
 
 def numerical_error(
-    experiment: Experiment, frequency: float, record: WaveRecord, picks: Picks, travel_time: float
+    experiment: Experiment, frequency: float, record: WaveRecord, signals: Signals, picks: Picks, travel_time: float
 ) -> tuple[float, float, ErrorParts]:
     """Relative error of a velocity to expect, its bound, and the parts of that; Hz and s."""
     noisy = picks.first_arrival.failure == PickFailure.NOISE
-    given = experiment, record, signals_of(record, experiment), frequency, travel_time
-    expected, parts = expected_error(*given, noisy=noisy), error_parts(*given, noisy=noisy)
+    expected, parts = estimate_error(experiment, record, signals, frequency, travel_time, noisy=noisy)
     return expected, max(error_bound(parts), _WORST_OF_HUNDRED * expected), parts
