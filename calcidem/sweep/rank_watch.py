@@ -51,9 +51,9 @@ class _ReportedRank:
         Whether it has loaded its program, and whether it has found the others.
     silent
         Seconds since it was heard of.
-    ended, ended_after, ended_well
+    ended, ended_after, ended_well, killed
         How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
-        exit code was 0.
+        exit code was 0; whether a signal has ended it.
     told
         Whether rank 0 was told of its end.
     """
@@ -69,6 +69,7 @@ class _ReportedRank:
     ended: str = ""
     ended_after: float = 0.0
     ended_well: bool = False
+    killed: bool = False
     told: bool = False
 
     def __str__(self) -> str:
@@ -94,8 +95,6 @@ class RankWatch:
         For the ranks' environment, under `COMMAND_VARIABLE`.
     exit_code, exit_reason
         What rank 0 has said of its end: None if nothing, and the signal that asked for it.
-    killed_at_start
-        Whether a signal has ended a rank that had not joined.
     progress
         What rank 0 has said last of how far the run is; empty if nothing.
     """
@@ -115,7 +114,6 @@ class RankWatch:
         self._told_silent = False
         self.exit_code: int | None = None
         self.exit_reason = ""
-        self.killed_at_start = False
         self.progress = ""
         self._token = secrets.token_hex(16)
         port = self._listener.getsockname()[1]
@@ -158,13 +156,22 @@ class RankWatch:
         self._note_deaths()
         return bool(events)
 
+    @property
+    def killed_at_start(self) -> bool:
+        """Whether the first rank that ended was killed before it had joined, or one before it could report."""
+        first = self._first_death()
+        return bool(self._missing) or (first is not None and first.killed and not first.joined)
+
     def describe_first_death(self) -> str:
         """How the first rank ended that did not end as it should, or else the first; empty if none did."""
-        dead = [rank for rank in self._ranks.values() if rank.ended]
-        if not dead:
-            return ""
-        first = min(dead, key=lambda rank: (rank.ended_well, rank.ended_after, rank.ended == _VANISHED, rank.number))
-        return f"{first} {first.ended}"
+        first = self._first_death()
+        return "" if first is None else f"{first} {first.ended}"
+
+    def _first_death(self) -> _ReportedRank | None:
+        def order(rank: _ReportedRank) -> tuple[bool, float, bool, int]:
+            return rank.ended_well, rank.ended_after, rank.ended == _VANISHED, rank.number
+
+        return min((rank for rank in self._ranks.values() if rank.ended), key=order, default=None)
 
     def listen_to_the_end(self, seconds: float) -> None:
         """Take in the last words of ranks whose launcher has ended, until all have ended or some seconds are over."""
@@ -263,7 +270,7 @@ class RankWatch:
         self._selector.unregister(rank.connection)
         rank.connection.close()
         if rank.number >= 0 and not rank.ended:
-            rank.ended = _VANISHED
+            rank.ended, rank.killed = _VANISHED, True
 
     def _greet(self, rank: _ReportedRank, text: str) -> None:
         """Let a connection be that of a rank, if it knows the token."""
@@ -309,11 +316,10 @@ class RankWatch:
         if code < 0:
             name = signal.Signals(-code).name
             how, cure = f"was killed by {name}", _SIGNAL_CURES.get(name, "")
-            self.killed_at_start |= not rank.joined
         stage = "" if rank.joined else " while it started"
         if not rank.joined and code >= 0:
             cure = "`calcidem doctor` on that host says what it lacks"
-        rank.ended_well = code == 0
+        rank.ended_well, rank.killed = code == 0, code < 0
         rank.ended = how + stage + (f": {last}" if last else "") + (f" ({cure})" if cure else "")
 
     def _note_deaths(self) -> None:

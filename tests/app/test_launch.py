@@ -30,6 +30,9 @@ pytestmark = [
 FAULTY_START = """
 import os, resource, signal, sys, time
 
+def parent_of(process):
+    return int(open(f"/proc/{process}/stat").read().rpartition(")")[2].split()[1])
+
 def stop_before(event, _):
     if event == "sqlite3.connect":
         os.kill(os.getpid(), signal.SIGKILL)
@@ -43,6 +46,7 @@ if os.environ.get("OMPI_COMM_WORLD_RANK") == os.environ["START_VICTIM"] and sys.
         case "import": sys.modules["numpy"] = None
         case "memory": resource.setrlimit(resource.RLIMIT_AS, (150 << 20, 150 << 20))
         case "starter": os.kill(os.getppid(), signal.SIGKILL)
+        case "launcher once" if len(open("starts").readlines()) == 1: os.kill(parent_of(os.getppid()), signal.SIGKILL)
         case "stop": os.kill(os.getpid(), signal.SIGSTOP)
         case "database": sys.addaudithook(stop_before)
 """
@@ -128,6 +132,30 @@ def test_a_start_that_fails_the_same_way_twice_is_not_tried_again(workshop: "Wor
     ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
     assert ended.code == 1, ended.errors
     assert (workshop.folder / "starts").read_text().count("start") == 2
+
+
+def test_a_launcher_that_is_killed_before_any_rank_began_is_started_twice(workshop: "Workshop") -> None:
+    """Nothing has begun, so the run ends with 1, however many restarts are allowed; once more was worth a try."""
+    launcher = workshop.folder / "launcher"
+    launcher.write_text('#!/bin/sh\n[ "$1" = --version ] && echo MPI && exit\necho start >> starts\nkill -9 $$\n')
+    launcher.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(launcher)
+    workshop.configure(seeds=1, contents=(9.0,))
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
+    assert ended.code == 1, ended.errors
+    assert "The run did not begin (launcher was killed by SIGKILL)" in ended.errors
+    assert (workshop.folder / "starts").read_text().count("start") == 2
+
+
+@pytest.mark.full
+def test_a_run_whose_launcher_is_killed_while_ranks_start_is_started_again(workshop: "Workshop") -> None:
+    """The second start completes the campaign."""
+    prepare(workshop, "launcher once", 1)
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "1")
+    assert ended.code == 0, ended.errors
+    assert "was killed by SIGKILL" in ended.errors
+    assert "Restart 1 of 1" in ended.errors
+    assert workshop.leaves_no_process()
 
 
 @pytest.mark.full

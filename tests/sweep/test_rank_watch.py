@@ -139,6 +139,20 @@ def test_a_death_before_all_are_there_ends_the_run(watch: RankWatch, clock: Cloc
     assert watch.killed_at_start == ("-9" in end)
 
 
+def test_another_start_may_do_better_only_where_the_first_death_was_a_kill(watch: RankWatch, clock: Clock) -> None:
+    """A rank killed with its starter counts; what the launcher kills after a rank has failed by itself does not."""
+    SpokenRank(watch, 1).connection.close()
+    hear(watch)
+    assert watch.killed_at_start
+    with RankWatch(3, start_timeout=120.0, silence_timeout=60.0) as other:
+        SpokenRank(other, 2).say("ended 1 no licence")
+        clock.let_pass(other, 1.0)
+        SpokenRank(other, 1).say("ended -15 ")
+        assert not other.killed_at_start
+        SpokenRank(other, 0).say("alive 1")
+        assert other.killed_at_start  # one was gone before its first word
+
+
 def test_a_lost_worker_is_told_to_rank_0_and_no_reason_to_end(
     watch: RankWatch, ranks: list[SpokenRank], clock: Clock
 ) -> None:

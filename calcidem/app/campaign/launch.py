@@ -132,7 +132,8 @@ class Launch:
             process = self._start(mpirun, watch.address, ranks, hosts, screen.outputs)
             screen.begin(process, ranks)
             why = _attend(process, watch, relay, screen)
-            killed_at_start = watch.killed_at_start
+            launcher_killed = not why and process.returncode < 0
+            killed_at_start = launcher_killed or watch.killed_at_start
             watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
             screen.end()
             if watch.exit_code is not None:
@@ -142,8 +143,8 @@ class Launch:
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
                 screen.say(f"{name} failed before any rank began; it is being started once more.")
                 return self._once(mpirun, relay, screen, hosts, again=False)
-            if process.returncode < 0:
-                why = why or f"{name} was killed by {signal.Signals(-process.returncode).name}"
+            if launcher_killed:
+                why = f"{name} was killed by {signal.Signals(-process.returncode).name}"
             why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
             if watch.begun:
                 screen.say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
