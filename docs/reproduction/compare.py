@@ -9,7 +9,7 @@ from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.published_check import check_verdicts
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
 SIGNIFICANCE = 0.05
@@ -19,7 +19,7 @@ def main() -> None:
     """Print all tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("database")
-    with open_stored_campaign(parser.parse_args().database) as campaign:
+    with open_campaign(parser.parse_args().database) as campaign:
         analysis = CampaignAnalysis(campaign)
         here = {round(row.content, 6): row.vs for row in analysis.distributions}
         printed = [row for row in published_study().velocities if round(row[0], 6) in here]

@@ -16,7 +16,7 @@ import numpy as np
 from calcidem.analysis.unread_signal import SignalTop, UnreadSignal
 from calcidem.app.campaign.cures import Cure, Symptoms, find_cures
 from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.packing import readable_packing
+from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.status import UNREAD
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.settling import SettlingError
@@ -159,7 +159,7 @@ class _Examiner:
     def __init__(self, campaign: StoredCampaign, progress: Callable[[str], None]) -> None:
         self.campaign = campaign
         self.progress = progress
-        self.experiment = lru_cache(lambda index: _experiment_of(campaign, index))
+        self.experiment = lru_cache(lambda index: stored_experiment(campaign, index))
         self.readable = lru_cache(
             lambda content: [cell.vs for cell in campaign.select(content=content, status=CellStatus.DONE) if cell.vs]
         )
@@ -223,11 +223,6 @@ class _Examiner:
         except (ValueError, SettlingError):
             return None, ""
         return (_SLOWED * speed, speed), f"the stiffness of the sample at rest ({speed:.0f} m/s for long waves)"
-
-
-def _experiment_of(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
-    """What the cells of a packing share; errors as `OpenedCampaign.experiment`."""
-    return Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, packing_index))
 
 
 def _stored_record(cell: CellResult) -> WaveRecord | None:
@@ -354,7 +349,7 @@ def try_cures(
         If the campaign was computed with another version of the physics.
     """
     refuse_other_physics(campaign.record)
-    experiment = _experiment_of(campaign)
+    experiment = stored_experiment(campaign)
     ordering = lru_cache(experiment.ordering)
     for content, chosen in sorted(_spread_over_contents(diagnoses, count).items()):
         seeds = [diagnosis.key.seed for diagnosis in chosen]

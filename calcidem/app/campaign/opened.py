@@ -5,7 +5,7 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 
 import os
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +27,8 @@ from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis, diagnose, try_cures
 from calcidem.app.campaign.identity import refuse_other_configuration
-from calcidem.app.campaign.packing import content_hash_of, readable_packing
+from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
@@ -42,7 +43,7 @@ from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import CementPattern
+from calcidem.storage.records import CellResult, CementPattern
 from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
@@ -157,6 +158,19 @@ class OpenedCampaign(StoredCampaign):
         found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
+    def select(
+        self,
+        *,
+        content: float | Collection[float] | None = None,
+        seed: int | Collection[int] | None = None,
+        status: str | Collection[str] | None = None,
+        where: str | None = None,
+        with_arrays: bool = False,
+    ) -> Iterator[CellResult]:
+        """Give outcomes as `StoredCampaign.select`; arrays include cement that is not stored, drawn from its seed."""
+        found = super().select(content=content, seed=seed, status=status, where=where, with_arrays=with_arrays)
+        return with_patterns(self, found) if with_arrays else found
+
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content.
 
@@ -212,7 +226,7 @@ class OpenedCampaign(StoredCampaign):
         Raises
         ------
         UnknownCellError
-            If the cell has no outcome, or its cement was not kept.
+            If the cell has no outcome, or its cement is not known.
 
         Examples
         --------
@@ -229,7 +243,7 @@ class OpenedCampaign(StoredCampaign):
         Raises
         ------
         UnknownCellError
-            If the cell has no outcome, or its cement was not kept.
+            If the cell has no outcome, or its cement is not known.
         """
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
@@ -287,7 +301,7 @@ class OpenedCampaign(StoredCampaign):
         Raises
         ------
         UnknownCellError
-            If the cell has no outcome, or its cement was not kept.
+            If the cell has no outcome, or its cement is not known.
 
         Examples
         --------
@@ -306,7 +320,7 @@ class OpenedCampaign(StoredCampaign):
         Raises
         ------
         UnknownCellError
-            If the cell has no outcome, or its cement was not kept.
+            If the cell has no outcome, or its cement is not known.
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
 
@@ -336,7 +350,7 @@ class OpenedCampaign(StoredCampaign):
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        return Configuration.from_physics(self.config).experiment(readable_packing(self.store, packing_index))
+        return stored_experiment(self, packing_index)
 
     def diagnose(
         self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
@@ -397,8 +411,8 @@ class OpenedCampaign(StoredCampaign):
         cell.refuse_damage()
         if cell.cement is None:
             raise UnknownCellError(
-                f"The cement of seed {seed} and content {content} % is not stored.",
-                "Only cells that were computed have one.",
+                f"The cement of seed {seed} and content {content} % is not stored, and can't be drawn again.",
+                "Only cells that were computed, with this version of the physics, have one.",
             )
         return cell.packing_index, cell.cement
 

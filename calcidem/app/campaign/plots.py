@@ -101,7 +101,7 @@ class CampaignPlots:
         OutputRefusedError
             For another ending, or without ffmpeg.
         UnknownCellError
-            If the cell has no outcome, or its cement was not kept.
+            If the cell has no outcome, or its cement is not known.
         """
         path = Path(file)
         writer = movie_writer(path)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction, PredictorCheck, check_predictor, fit_predictor
+from calcidem.app.campaign.task import pattern_of
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.campaign import StoredCampaign
@@ -88,8 +89,7 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
         cement = experiment.ordering(seed).at(content)
     except CementCapacityError as error:
         raise QueryError(f"seed = {seed}: {error}.", "Choose a lower content.") from error
-    contacts = experiment.packing.pairs[cement.bonded].astype(np.int32)
-    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
+    return pattern_of(experiment.packing, cement)
 
 
 def path_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:

@@ -16,7 +16,7 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.cement import content_of_contacts
+from calcidem.dem.sample.cement import PlacedCement, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
@@ -126,10 +126,14 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         retry=record.retry,
         seconds=measurement.seconds,
         signal=stored_signal(record) if store_signals else None,
-        cement=CementPattern(
-            packing.pairs[cement.bonded].astype(np.int32), cement.kind[cement.bonded], cement.centres.astype(float)
-        ),
+        cement=pattern_of(packing, cement),
     )
+
+
+def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
+    """Cement as the store keeps it."""
+    contacts = packing.pairs[cement.bonded].astype(np.int32)
+    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
 
 
 def stored_signal(record: WaveRecord) -> Signal | None:

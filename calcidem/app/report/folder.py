@@ -11,9 +11,9 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.wording import Table
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.netcdf.export import write_netcdf
 
 _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
@@ -54,7 +54,7 @@ def analyse(
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     reasons: dict[str, str] = {}
-    with open_stored_campaign(database, campaign_name) as campaign:
+    with open_campaign(database, campaign_name) as campaign:
         analysis = CampaignAnalysis(campaign)
         for entry in CAMPAIGN_FIGURES:
             figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)

@@ -9,8 +9,8 @@ from calcidem.analysis.figures.registry import load_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.wording import ABSENT, Table, decimal, readable_unit, significant
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.sql.quantities import QUANTITIES, Quantity
 from calcidem.storage.store import Selection
 
@@ -48,7 +48,7 @@ def show_cell(
     StoreError
         If the database can't be read.
     """
-    with open_stored_campaign(database, campaign_name) as campaign:
+    with open_campaign(database, campaign_name) as campaign:
         campaign.cell(seed=seed, content=content)  # says what is wrong if there is none
         analysis = CampaignAnalysis(campaign)
         values = campaign.store.table(

@@ -17,11 +17,11 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
 from calcidem.analysis.outcomes import is_in_doubt
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import Table, decimal, significant, time_span
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.files import write_text_atomically
 
 _FEW_SAMPLES = 30
@@ -117,7 +117,7 @@ def write_report(
         If the file can't be written.
     """
     target = Path(out)
-    with open_stored_campaign(database, campaign_name) as campaign:
+    with open_campaign(database, campaign_name) as campaign:
         text = _render_page(CampaignAnalysis(campaign, _MOST_SAMPLES), studies or {})
     write_text_atomically(target, text)
     return target

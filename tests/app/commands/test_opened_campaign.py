@@ -1,19 +1,27 @@
 """The Python API on a small real database."""
 
 import doctest
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calcidem.dem
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe
 from calcidem.app.campaign import opened as opened_campaign
-from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
+from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.sql.store import open_store
 
 pytestmark = pytest.mark.slow
 
@@ -43,6 +51,31 @@ def test_a_sample_without_cement_has_no_bonds(campaign: OpenedCampaign) -> None:
     sample = campaign.sample(seed=1, content=0.0)
     assert sample.bonds is None
     assert set(sample.kind.tolist()) == {CementKind.NONE}
+
+
+def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: OpenedCampaign) -> None:
+    """Taken off, it comes back from the seed, array by array; not where the drawn one would be another."""
+    stored = list(StoredCampaign.select(campaign, seed=(1, 5), with_arrays=True))
+    assert len(stored) > 4
+    without = [replace(cell, cement=None) for cell in stored]
+    assert list(with_patterns(campaign, without)) == stored
+    other = replace(without[-1], p_contacts=1 + (without[-1].p_contacts or 0))
+    never = replace(without[-1], bonded_contacts=None)
+    assert list(with_patterns(campaign, [other, never])) == [other, never]
+    physics = canonical_json(campaign.config | {"physics_version": 0})
+    former = StoredCampaign(campaign.store, replace(campaign.record, config=physics))
+    assert list(with_patterns(former, without)) == without
+
+
+def test_an_export_without_cement_is_analysed_like_the_database(campaign: OpenedCampaign, tmp_path: Path) -> None:
+    """Of what `calcidem import` makes of it the samples have the same contacts, paths and features."""
+    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("signals", "cement", "paths"))
+    with open_store(tmp_path / "short.db") as store:
+        import_netcdf(tmp_path / "short.nc", store)
+    with open_campaign(tmp_path / "short.db") as short:
+        pairs = list(zip(CampaignAnalysis(short).samples, CampaignAnalysis(campaign).samples, strict=True))
+    assert all(one.kinds.tobytes() == other.kinds.tobytes() for one, other in pairs)
+    assert all(one.features.connectivity == other.features.connectivity for one, other in pairs)
 
 
 def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:

@@ -1,0 +1,52 @@
+"""Cement of stored cells: as it is stored, and drawn again from the seed where it is not."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+
+from calcidem.app.campaign.identity import physics_version
+from calcidem.app.campaign.packing import readable_packing
+from calcidem.app.campaign.task import pattern_of
+from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.sample.cement import CementCapacityError
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.errors import StoreError
+from calcidem.storage.records import CellResult
+
+
+def stored_experiment(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
+    """What the cells of a packing share.
+
+    Raises
+    ------
+    UnknownCellError
+        If there is no such packing.
+    StoreError
+        If the database was not made by a run, so that its configuration or its packing is incomplete.
+    """
+    return Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, packing_index))
+
+
+def with_patterns(campaign: StoredCampaign, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
+    """Give outcomes of a campaign; cement that is not stored is drawn from the seed, as it was for the wave.
+
+    An outcome stays without if its cement was never drawn, or if another is drawn now: by another version of the
+    physics, or on a packing that is not stored.
+    """
+    same_physics = physics_version(campaign.record) == PHYSICS_VERSION
+    experiment = lru_cache(lambda index: stored_experiment(campaign, index))
+    ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # contents of a seed come together
+    for outcome in outcomes:
+        if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:
+            yield outcome
+            continue
+        try:
+            cement = ordering(outcome.packing_index, outcome.key.seed).at(outcome.key.content)
+        except (StoreError, CementCapacityError):
+            yield outcome
+            continue
+        drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters
+        known = outcome.content_reached, outcome.p_contacts, outcome.c_contacts, outcome.clusters
+        packing = experiment(outcome.packing_index).packing
+        yield replace(outcome, cement=pattern_of(packing, cement)) if drawn == known else outcome
