@@ -38,9 +38,7 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
         If a database, or a NetCDF file, has that name.
     """
     target = Path(path).absolute()
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
-    _refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
+    refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
     temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
@@ -57,14 +55,18 @@ def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="")
 
 
-def _refuse_to_replace(target: Path, *, replaces_netcdf: bool) -> None:
+def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> None:
+    """Raise what `write_atomically` does before it gives a file: for who computes long before it writes."""
+    target = Path(path).absolute()
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
     if target.exists() and not target.is_file():
         raise OutputRefusedError(f"{target} is a folder or a device.", _CURE)
     ends = [end for end in _BESIDE_A_DATABASE if target.name.endswith(end)]
     databases = [target.with_name(target.name.removesuffix(end)) for end in ends]
-    for path in (target, *databases):
-        if _beginning(path) == _SQLITE:
-            what = "is a database" if path == target else f"belongs to the database {path}"
+    for file in (target, *databases):
+        if _beginning(file) == _SQLITE:
+            what = "is a database" if file == target else f"belongs to the database {file}"
             raise OutputRefusedError(f"{target} {what}.", _CURE)
     if not replaces_netcdf and _beginning(target).startswith(_HDF5):
         raise OutputRefusedError(f"{target} is a NetCDF file.", _CURE)

@@ -53,7 +53,9 @@ def calibrate_command(
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, UnreadableTrialError, calibrate
     from calcidem.app.studies.parameters import parse_range, text_with_values
     from calcidem.app.studies.targets import read_targets
+    from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
+    refuse_to_replace(out)
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, typer.echo)
@@ -65,7 +67,7 @@ def calibrate_command(
     except UnreadableTrialError as error:
         raise typer.BadParameter(str(error)) from error
     typer.echo("\n".join(_calibration_lines(fitted)))
-    out.write_text(text_with_values(configuration.read_text(encoding="utf-8"), fitted.values), encoding="utf-8")
+    write_text_atomically(out, text_with_values(configuration.read_text(encoding="utf-8"), fitted.values))
     typer.echo(f"Wrote {out}")
 
 

@@ -19,6 +19,8 @@ def report_command(
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
     from calcidem.app.report import write_report
     from calcidem.app.studies.frequency_and_damping import run_studies
+    from calcidem.storage.files import refuse_to_replace
 
+    refuse_to_replace(out)
     studies = run_studies(database, campaign_name=campaign) if with_studies else None
     typer.echo(f"Wrote {write_report(database, out, campaign_name=campaign, studies=studies)}")

@@ -40,8 +40,10 @@ def sensitivity_command(
     from calcidem.app.studies.sensitivity.plan import load_plan
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
     from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
-    from calcidem.storage.files import write_text_atomically
+    from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
+    if out is not None:
+        refuse_to_replace(out)
     if sobol is None:
         variants = load_plan(plan, database)
         if not only_table:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from workbench import DISKS, EVIL_STORED, OWN_DISKS, Workbench
+from workbench import DISKS, EVIL_STORED, OWN_DISKS, TARGETS, Workbench
 
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
@@ -117,10 +117,19 @@ def test_a_byte_order_mark_is_no_matter(bench: Workbench, name: str) -> None:
     assert said.startswith("Packing: the disks in")
 
 
-@pytest.mark.parametrize("line", ["query quick.db --out quick.db", "export quick.db quick.db"])
-def test_no_command_writes_over_its_database(bench: Workbench, line: str) -> None:
-    """Commands that once destroyed the database that they read refuse to, and leave it as it was."""
-    assert "quick.db" in bench.judge(*line.split())
+@pytest.mark.parametrize(
+    "line",
+    [
+        "query quick.db --out quick.db",
+        "export quick.db quick.db",
+        "report quick.db --with-studies --out quick.db",
+        "calibrate good.toml --target own.csv --out quick.db",
+        "sensitivity plan.toml --db new.db --out quick.db",
+    ],
+)
+def test_no_command_writes_over_a_database(bench: Workbench, line: str) -> None:
+    """Each refuses to before it computes anything, and leaves the database as it was."""
+    assert "quick.db is a database" in "".join(bench.judge(*line.split(), own_csv=TARGETS).split("\n"))
     assert (bench.folder / "quick.db").read_bytes() == bench.files["quick.db"]
 
 
