@@ -45,7 +45,7 @@ def pressed(experiment: Experiment, overlap: float) -> Experiment:
 
 def slipping(softening: float = 0.0, slipped: float = 0.0) -> WaveRecord:
     """The record with contacts that would slip."""
-    return replace(RECORD, nonlinear=Nonlinearity(0.0, softening, slipped))
+    return replace(RECORD, nonlinear=(Nonlinearity(0.0, softening, slipped),))
 
 
 def received(stretch: float = 1.0) -> Signals:
@@ -167,6 +167,15 @@ def test_softening_takes_half_of_itself_from_a_velocity() -> None:
     assert parts(record=slipping(softening=np.inf)).slip == 1.0
 
 
+def test_slip_counts_until_the_peak_has_come() -> None:
+    """Of looks after 1, 3, 5, 7 periods those count that are not behind a peak that came 2, 3, 6 after it was sent."""
+    looks = tuple(Nonlinearity(0.0, softening, 0.0) for softening in (1e-3, 2e-3, 4e-3, 8e-3))
+    late = replace(RECORD, nonlinear=looks)
+    for periods, largest in ((2.0, 1e-3), (3.0, 2e-3), (6.0, 4e-3)):
+        found = parts(record=late, travel_time=periods / FREQUENCY).slip
+        assert found == parts(record=slipping(softening=largest), travel_time=periods / FREQUENCY).slip
+
+
 def test_a_force_that_is_missing_moves_a_top_as_far_as_is_said() -> None:
     """A pulse less the part e of it, a quarter of a period later, has its top ``e / (pi f)`` earlier at most."""
     missing, time = 0.02, np.linspace(-0.2, 0.2, 200_001) / FREQUENCY
@@ -194,7 +203,7 @@ def test_the_cure_of_a_large_bound_works() -> None:
 
 def expected(share: float, stretch: float = 1.0, experiment: Experiment = EXACT) -> float:
     """Error to expect if that share of the work is nonlinear."""
-    record = replace(RECORD, nonlinear=Nonlinearity(share, 0.0, 0.0))
+    record = replace(RECORD, nonlinear=(Nonlinearity(share, 0.0, 0.0),))
     return estimate_error(experiment, record, received(stretch), FREQUENCY, TRAVEL_TIME)[0]
 
 

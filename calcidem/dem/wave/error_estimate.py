@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.linearity import Nonlinearity
 from calcidem.dem.wave.main_peak import prepare_signals
 from calcidem.dem.wave.pick import Signals
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 
 _SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
 _TURNING = 3.0  # over mean overlap / mean radius
@@ -120,12 +121,23 @@ def estimate_error(
     """
     shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
     parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
-    change = _USUAL_CHANGE * record.nonlinear.share + _USUAL_ROUGHNESS * roughness
+    share = _largest_nonlinearity(record, frequency * travel_time).share
+    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
     return float(step + shift * change + _USUAL * others), parts
+
+
+def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
+    """Largest share and softening until a peak came after so many periods, and what the transmitter lost by its pulse.
+
+    On a long way contacts slip that the pulse had not reached when it had been sent. What happens behind its peak, half
+    a period later than it was sent, is not on its way.
+    """
+    looks = record.nonlinear[: 1 + max(0, int((periods - 0.5) / LOOKS_APART))]
+    return Nonlinearity(*np.max(looks, axis=0)[:2].tolist(), looks[0].slipped) if looks else Nonlinearity()
 
 
 def _shift_by_change(
@@ -218,6 +230,6 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
 
     Contacts slip where the pulse over what they have left to their friction limit is large, or nothing is left.
     """
-    found = record.nonlinear
+    found = _largest_nonlinearity(record, periods)
     missing = max(shift, 1.0 / (np.pi * periods)) * found.slipped
     return float(min(1.0, 0.5 * max(1.0, 1.0 / periods) * found.softening + missing))

@@ -14,6 +14,7 @@ from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 
 SAMPLES_PER_CHUNK = 50  # between two looks at the signal
+LOOKS_APART = 2  # periods of the pulse between two looks at what the contact laws would change
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,8 @@ class WaveRecord:
     broken_bonds
         Bonds that broke until then.
     nonlinear
-        What the contact laws would change when the pulse has been sent.
+        What the contact laws would change when the pulse has been sent, and after every `LOOKS_APART` periods from then
+        on.
     problem
         Empty, or why the run cannot be trusted.
     retry
@@ -61,7 +63,7 @@ class WaveRecord:
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
-    nonlinear: Nonlinearity = field(default_factory=Nonlinearity)
+    nonlinear: tuple[Nonlinearity, ...] = ()
     problem: str = ""
     retry: str = ""
 
@@ -121,7 +123,7 @@ class Recorder:
     chunks
         (samples, 2, L) shear force and velocity of each chunk so far.
     nonlinear
-        (3, L) see `linearity.Nonlinearity`; not a number until the pulse has been sent.
+        See `WaveRecord`, for each sample.
     """
 
     state: State
@@ -135,11 +137,11 @@ class Recorder:
     closing_gaps: float
     breakable: float = 0.0
     chunks: list[Floats] = field(default_factory=list, init=False)
-    nonlinear: Floats = field(init=False)
+    nonlinear: list[list[Nonlinearity]] = field(init=False)
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
-        self.nonlinear = np.full((len(Nonlinearity._fields), self.state.features.lanes), np.nan)
+        self.nonlinear = [[] for _ in range(self.samples)]
 
     @property
     def steps_per_look(self) -> int:
@@ -153,17 +155,23 @@ class Recorder:
         while len(records) < self.samples:
             check()
             self.chunks.append(self.record_chunk())
-            sent = self.state.steps * self.state.time_step >= self.pulse.duration
-            just_sent = np.isnan(self.nonlinear) & sent
-            if just_sent.any():
-                found = np.array(nonlinearity(self.state, TRANSMITTER))
-                self.nonlinear = np.where(just_sent, found, self.nonlinear)
+            self._look_at_contacts()
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             for lane in sorted(set(range(self.samples)) - set(records)):
                 record = self.record_of(lane, problems[lane])
                 if record.problem or record.duration >= self.longest or stop_when(record):
                     records[lane] = record
         return [records[lane] for lane in sorted(records)]
+
+    def _look_at_contacts(self) -> None:
+        """Find what the contact laws would change in the samples whose next look is due."""
+        periods = self.state.steps * self.state.time_step / self.pulse.duration
+        due = [lane for lane, looks in enumerate(self.nonlinear) if periods[lane] >= 1.0 + LOOKS_APART * len(looks)]
+        if not due:
+            return
+        found = np.broadcast_arrays(*nonlinearity(self.state, TRANSMITTER))
+        for lane in due:
+            self.nonlinear[lane].append(Nonlinearity(*(float(values[lane]) for values in found)))
 
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> Floats:
         """Advance by so many samples; (samples, 2, L) shear force and velocity."""
@@ -199,6 +207,6 @@ class Recorder:
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),
-            nonlinear=Nonlinearity(*np.nan_to_num(self.nonlinear[:, lane], posinf=np.inf).tolist()),
+            nonlinear=tuple(self.nonlinear[lane]),
             problem=problem,
         )
