@@ -131,13 +131,13 @@ def estimate_error(
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest share and softening until a peak came after so many periods, and what the transmitter lost by its pulse.
+    """Largest share and softening until a peak came after so many periods.
 
     On a long way contacts slip that the pulse had not reached when it had been sent. What happens behind its peak, half
     a period later than it was sent, is not on its way.
     """
     looks = record.nonlinear[: 1 + max(0, int((periods - 0.5) / LOOKS_APART))]
-    return Nonlinearity(*np.max(looks, axis=0)[:2].tolist(), looks[0].slipped) if looks else Nonlinearity()
+    return Nonlinearity(*np.max(looks, axis=0).tolist()) if looks else Nonlinearity()
 
 
 def _shift_by_change(
@@ -231,5 +231,5 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
     Contacts slip where the pulse over what they have left to their friction limit is large, or nothing is left.
     """
     found = _largest_nonlinearity(record, periods)
-    missing = max(shift, 1.0 / (np.pi * periods)) * found.slipped
+    missing = max(shift, 1.0 / (np.pi * periods)) * record.slipped
     return float(min(1.0, 0.5 * max(1.0, 1.0 / periods) * found.softening + missing))

@@ -39,17 +39,14 @@ class Nonlinearity(NamedTuple):
         where contacts stiffen, open and slip. Cement is linear in either case.
     softening
         Part of its stiffness that the sample may lose by slip, see `nonlinearity`.
-    slipped
-        Part of the transmitter's force that its contacts cannot pass on, since they would slip.
     """
 
     share: Floats | float = 0.0
     softening: Floats | float = 0.0
-    slipped: Floats | float = 0.0
 
 
-def nonlinearity(state: State, transmitter: int) -> Nonlinearity:
-    """What the contact laws would change at the present displacements; ``transmitter`` is a wall.
+def nonlinearity(state: State) -> Nonlinearity:
+    """What the contact laws would change at the present displacements.
 
     A contact with more shear than its friction bears slips before the wave comes: it begins at its limit here.
 
@@ -62,7 +59,7 @@ def nonlinearity(state: State, transmitter: int) -> Nonlinearity:
     """
     lanes = state.features.lanes
     if not state.features.linear:
-        return Nonlinearity(*np.zeros((3, lanes)))
+        return Nonlinearity(*np.zeros((2, lanes)))
     pairs = state.assembly.pairs
     approach, slide, twist = _relative_displacements(state)
     overlap = pairs.geometry[:, OVERLAP, None].astype(float)
@@ -86,9 +83,7 @@ def nonlinearity(state: State, transmitter: int) -> Nonlinearity:
     slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * slide))) / total
     spare = _spare_share(state, intact, (lacking != 0.0) | (held != installed))
     softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
-    return Nonlinearity(
-        _lane_sums(np.where(intact, 0.0, changed)) / total, softening, _slipped_force(state, transmitter)
-    )
+    return Nonlinearity(_lane_sums(np.where(intact, 0.0, changed)) / total, softening)
 
 
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
@@ -110,8 +105,10 @@ def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
     return np.asarray(1.0 - 3.0 * moving / np.maximum(components, 1))
 
 
-def _slipped_force(state: State, transmitter: int) -> Floats:
-    """(L,) sum of the shear forces that disks at the transmitter would not take over, over that of all."""
+def slipped_force(state: State, transmitter: int) -> Floats:
+    """(L,) part of the force of a wall that its contacts cannot pass on, since they would slip; linear regime alone."""
+    if not state.features.linear:
+        return np.zeros(state.features.lanes)
     assembly, moved = state.assembly, state.motion.displacement.astype(float)
     pairs = assembly.wall_pairs
     here = np.flatnonzero((pairs.wall == transmitter) & (pairs.overlap > 0.0))

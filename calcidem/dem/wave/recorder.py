@@ -9,7 +9,7 @@ from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
 from calcidem.dem.wave.guards import broken_bonds, problems_of
-from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity
+from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 
@@ -47,6 +47,8 @@ class WaveRecord:
     nonlinear
         What the contact laws would change when the pulse has been sent, and after every `LOOKS_APART` periods from then
         on.
+    slipped
+        Largest part of the transmitter's force, while the pulse was sent, that its contacts could not have passed on.
     problem
         Empty, or why the run cannot be trusted.
     retry
@@ -64,6 +66,7 @@ class WaveRecord:
     closing_gaps: float = 0.0
     broken_bonds: int = 0
     nonlinear: tuple[Nonlinearity, ...] = ()
+    slipped: float = 0.0
     problem: str = ""
     retry: str = ""
 
@@ -122,8 +125,8 @@ class Recorder:
         See `guards.problems_of`.
     chunks
         (samples, 2, L) shear force and velocity of each chunk so far.
-    nonlinear
-        See `WaveRecord`, for each sample.
+    nonlinear, slipped
+        See `WaveRecord`, for each sample and each lane.
     """
 
     state: State
@@ -138,10 +141,12 @@ class Recorder:
     breakable: float = 0.0
     chunks: list[Floats] = field(default_factory=list, init=False)
     nonlinear: list[list[Nonlinearity]] = field(init=False)
+    slipped: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
+        self.slipped = np.zeros(self.state.features.lanes)
 
     @property
     def steps_per_look(self) -> int:
@@ -164,14 +169,17 @@ class Recorder:
         return [records[lane] for lane in sorted(records)]
 
     def _look_at_contacts(self) -> None:
-        """Find what the contact laws would change in the samples whose next look is due."""
+        """Find what the contact laws would change at the transmitter, and in the samples whose next look is due."""
+        sending = [not looks for looks in self.nonlinear] + [False] * (len(self.slipped) - self.samples)
+        if any(sending):
+            now = slipped_force(self.state, TRANSMITTER)
+            self.slipped = np.where(sending, np.maximum(self.slipped, now), self.slipped)
         periods = self.state.steps * self.state.time_step / self.pulse.duration
         due = [lane for lane, looks in enumerate(self.nonlinear) if periods[lane] >= 1.0 + LOOKS_APART * len(looks)]
-        if not due:
-            return
-        found = np.broadcast_arrays(*nonlinearity(self.state, TRANSMITTER))
-        for lane in due:
-            self.nonlinear[lane].append(Nonlinearity(*(float(values[lane]) for values in found)))
+        if due:
+            found = np.array(nonlinearity(self.state))
+            for lane in due:
+                self.nonlinear[lane].append(Nonlinearity(*found[:, lane].tolist()))
 
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> Floats:
         """Advance by so many samples; (samples, 2, L) shear force and velocity."""
@@ -208,5 +216,6 @@ class Recorder:
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),
             nonlinear=tuple(self.nonlinear[lane]),
+            slipped=float(self.slipped[lane]),
             problem=problem,
         )
