@@ -1,6 +1,6 @@
 """From a stored packing and a stored cement pattern to the contact graph and its path features."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -33,6 +33,11 @@ class PackingGraph:
     graph: ContactGraph
     weights: ContactWeights
     scale: PathScale
+    _keys: NDArray[np.int64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Number the contacts, for each pattern asks where its own are."""
+        object.__setattr__(self, "_keys", _contact_keys(self.graph.pairs, self.graph.grain_count))
 
     def bonded(self, cement: CementPattern) -> NDArray[np.bool_]:
         """Give which contacts of the graph are cemented, shape (m,).
@@ -78,11 +83,9 @@ class PackingGraph:
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair among the contacts, whose pairs are sorted."""
-        count = self.graph.grain_count
-        keys = _contact_keys(self.graph.pairs, count)
-        wanted = _contact_keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), count)
-        rows = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        strange = keys[rows] != wanted
+        wanted = _contact_keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), self.graph.grain_count)
+        rows = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
+        strange = self._keys[rows] != wanted
         if strange.any():
             first = np.asarray(pairs)[strange][0].tolist()
             raise ValueError(

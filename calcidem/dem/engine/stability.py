@@ -1,6 +1,7 @@
 """Largest stable time step of the explicit scheme."""
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calcidem.dem.engine.assembly import Assembly, lanes_of_bits
 from calcidem.dem.engine.scene import Scene
@@ -20,6 +21,9 @@ from calcidem.dem.kernels.layout import (
 )
 
 _Entry = tuple[int, int]
+_Ends = tuple[Integers, Floats]
+
+_UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
 
 _SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
 
@@ -75,11 +79,19 @@ def _contact_matrices(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
 ) -> tuple[Floats, Floats]:
     """Matrices (N, L, 3, 3) of `critical_time_step`, and what makes squared frequencies of their eigenvalues (N, 1)."""
+    ends = (
+        *_ends_of_pairs(scene, assembly, features, overlap),
+        _ends_at_walls(scene, assembly, features, wall_overlap),
+    )
+    disk, blocks = (np.concatenate(parts) for parts in zip(*ends, strict=True))
+    # One entry a contact: each disk's are added in their order, and multiplied by exactly one.
+    of_disk = csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(scene.count, len(disk)))
+    width = features.lanes * len(_UPPER)
+    entries = (of_disk @ blocks.reshape(len(disk), width)).reshape(scene.count, features.lanes, len(_UPPER))
     matrices = np.zeros((scene.count, features.lanes, 3, 3))
-    _add_pairs(matrices, scene, assembly, features, overlap)
-    _add_wall_pairs(matrices, scene, assembly, features, wall_overlap)
-    if not features.rotation:
-        matrices[..., ROTATION, :] = matrices[..., :, ROTATION] = 0.0
+    for entry, (row, column) in enumerate(_UPPER):
+        if features.rotation or ROTATION not in (row, column):
+            matrices[..., row, column] = matrices[..., column, row] = entries[..., entry]
     inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
     return matrices, 2.0 * inverse_mass[:, None]
 
@@ -121,29 +133,30 @@ def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _E
     entry[pq] = np.zeros_like(off)
 
 
-def _add_pairs(matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> None:
-    """Add the contacts between disks to the matrices of their disks, in place."""
+def _ends_of_pairs(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> tuple[_Ends, _Ends]:
+    """Both ends of the contacts between disks, see `_ends`."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
     depth = pairs.geometry[:, OVERLAP, None].astype(float) if overlap is None else overlap
-    for disk, side in ((pairs.first, -1.0), (pairs.second, 1.0)):
+
+    def ends(disk: Integers, side: float) -> _Ends:
         own = radius[disk, None]
         arm = np.broadcast_to(1.0 + np.maximum(-0.5 * depth, 0.0) / own, normal.shape)
-        _add_contacts(matrices, disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
+        return _ends(disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
+
+    return ends(pairs.first, -1.0), ends(pairs.second, 1.0)
 
 
-def _add_wall_pairs(
-    matrices: Floats, scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None
-) -> None:
-    """Add half of the contacts with walls to the matrices of their disks, in place."""
+def _ends_at_walls(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> _Ends:
+    """The disks' ends of half of the contacts with walls, see `_ends`."""
     wall_pairs, walls = assembly.wall_pairs, assembly.walls
     depth = wall_pairs.overlap[:, None] if overlap is None else overlap
     shape = (len(wall_pairs.disk), features.lanes)
     tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
     shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
     normal = walls.normal[wall_pairs.wall].astype(float)
-    _add_contacts(matrices, wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
+    return _ends(wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
 
 
 def _no_contact_step(scene: Scene) -> float:
@@ -187,18 +200,19 @@ def pair_stiffness(
     return normal, shear, twist
 
 
-def _add_contacts(
-    matrices: Floats, disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]
-) -> None:
-    """Add the contacts' matrices to those of their disks, in place.
+def _ends(disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]) -> _Ends:
+    """Disks (M,) and what contacts add to their matrices: the entries `_UPPER`, (M, L, 6).
 
     ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the rotational stiffness, each (M, L).
     """
     arm, twist = turning
-    s = np.empty((*arm.shape, 3))
-    s[..., X], s[..., Y], s[..., ROTATION] = -n[:, None, Y], n[:, None, X], -np.sqrt(2.0) * arm
-    flat = np.column_stack([n, np.zeros(len(n))])
-    blocks = normal[:, :, None, None] * (flat[:, None, :, None] * flat[:, None, None, :])
-    blocks = blocks + shear[:, :, None, None] * (s[..., :, None] * s[..., None, :])
-    blocks[..., ROTATION, ROTATION] += twist
-    np.add.at(matrices, disk, blocks)
+    n_x, n_y = n[:, X, None], n[:, Y, None]
+    turned = -np.sqrt(2.0) * arm
+    entries = np.empty((*arm.shape, len(_UPPER)))
+    entries[..., 0] = normal * (n_x * n_x) + shear * (n_y * n_y)
+    entries[..., 1] = normal * (n_x * n_y) + shear * (-n_y * n_x)
+    entries[..., 2] = normal * (n_y * n_y) + shear * (n_x * n_x)
+    entries[..., 3] = shear * (-n_y * turned)
+    entries[..., 4] = shear * (n_x * turned)
+    entries[..., 5] = shear * (turned * turned) + twist
+    return disk, entries

@@ -1,6 +1,7 @@
 """Everything that samples have in common: packing, materials, cement, wave and picking."""
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -83,9 +84,7 @@ class Experiment:
 
         The received velocity is the plain mean of those disks, so a wave passes its middle at their mean x.
         """
-        if self.signal == "force":
-            return self.packing.width
-        return float(np.mean(self.packing.x[listening_disks(self.packing, self.wave)]))
+        return self.packing.width if self.signal == "force" else _mean_place_of_listeners(self)
 
     def ordering(self, seed: int) -> CementOrdering:
         """Order in which the contacts and clusters of a seed are cemented."""
@@ -100,3 +99,9 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
+
+
+@lru_cache(maxsize=8)  # it is asked for at each look at each record
+def _mean_place_of_listeners(experiment: Experiment) -> float:
+    """Mean x of the disks that are listened to, m."""
+    return float(np.mean(experiment.packing.x[listening_disks(experiment.packing, experiment.wave)]))
