@@ -39,6 +39,7 @@ SINCE_0006 = {
     "content_of_contacts": 3.5,
 }
 """Of a done cell; former schemas have none of it."""
+SINCE_0007 = {"broken_bonds": 3}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,6 +99,7 @@ class Records:
             "error_bound": 2e-3,
             "content_reached": content,
             **SINCE_0006,
+            **SINCE_0007,
             "p_contacts": 400,
             "c_contacts": 900,
             "clusters": 250,

@@ -61,6 +61,7 @@ NUMBERS = [
         ("status", "'unstable'"),
         ("steps", "steps + 1"),
         ("vs_first_arrival", "1000.0"),
+        ("broken_bonds", "NULL"),
         ("packing_index", "1"),
         ("energy_error", "'text'"),
         ("retry", "CAST(x'ff00' AS TEXT)"),
@@ -185,4 +186,22 @@ def test_rows_of_older_databases_get_marked_checksums(tmp_path: Path) -> None:
     execute(path, change("result", "vs", "1000.0"))
     with open_stored_campaign(path) as campaign:
         assert campaign.cell(seed=1, content=5.0).status is CellStatus.DAMAGED
+        assert set(campaign.store.integrity().cells) == {BAD}
+
+
+@pytest.mark.parametrize(
+    ("upgraded", "column", "value"), [(False, "vs", "1000.0"), (True, "vs", "1000.0"), (True, "broken_bonds", "0")]
+)
+def test_rows_without_broken_bonds_keep_the_checksums_they_have(
+    tmp_path: Path, upgraded: bool, column: str, value: str
+) -> None:
+    """Those of schema 0006, read as it is or upgraded, find what is changed later, a number that was none included."""
+    path = Path(shutil.copy(Path(__file__).parent / "assets" / "schema_0006.db", tmp_path))
+    if upgraded:
+        open_store(path).close()
+    with open_stored_campaign(path) as campaign:
+        found = campaign.store.integrity()
+        assert (found.late, found.cells, found.others) == (0, {}, ())
+    execute(path, change("result", column, value))
+    with open_stored_campaign(path) as campaign:
         assert set(campaign.store.integrity().cells) == {BAD}

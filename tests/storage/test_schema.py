@@ -19,6 +19,7 @@ from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
+from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
 from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.schema import VERSION_TABLE, head_revision
 from calcidem.storage.sql.store import SqlStore, open_store
@@ -70,7 +71,7 @@ def test_alembic_sees_no_difference(open_here: Callable[..., SqlStore]) -> None:
             assert set(re.findall(r"\bck_\w+", reflected)) == checks
 
 
-@pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004", "0005"])
+@pytest.mark.parametrize("schema", ["0001", "0002", "0003", "0004", "0005", "0006"])
 def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Records", schema: str) -> None:
     """The kept databases of all schemas are upgraded, have the values they were made with, and take new ones."""
     path = tmp_path / "old.db"
@@ -82,9 +83,11 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
         assert campaign.record == records.campaign()
         assert campaign.cell(seed=3, content=5.0) == records.with_arrays(3, 5.0)
         stored = records.with_arrays(1, 5.0)
-        # The first schema had no graph summaries, the second no retry, all no meaning of vs; the rest is as it was.
+        # The first schema had no graph summaries, the second no retry, those before 0006 no meaning of vs, none the
+        # broken bonds; the rest is as it was.
         unknown = {"0001": ("graph", "retry"), "0002": ("retry",)}.get(schema, ())
-        expected = dataclasses.replace(stored, **dict.fromkeys((*unknown, *NEW_COLUMNS)))  # type: ignore[arg-type]  # all may be None
+        meaning = NEW_COLUMNS if schema < "0006" else ()
+        expected = dataclasses.replace(stored, **dict.fromkeys((*unknown, *meaning, BROKEN_BONDS)))  # type: ignore[arg-type]  # all may be None
         assert campaign.cell(seed=1, content=5.0) == expected
         assert campaign.packing() == records.packing()
         assert [run for _, run in campaign.runs()] == [records.run()]
@@ -95,7 +98,7 @@ def test_old_database_upgrades_and_keeps_its_values(tmp_path: Path, records: "Re
     connection.close()
 
 
-@pytest.mark.parametrize("schema", ["0003", "0004", "0005"])
+@pytest.mark.parametrize("schema", ["0003", "0004", "0005", "0006"])
 def test_former_database_is_read_as_it_is(tmp_path: Path, schema: str) -> None:
     """A reader finds in a database of a former schema what it finds once that is upgraded, and leaves it as it is."""
     former, upgraded = tmp_path / "former.db", tmp_path / "upgraded.db"

@@ -12,8 +12,12 @@ DECIDED_BY_PHYSICS = (
     *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
     *("frequency", "distance", "wavelengths_on_path", "wavelength_over_d50", "time_step", "stability_limit", "steps"),
     *("content_reached", "content_of_contacts", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
+    "broken_bonds",
 )
 """Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
+
+COUNTED_LATER = frozenset({"broken_bonds"})
+"""Those of them that cells of this physics version may lack, since they were computed before it was stored."""
 
 
 def physics_version(record: CampaignRecord) -> object:

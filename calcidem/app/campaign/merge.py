@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, physics_version
+from calcidem.app.campaign.identity import COUNTED_LATER, DECIDED_BY_PHYSICS, physics_version
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
@@ -156,7 +156,8 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
         overruled += 0 < len(done) < len(found)
         quantities = zip(DECIDED_BY_PHYSICS, zip(*done.values(), strict=True), strict=False)
-        if different := tuple(name for name, values in quantities if len(set(values)) > 1):
+        unknown = {name: {None} if name in COUNTED_LATER else set() for name in DECIDED_BY_PHYSICS}
+        if different := tuple(name for name, values in quantities if len(set(values) - unknown[name]) > 1):
             conflicts.append(
                 Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
             )

@@ -123,6 +123,7 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         c_contacts=cement.c_contacts,
         clusters=cement.clusters,
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
+        broken_bonds=record.broken_bonds,
         retry=record.retry,
         seconds=measurement.seconds,
         signal=stored_signal(record) if store_signals else None,

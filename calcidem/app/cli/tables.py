@@ -19,6 +19,7 @@ from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection, Store
 from calcidem.sweep.environment import launcher
+from calcidem.sweep.progress import pluralize
 
 PLAIN_WIDTH = 110
 """Columns where no terminal says how many there are."""
@@ -69,7 +70,7 @@ def vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
     from calcidem.app.campaign.status import UNREAD  # loads pandas, which no cell waits for
 
-    columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds"), selection)
+    columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds", "broken_bonds"), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
     for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
@@ -96,6 +97,10 @@ def vs_table(store: Store, selection: Selection) -> Table:
         remarks = [f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"]
     if doubtful:
         remarks.append(f"! {MEAN_IN_DOUBT}")
+    if count := np.count_nonzero(columns["broken_bonds"] > 0):
+        remarks.append(
+            f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
+        )
     if any(status in UNREAD for status in columns["status"]):
         remarks.append("'calcidem diagnose DB' says why cells can't be read, and what to try")
     if remarks:

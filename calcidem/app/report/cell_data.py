@@ -32,6 +32,9 @@ _LEVELS = 2000
 
 _MICROMETRES = 1e6
 
+EXCEPTIONAL = frozenset({"broken_bonds"})
+"""Quantities of which zero is nothing to tell."""
+
 
 @dataclass(frozen=True, slots=True)
 class _CellData:
@@ -92,7 +95,9 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
         "quantities": [
             {"name": q.name, "kind": q.kind, "unit": readable_unit(q.unit), "meaning": q.meaning}
             for q in QUANTITIES
-            if any(value not in {None, ""} for value in columns.get(q.name, ()))
+            if any(
+                value not in {None, ""} and (value or q.name not in EXCEPTIONAL) for value in columns.get(q.name, ())
+            )
         ],
         "columns": columns,
     }

@@ -10,6 +10,7 @@ from calcidem.analysis.figures.samples import draw_cemented_samples, draw_prefer
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.report.cell_data import EXCEPTIONAL
 from calcidem.app.report.wording import ABSENT, Table, decimal, readable_unit, significant
 from calcidem.storage.sql.quantities import QUANTITIES, Quantity
 from calcidem.storage.store import Selection
@@ -54,7 +55,8 @@ def show_cell(
         values = campaign.store.table(
             [quantity.name for quantity in QUANTITIES], Selection(seeds=(seed,), contents=(content,))
         )
-        rows = [(quantity.meaning, _text(quantity, values[quantity.name][0])) for quantity in QUANTITIES]
+        told = [quantity for quantity in QUANTITIES if values[quantity.name][0] or quantity.name not in EXCEPTIONAL]
+        rows = [(quantity.meaning, _text(quantity, values[quantity.name][0])) for quantity in told]
         shown = tuple(row for row in rows if row[1] not in {"", ABSENT})
         files = [] if out is None else _draw(analysis, seed, content, Path(out))
     return Table(f"Seed {seed} at {content:g} %.", ("quantity", "value"), shown), files

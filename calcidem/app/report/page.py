@@ -23,6 +23,7 @@ from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import Table, decimal, significant, time_span
 from calcidem.storage.files import write_text_atomically
+from calcidem.sweep.progress import pluralize
 
 _FEW_SAMPLES = 30
 """Below this a skewness, a kurtosis and the verdict on normality say little."""
@@ -206,6 +207,9 @@ def velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
             f"So many cells have no velocity at {shares} that the mean is off by more than its standard error if they "
             "are the slowest or the fastest. The command calcidem diagnose says why they have none, and what to try."
         )
+    broken = analysis.cells["broken_bonds"].to_numpy()
+    if count := int(np.sum(broken > 0)):
+        remarks.append(f"The pulse broke bonds in {pluralize(count, 'cell')}, at most {np.nanmax(broken):.0f} in one.")
     if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
         remarks.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
     if near := near_field_rows(analysis):

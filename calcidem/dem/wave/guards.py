@@ -65,9 +65,9 @@ def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[in
 
 
 def broken_bonds(state: State) -> Integers:
-    """(L,) bonds that broke."""
+    """(L,) bonds that broke; nothing is counted where the kernel breaks none."""
     pairs, lanes = state.assembly.pairs, state.features.lanes
-    if not (pairs.cemented ^ pairs.intact).any():
+    if not state.features.breakage or not (pairs.cemented ^ pairs.intact).any():
         return np.zeros(lanes, dtype=np.int64)
     return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
 

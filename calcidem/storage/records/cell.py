@@ -144,6 +144,8 @@ class CellResult:
         Content by Eq. 2 over the cemented contacts, each counted once [%].
     p_contacts, c_contacts, clusters, bonded_contacts : int or None
         P contacts, contacts in C clusters, C clusters, and all bonded contacts.
+    broken_bonds : int or None
+        Bonds that broke while the wave was recorded; None where it is not known.
     retry : str or None
         Problem for which the sample was sent a second time, with half the step; None if the first time was good.
     seconds : float or None
@@ -191,6 +193,7 @@ class CellResult:
     c_contacts: int | None = None
     clusters: int | None = None
     bonded_contacts: int | None = None
+    broken_bonds: int | None = None
     retry: str | None = None
     seconds: float | None = None
     rank: int | None = None
@@ -294,6 +297,7 @@ COUNT_COLUMNS = (
     "c_contacts",
     "clusters",
     "bonded_contacts",
+    "broken_bonds",
     "seconds",
     "rank",
     "expected_error",

@@ -29,6 +29,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
 from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
+from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
@@ -235,7 +236,7 @@ class ResultRow(Base):
             name="done_has_numerics",
         ),
         *(_check_positive(column) for column in POSITIVE_COLUMNS if column not in NEW_COLUMNS),
-        *(_check_not_negative(c) for c in COUNT_COLUMNS if c not in {"seconds", "rank", *NEW_COLUMNS}),
+        *(_check_not_negative(c) for c in COUNT_COLUMNS if c not in {"seconds", "rank", *NEW_COLUMNS, BROKEN_BONDS}),
         *(_check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
         _check_finite("energy_error"),
         _check_finite("error_bound", "error_estimate"),
@@ -271,6 +272,7 @@ class ResultRow(Base):
     clusters: Mapped[int | None]
     bonded_contacts: Mapped[int | None]
     retry: Mapped[str | None]
+    broken_bonds: Mapped[int | None] = mapped_column(_check_not_negative(BROKEN_BONDS))
     checksum: Mapped[str | None]
 
 

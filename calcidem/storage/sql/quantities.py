@@ -92,6 +92,7 @@ QUANTITIES = (
         ("c_contacts", "1", "number of contacts in C clusters"),
         ("clusters", "1", "number of C clusters"),
         ("bonded_contacts", "1", "number of bonded contacts"),
+        ("broken_bonds", "1", "number of bonds that the pulse broke"),
         ("retry", "", "why the sample was sent again, with half the time step"),
         ("packing_index", "1", "which of the campaign's packings"),
     ),

@@ -13,6 +13,7 @@ from calcidem.storage.sql.checksums import UNCHECKED, seal_former_rows
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TIME
 from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
+from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""
@@ -23,16 +24,20 @@ SELECT cell_id, time_step AS sampling_interval, {START_TIME} AS start_time, samp
 """  # noqa: S608 - constants
 
 
+def _read_with(table: str, more: str) -> str:
+    """View of a former table, with more columns, as one of the current schema."""
+    return f"CREATE TEMP VIEW {table} AS SELECT *, {more} FROM main.{table}"  # noqa: S608 - constants
+
+
 def _read_without_checksums(table: str, more: str = "") -> str:
-    """View of a former table as one of the current schema."""
-    return f"CREATE TEMP VIEW {table} AS SELECT *, '{UNCHECKED}' AS checksum{more} FROM main.{table}"  # noqa: S608 - constants
+    """View of a table of the time before checksums as one of the current schema."""
+    return _read_with(table, f"'{UNCHECKED}' AS checksum{more}")
 
 
+_UNKNOWN = ", ".join(f"NULL AS {name}" for name in (*NEW_COLUMNS, BROKEN_BONDS))
 _OF_0005 = (
     _read_without_checksums("attempt"),
-    _read_without_checksums(
-        "result", f", error_estimate AS error_bound, {', '.join(f'NULL AS {name}' for name in NEW_COLUMNS)}"
-    ),
+    _read_without_checksums("result", f", error_estimate AS error_bound, {_UNKNOWN}"),
 )
 _OF_0004 = (*_OF_0005, _read_without_checksums("run", ", NULL AS workers"))
 _OVERLAPS = ", mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap"
@@ -41,6 +46,7 @@ _READ_AS_CURRENT = {
     "0003": (*_OF_0004, _SIGNALS_OF_0003, _read_without_checksums("packing", f"{_OVERLAPS}, NULL AS content_hash")),
     "0004": (*_OF_0004, _read_without_checksums("packing", ", NULL AS content_hash")),
     "0005": (*_OF_0005, _read_without_checksums("run"), _read_without_checksums("packing")),
+    "0006": (_read_with("result", f"NULL AS {BROKEN_BONDS}"),),
 }
 """Views by which a SQLite database of a former schema is read as one of the current schema, its file left as it is."""
 

@@ -10,13 +10,16 @@ import pytest
 from places import SMALL_PACKING
 from sqlalchemy import create_engine, text
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
+from calcidem.app.cli.tables import vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
+from calcidem.app.report.page import velocity_remarks
 from calcidem.app.studies.accuracy.command import plan_task
 from calcidem.app.studies.explain import Explanation, precision
 from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
@@ -26,6 +29,7 @@ from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.checksums import seal_former_rows
+from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
 
@@ -185,14 +189,41 @@ def test_signals_and_cement_are_compared(stored: CellResult) -> None:
     assert compare_outcomes(stored, without).agreement is Agreement.DIFFERENT
 
 
-def test_why_a_sample_was_sent_again_is_kept(small: Path) -> None:
-    """The problem for which the wave was sent a second time goes from the wave's record into the outcome."""
+def test_broken_bonds_are_compared_where_they_were_counted(stored: CellResult) -> None:
+    """Another number is another sample; an outcome of the time before they were stored says nothing of them."""
+    assert stored.broken_bonds == 0
+    for one, other, agreement in ((0, 2, "DIFFERENT"), (0, None, "DIFFERENT"), (None, 2, "SAME_BITS")):
+        pair = (dataclasses.replace(stored, broken_bonds=count) for count in (one, other))
+        assert compare_outcomes(*pair).agreement is Agreement[agreement]
+
+
+def test_broken_bonds_are_told_where_there_are_some(change: Change, small: Path, invoke: Invoke) -> None:
+    """One cell that lost four of them is named by filters, in its record and in remarks; no cell that lost none is."""
+    changed = change(result="broken_bonds = 4")
+    where = ("--where", "broken_bonds > 0", "--columns", "seed,broken_bonds", "--format", "csv")
+    assert invoke("query", changed, *where).split() == ["seed,broken_bonds", "1,4"]
+    cell = ("--seed", 1, "--content", 0.66)
+    assert "number of bonds that the pulse broke" in invoke("show", changed, *cell)
+    assert "pulse broke" not in invoke("show", small, *cell)
+    for path, told in ((changed, "The pulse broke bonds in 1 cell, at most 4 in one."), (small, "")):
+        with open_campaign(path) as campaign:
+            assert [line for line in velocity_remarks(CampaignAnalysis(campaign)) if "broke" in line] == [told] * bool(
+                told
+            )
+            assert ("broke bonds in 1 cell:" in str(vs_table(campaign.store, Selection()).caption)) == bool(told)
+
+
+def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
+    """Broken bonds, and the problem for which the wave was sent a second time, go into the outcome."""
     with open_campaign(small) as campaign:
         experiment = campaign.experiment(0)
     (measured,) = measure(experiment, 0.66, [1])
-    again = dataclasses.replace(measured, record=dataclasses.replace(measured.record, retry="the energy grew"))
+    again = dataclasses.replace(
+        measured, record=dataclasses.replace(measured.record, retry="the energy grew", broken_bonds=7)
+    )
     assert cell_result(measured, experiment, store_signals=False).retry is None
-    assert cell_result(again, experiment, store_signals=False).retry == "the energy grew"
+    kept = cell_result(again, experiment, store_signals=False)
+    assert (kept.retry, kept.broken_bonds) == ("the energy grew", 7)
 
 
 def test_choice_of_cells(small: Path) -> None:

@@ -48,7 +48,7 @@ def troubled(complete: Path, tmp_path: Path) -> Path:
 def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
     """Give a function that makes a database with some seeds of the complete one."""
 
-    def make(name: str, seeds: set[int], **changes: float) -> Path:
+    def make(name: str, seeds: set[int], **changes: float | None) -> Path:
         path = tmp_path / name
         with open_store(complete, read_only=True) as whole, open_store(path) as store:
             record = whole.use_campaign()

@@ -85,6 +85,14 @@ def test_different_values_are_refused_unless_one_is_preferred(
     assert {key.seed: found[key].vs == 1234.5 for key in found} == {1: False, 2: True, 3: True}
 
 
+def test_broken_bonds_count_where_they_are_known(part: Callable[..., Path], tmp_path: Path) -> None:
+    """A database of the time before they were stored contradicts none; two numbers contradict each other."""
+    first, former, other = (part(f"{count}.db", {1, 2}, broken_bonds=count) for count in (0, None, 2))
+    assert merge_databases([str(former), str(first)], tmp_path / "out.db").shared > 0
+    with pytest.raises(MergeConflictError, match="different: broken_bonds"):
+        merge_databases([str(first), str(other)], tmp_path / "none.db")
+
+
 def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
     """Campaigns of different physics are refused with the difference, and nothing is written."""
     first, other = part("a.db", {1}), tmp_path / "other.db"
