@@ -94,7 +94,7 @@ class RankWatch:
     address
         For the ranks' environment, under `COMMAND_VARIABLE`.
     exit_code, exit_reason
-        What rank 0 has said of its end: None if nothing, and the signal that asked for it.
+        What rank 0 has said of its end: None if nothing, and the signal that asked for it or another obstacle.
     progress
         What rank 0 has said last of how far the run is; empty if nothing.
     """

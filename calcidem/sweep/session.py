@@ -41,6 +41,8 @@ class Session:
         Number of this rank, from 0, and of all ranks.
     stop_request
         Signals that ask the program to stop, noted on rank 0; the other ranks leave them to it.
+    obstacle
+        One word for what ends the program and another start would meet again; empty if there is no such thing.
     """
 
     def __init__(self) -> None:
@@ -48,6 +50,7 @@ class Session:
         self.rank = 0
         self.size = 1
         self.stop_request = StopRequest(end_at_once=self._abort_mpi)
+        self.obstacle = ""
         self._ending = False
 
     def __enter__(self) -> Self:
@@ -171,7 +174,7 @@ class Session:
         sys.stdout.flush()
         sys.stderr.flush()
         if self.rank == 0:
-            tell_command(f"exit {exit_code} {self.stop_request.reason}")
+            tell_command(f"exit {exit_code} {self.stop_request.reason or self.obstacle}")
 
     def _abort_mpi(self, exit_code: int = EXIT_RESUMABLE) -> None:
         """End the other ranks, if there are any left."""

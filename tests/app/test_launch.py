@@ -147,6 +147,33 @@ def test_a_launcher_that_is_killed_before_any_rank_began_is_started_twice(worksh
     assert (workshop.folder / "starts").read_text().count("start") == 2
 
 
+RANK_THAT_ENDS = """#!{python} -IS
+import os, socket, sys
+if "--version" not in sys.argv:
+    print("start", file=open("starts", "a"))
+    token, _, address, *_ = os.environ["CALCIDEM_COMMAND"].split()
+    for number in 1, 0:
+        rank = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
+        rank.sendall(f"{{token}} {{number}} 1 here\\n".encode())
+        rank.recv(100)
+        rank.sendall(b"joined\\nsweeping\\nexit 75 {why}\\nended 75\\n" if number == 0 else b"joined\\nended 0\\n")
+"""
+"""A launcher whose ranks only say that they have ended."""
+
+
+@pytest.mark.parametrize(("why", "starts"), [("", 2), ("StoreUnavailableError", 1), ("SIGUSR1", 1)])
+def test_only_what_another_start_may_cure_is_started_again(workshop: "Workshop", why: str, starts: int) -> None:
+    """A run whose workers are lost is; one ended by a signal, or by a database that is away, ends with 75 at once."""
+    launcher = workshop.folder / "launcher"
+    launcher.write_text(RANK_THAT_ENDS.format(python=sys.executable, why=why))
+    launcher.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(launcher)
+    workshop.configure(seeds=1, contents=(9.0,))
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "1")
+    assert ended.code == 75, ended.errors
+    assert (workshop.folder / "starts").read_text().count("start") == starts
+
+
 @pytest.mark.full
 def test_a_run_whose_launcher_is_killed_while_ranks_start_is_started_again(workshop: "Workshop") -> None:
     """The second start completes the campaign."""

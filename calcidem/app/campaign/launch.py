@@ -76,8 +76,8 @@ class Launch:
         Number of ranks, of which the first coordinates.
     restarts
         How often to start again when the run was cut off: when ranks, or a host, died and the others could not go on. A
-        run that a signal has asked to stop is not started again, nor is one whose ranks fail the same way twice while
-        they start.
+        run that a signal has asked to stop is not started again, nor is one whose database is locked or away, or whose
+        ranks fail the same way twice while they start.
     start_timeout
         Seconds in which all ranks must have found one another.
     silence_timeout
@@ -137,9 +137,10 @@ class Launch:
             watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
             screen.end()
             if watch.exit_code is not None:
-                # When ranks die, mpirun itself ends rank 0 with a SIGTERM; only the other signals are somebody's wish.
-                asked = watch.exit_reason not in {"", signal.SIGTERM.name}
-                return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and not asked)
+                # When ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals are somebody's wish, and a
+                # database that is locked or away is no better a second later.
+                curable = watch.exit_reason in {"", signal.SIGTERM.name}
+                return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and curable)
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
                 screen.say(f"{name} failed before any rank began; it is being started once more.")
                 return self._once(mpirun, relay, screen, hosts, again=False)

@@ -106,7 +106,7 @@ def _lead(
             reporter.begin(RunStage.WRITING)
             view.finish(work, in_haste=session.stop_request.hurry())
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-            code = view.refuse(error)
+            code, session.obstacle = view.refuse(error), type(error).__name__
             # A server that comes back has everything that was stored.
             return EXIT_RESUMABLE if isinstance(error, StoreUnavailableError) else code, work.end
         return work.end.exit_code, work.end
