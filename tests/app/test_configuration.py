@@ -155,6 +155,10 @@ WRONG = {
         "[pick]\nslowest = 300.0\nfastest = 200.0\n",
         ("pick.slowest = 300.0, fastest = 200.0", "give 0 < slowest < fastest"),
     ),
+    "periods below none": (
+        "[pick]\nfewest_periods = -1.0\n",
+        ("pick.fewest_periods = -1.0", "give a finite number of 0 or more"),
+    ),
     "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
     "quality out of reach": ("[pick]\nleast_quality = 1.5\n", ("pick.least_quality = 1.5", "give a number in [0, 1)")),
     "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "choose 1, 2, 4, 8, 16 or 32")),

@@ -16,6 +16,7 @@ SPACING = DISTANCE / 39  # a chain of grains of 2.56 mm
 VELOCITIES = st.floats(40.0, 2500.0)
 FREQUENCIES = st.floats(3e3, 30e3)
 PERIODS = st.integers(25, 200)  # samples in a period
+ANY_WAY = PickRule(fewest_periods=0.0)  # the near field of a delayed pulse has no P wave
 
 
 def times(velocity: float, frequency: float, samples: int, longer: float = 1.2) -> Floats:
@@ -69,7 +70,7 @@ def error(reading: Reading, velocity: float) -> float:
 def test_undistorted_pulses_are_read_between_samples(velocity: float, frequency: float, samples: int) -> None:
     """An undistorted pulse is read by all methods to a small part of a sample, with full quality."""
     signals = delayed(velocity, frequency, samples)
-    picks = read_travel_times(signals)
+    picks = read_travel_times(signals, ANY_WAY)
     sample = signals.sampling_interval * velocity / DISTANCE  # relative to the travel time
     # The parabola misses a cosine's top by under 0.01 sample at 25 samples a period; smoothing bends the foot
     # of the pulse, at which the first arrival is read.
@@ -79,6 +80,16 @@ def test_undistorted_pulses_are_read_between_samples(velocity: float, frequency:
     for reading in (picks.peak, picks.first_arrival, picks.cross_correlation):
         assert reading.failure is None
         assert reading.quality > 0.98
+
+
+def test_a_way_of_few_periods_is_near_field() -> None:
+    """On less of the pulse than the rule asks for nothing is read, and the reason names the cure; on more it is."""
+    near, far = (read_travel_times(delayed(1000.0, periods * 1000.0 / DISTANCE)) for periods in (0.41, 0.43))
+    assert {reading.failure for reading in (near.peak, near.first_arrival, near.cross_correlation)} == {
+        PickFailure.NEAR
+    }
+    assert "higher frequency" in PickFailure.NEAR
+    assert far.peak.velocity == pytest.approx(1000.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -383,13 +394,13 @@ def test_numbers_that_are_not_finite_are_no_arrival() -> None:
 def test_cut_records_give_the_same_reading_or_none(velocity: float, frequency: float, share: float) -> None:
     """Wherever a record is cut, it gives no reading or, to the last bit, that of the whole record."""
     whole = chain(velocity, frequency, samples=40)
-    picks = read_travel_times(whole)
+    picks = read_travel_times(whole, ANY_WAY)
     assert picks.peak.failure is None
     length = int(share * len(whole.sent))
     cut = replace(whole, received=whole.received[: max(1, length)])
-    assert has_arrived(cut) == (read_travel_times(cut).peak.failure is None)
+    assert has_arrived(cut) == (read_travel_times(cut, ANY_WAY).peak.failure is None)
     if has_arrived(cut):
-        assert read_travel_times(cut) == picks
+        assert read_travel_times(cut, ANY_WAY) == picks
     else:
         assert length * whole.sampling_interval < record_duration(DISTANCE, 0.9 * velocity, frequency)
 
@@ -419,8 +430,8 @@ def test_record_that_ends_on_the_peak_is_too_short() -> None:
 def test_units_do_not_matter(velocity: float, frequency: float, factor: float) -> None:
     """The received signal may be in any unit: a factor changes no reading beyond rounding."""
     signals = delayed(velocity, frequency)
-    scaled = read_travel_times(replace(signals, received=factor * signals.received, floor=factor * FLOOR))
-    plain = read_travel_times(signals)
+    scaled = read_travel_times(replace(signals, received=factor * signals.received, floor=factor * FLOOR), ANY_WAY)
+    plain = read_travel_times(signals, ANY_WAY)
     assert scaled.peak.velocity == pytest.approx(plain.peak.velocity, rel=1e-6)
     assert scaled.peak.quality == pytest.approx(plain.peak.quality, rel=1e-6)
 

@@ -316,6 +316,7 @@ _UNCLEAR = _higher_frequency, _lower_frequency, _more_damping, _other_receiver, 
 _BY_FAILURE: dict[PickFailure | None, tuple[_Remedy, ...]] = {
     PickFailure.NOT_FINITE: (_smaller_step, _softer_pulse, _tolerated_breaking),
     PickFailure.BROAD: _FEW_PERIODS,
+    PickFailure.NEAR: _FEW_PERIODS,
     PickFailure.PRECURSOR: _FEW_PERIODS,
     PickFailure.UNSURE: _UNCLEAR,
     PickFailure.TOO_SHORT: (_longer_record, _less_damping, _higher_frequency),

@@ -37,7 +37,7 @@ _SHIFT = 0.05  # of the travel time by which a P wave of opposite sign may have 
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
 
-PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
+PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
 """Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
 
 
@@ -233,7 +233,7 @@ def _doubt(
     cut = travel < _CUTTING * record.period and _lean(view, index) > _LEAN * record.period
     if behind_p and (cut or index - time > _SHIFT * travel):
         return PickFailure.PRECURSOR
-    return None
+    return PickFailure.NEAR if travel < record.rule.fewest_periods * record.period else None
 
 
 def _may_be_another(record: PreparedSignals, view: Floats, index: int, *, behind_p: bool, ringing: bool) -> bool:

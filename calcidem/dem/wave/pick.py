@@ -19,6 +19,7 @@ class PickFailure(StrEnum):
     NO_PEAK = "no peak stands out of the received signal"
     PRECURSOR = "a swing of opposite sign runs into the main peak and has moved it: send a higher frequency"
     BROAD = "the main peak is so broad that a faster wave may be part of it: send a higher frequency"
+    NEAR = "on so short a way P and S wave are one peak: send a higher frequency, or over a longer way"
     UNSURE = "two tops are of nearly the same height, either may be the peak: send another frequency"
     DISAGREEMENT = "differs by more than a tenth from the peak: read the peak, or send a higher frequency"
     NOISE = "noise hides the first arrival"
@@ -69,6 +70,9 @@ class PickRule:
     smoothing
         Width of the cubic smoothing (Savitzky-Golay, without delay) before peaks are searched for, as a part
         of the sent period.
+    fewest_periods
+        Shortest travel time that is read, in sent periods: on less, P and S wave are one peak whose time is neither's
+        (docs/reading.md, "Near field").
     """
 
     slowest: float = 20.0
@@ -81,6 +85,7 @@ class PickRule:
     signal_to_noise: float = 4.0
     correlation: float = 0.5
     smoothing: float = 0.25
+    fewest_periods: float = 0.42
 
     def __post_init__(self) -> None:
         """Refuse rules that pick nothing or anything."""
@@ -91,6 +96,8 @@ class PickRule:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
         if not _PULSE_START <= self.onset < 1.0:
             raise ValueError(f"onset = {self.onset}: give a part of the peak in [{_PULSE_START:g}, 1)")
+        if not 0.0 <= self.fewest_periods < np.inf:
+            raise ValueError(f"fewest_periods = {self.fewest_periods}: give a finite number of 0 or more")
         for name in ("horizon", "signal_to_noise"):
             if not 1.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a finite number of 1 or more")

@@ -55,7 +55,7 @@ PLAUSIBLE = {
 }
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
-_PICK = PickRule(precursor=1.0, horizon=1.5, signal_to_noise=1.0)
+_PICK = PickRule(precursor=1.0, horizon=1.5, signal_to_noise=1.0, fewest_periods=0.0)
 """The boxes are short against the wave: what is judged is whether the reading hangs on the step, not what it is of."""
 _POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
