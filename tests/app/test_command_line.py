@@ -4,14 +4,15 @@ import os
 import subprocess
 import sys
 import venv
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_type_hints
 
 import pytest
+import typer
 import xarray as xr
 from places import CHECKOUT
 
 import calcidem
-from calcidem.app.cli.main import COMMANDS
+from calcidem.app.cli.main import COMMANDS, command_function
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -74,6 +75,21 @@ main()
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, check=True, env=os.environ | variables, capture_output=True, text=True)
     assert done.stdout.split() == found.split()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_option_takes_what_is_no_number(name: str) -> None:
+    """Options of real numbers refuse nan and infinities, those of whole numbers have a smallest one."""
+    for option, hint in get_type_hints(command_function(name), include_extras=True).items():
+        for information in getattr(hint, "__metadata__", ()):
+            shown = str(hint.__origin__)
+            if "float" in shown:
+                assert information.parser is not None, option
+                for text in ("nan", "inf", "-inf", "1e999", ""):
+                    with pytest.raises(typer.BadParameter):
+                        information.parser(text)
+            elif "int" in shown:
+                assert information.min is not None, option
 
 
 def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop") -> None:

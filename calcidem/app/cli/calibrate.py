@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import ConfigurationFile, StudyCores
+from calcidem.app.cli.arguments import (
+    HIGHEST_SEED,
+    MOST_SEEDS,
+    ConfigurationFile,
+    StudyCores,
+    number_parser,
+    parse_percentage,
+)
 from calcidem.sweep.environment import available_cores
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -36,14 +43,25 @@ def calibrate_command(
             "sand.wave_stiffness_factor, pattern.p_share, pattern.cluster_area.",
         ),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=3, help="Number of seeds at each content, the same in every trial.")] = 16,
-    first_seed: Annotated[int, typer.Option(min=0, help="First of them.")] = 1,
+    seeds: Annotated[
+        int, typer.Option(min=3, max=MOST_SEEDS, help="Number of seeds at each content, the same in every trial.")
+    ] = 16,
+    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - MOST_SEEDS, help="First of them.")] = 1,
     predict: Annotated[
         list[float] | None,
-        typer.Option(help="Content, percent, to predict and not to fit, even if it has a target; may be repeated."),
+        typer.Option(
+            parser=parse_percentage,
+            metavar="PERCENT",
+            help="Content to predict and not to fit, even if it has a target; may be repeated.",
+        ),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Relative error that the model may have, added to every target's own.")
+        float,
+        typer.Option(
+            parser=number_parser(0.0, 1.0, "is no part from 0 to 1"),
+            metavar="PART",
+            help="Relative error that the model may have, added to every target's own.",
+        ),
     ] = 0.02,
     cores: StudyCores = 0,
 ) -> None:

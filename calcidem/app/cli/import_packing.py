@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.cli.arguments import number_parser
 from calcidem.app.cli.terminal import printable
 
 
@@ -20,11 +21,12 @@ def import_packing_command(
     walls: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(
+            parser=number_parser(-1e12, 1e12, "is no coordinate from -1e12 to 1e12"),
             metavar="LEFT RIGHT FLOOR LID",
             help="Walls in the file's unit and frame; disks beyond are left out. By default the outermost disks touch.",
         ),
     ] = None,
-    timestep: Annotated[int | None, typer.Option(help="Snapshot of a LAMMPS dump; by default the last.")] = None,
+    timestep: Annotated[int | None, typer.Option(min=0, help="Snapshot of a LAMMPS dump; by default the last.")] = None,
 ) -> None:
     """Read the disks of another program, report on them, and write the file that [packing] takes.
 

@@ -74,6 +74,9 @@ def predict_command(
                 typer.echo(_check_line(check))
 
 
+_parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as normalized_connectivity=0.6")
+
+
 def _read_pattern(path: Path) -> CementPattern:
     """Cemented contacts in a file; which of them are P and which C does not matter to a path."""
     try:
@@ -90,10 +93,7 @@ def _read_pattern(path: Path) -> CementPattern:
 def _read_feature(text: str) -> tuple[str, float]:
     """Name and value of a feature."""
     name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError as error:
-        raise typer.BadParameter(f"'{text}': write NAME=VALUE, such as normalized_connectivity=0.6") from error
+    return name.strip(), _parse_value(value)
 
 
 def _prediction_line(content: float, prediction: "Prediction", level: float) -> str:

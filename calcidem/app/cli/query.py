@@ -39,7 +39,7 @@ def query_command(
     where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
     columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
-    limit: Annotated[int | None, typer.Option(min=0, help="Show at most this many rows.")] = None,
+    limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Show at most this many rows.")] = None,
     layout: Annotated[Format, typer.Option("--format", help="Output format.")] = Format.TABLE,
     out: Annotated[Path | None, typer.Option(help="File to write instead of showing the rows.")] = None,
     campaign: CampaignName = None,

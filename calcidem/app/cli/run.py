@@ -25,7 +25,9 @@ def run_command(
     ] = None,
     ranks: Annotated[
         int | None,
-        typer.Option(min=0, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."),
+        typer.Option(
+            min=0, max=100_000, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."
+        ),
     ] = None,
     restarts: Annotated[
         int | None,

@@ -25,6 +25,8 @@ def sensitivity_command(
     sobol: Annotated[
         int | None,
         typer.Option(
+            min=2,
+            max=2**20,
             metavar="N",
             help="Vary all \\[ranges] of the plan together: first and total Sobol indices of mean, sd / mean and "
             "readable share, from N base points (a power of two), which are N (parameters + 2) campaigns.",
