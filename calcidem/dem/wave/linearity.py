@@ -21,9 +21,12 @@ from calcidem.dem.kernels.layout import (
     TANGENT_PATH,
     Flags,
     Floats,
+    Integers,
     X,
     Y,
 )
+
+_ALL = slice(None)
 
 
 class Nonlinearity(NamedTuple):
@@ -45,8 +48,8 @@ class Nonlinearity(NamedTuple):
     softening: Floats | float = 0.0
 
 
-def nonlinearity(state: State) -> Nonlinearity:
-    """What the contact laws would change at the present displacements.
+def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
+    """What the contact laws would change at the present displacements, in all lanes or in some.
 
     A contact with more shear than its friction bears slips before the wave comes: it begins at its limit here.
 
@@ -57,17 +60,16 @@ def nonlinearity(state: State) -> Nonlinearity:
     1978, doi:10.1016/0020-7683(78)90052-5), so softening is s over the part of the components that is spare. At
     isostaticity there is no bound, and softening is infinite.
     """
-    lanes = state.features.lanes
     if not state.features.linear:
-        return Nonlinearity(*np.zeros((2, lanes)))
+        return Nonlinearity(*np.zeros((2, state.features.lanes))[:, lanes])
     pairs = state.assembly.pairs
-    approach, slide, twist = _relative_displacements(state)
+    approach, slide, twist = _relative_displacements(state, lanes)
     overlap = pairs.geometry[:, OVERLAP, None].astype(float)
     hertz, rubbing = (values[:, None].astype(float) for values in (pairs.hertz, pairs.friction))
     stiff, shear_stiff = (pairs.tangent[:, column, None].astype(float) for column in (NORMAL, SHEAR))
     before = hertz * three_halves(np.maximum(overlap, 0.0))
     normal = hertz * three_halves(np.maximum(overlap + approach, 0.0))
-    installed = pairs.shear.astype(float)
+    installed = pairs.shear[:, lanes].astype(float)
     held = np.clip(installed, -rubbing * before, rubbing * before)
     sheared = held - shear_stiff * slide
     lacking = np.clip(sheared, -rubbing * normal, rubbing * normal) - sheared
@@ -77,7 +79,7 @@ def nonlinearity(state: State) -> Nonlinearity:
         springs[:, :MOMENT] += pairs.linear[:, :MOMENT]
     bound = springs[:, NORMAL, None] * approach * approach + springs[:, SHEAR, None] * slide * slide
     bound = bound + springs[:, MOMENT, None] * twist * twist
-    intact = lanes_of_bits(pairs.intact, lanes)
+    intact = lanes_of_bits(pairs.intact, state.features.lanes)[:, lanes]
     total = _lane_sums(np.where(intact, bound, stiff * approach * approach + shear_stiff * slide * slide))
     total = np.where(total > 0.0, total, 1.0)
     slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * slide))) / total
@@ -97,10 +99,12 @@ def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
     sticking = (pairs.tangent[:, SHEAR, None] > 0.0) & ~slipping
     components = np.where(intact, 3, np.where(touching, 1 + sticking, 0)).sum(axis=0)
     components = components + (1 + (wall_pairs.tangent[leaning, SHEAR] > 0.0)).sum()
-    neighbours = np.zeros((len(grains.radius), state.features.lanes), dtype=int)
-    for disk, present in ((pairs.first, touching | intact), (pairs.second, touching | intact)):
-        np.add.at(neighbours, disk, present)
-    np.add.at(neighbours, wall_pairs.disk, leaning[:, None])
+    across = np.flatnonzero((intact & ~touching).any(axis=1))  # few bonds span a gap: the rest is the same in all lanes
+    disks = [pairs.first[touching[:, 0]], pairs.second[touching[:, 0]], wall_pairs.disk[leaning]]
+    alike = np.bincount(np.concatenate(disks), minlength=len(grains.radius))
+    neighbours = np.repeat(alike[:, None], intact.shape[1], axis=1)
+    for disk in (pairs.first[across], pairs.second[across]):
+        np.add.at(neighbours, disk, intact[across])
     moving = np.count_nonzero((grains.inverse_mass > 0.0)[:, None] & (neighbours > 1), axis=0)
     return np.asarray(1.0 - 3.0 * moving / np.maximum(components, 1))
 
@@ -131,9 +135,9 @@ def _lane_sums(values: Floats) -> Floats:
     return np.asarray(np.ascontiguousarray(values.T).sum(axis=1))
 
 
-def _relative_displacements(state: State) -> tuple[Floats, Floats, Floats]:
+def _relative_displacements(state: State, lanes: Integers | slice) -> tuple[Floats, Floats, Floats]:
     """Approach, slide (m) and twist (rad) of the listed pairs since the start, second disk less first, each (M, L)."""
-    pairs, moved = state.assembly.pairs, state.motion.displacement.astype(float)
+    pairs, moved = state.assembly.pairs, state.motion.displacement[..., lanes].astype(float)
     first, second = moved[pairs.first], moved[pairs.second]
     n_x, n_y, first_arm, second_arm = (
         pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, FIRST_ARM, SECOND_ARM)

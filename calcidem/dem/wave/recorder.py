@@ -177,9 +177,9 @@ class Recorder:
         periods = self.state.steps * self.state.time_step / self.pulse.duration
         due = [lane for lane, looks in enumerate(self.nonlinear) if periods[lane] >= 1.0 + LOOKS_APART * len(looks)]
         if due:
-            found = np.array(nonlinearity(self.state))
-            for lane in due:
-                self.nonlinear[lane].append(Nonlinearity(*found[:, lane].tolist()))
+            found = np.array(nonlinearity(self.state, np.array(due)))
+            for lane, values in zip(due, found.T.tolist(), strict=True):
+                self.nonlinear[lane].append(Nonlinearity(*values))
 
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> Floats:
         """Advance by so many samples; (samples, 2, L) shear force and velocity."""
