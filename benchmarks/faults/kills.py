@@ -37,14 +37,14 @@ STARTUP = 20.0
 """Seconds that a rank may take to load its libraries; only then can it see that its launcher is gone."""
 
 PHASES: dict[str, tuple[str, float, int]] = {
-    "command": ("", 0.7, 20),
-    "spawn": ("a starter", 0.05, 45),
-    "import": ("a rank", 1.5, 45),
+    "command": ("", 0.7, 30),
+    "spawn": ("a starter", 0.05, 65),
+    "import": ("a rank", 1.5, 60),
     "broadcast": ("libmpi", 0.5, 40),
-    "packing": ("Packing: the disks in", 1.0, 40),
-    "compile": ("compiling the kernels", 5.0, 25),
-    "sweep": (" cells in ", 3.0, 45),
-    "export": ("complete after", 0.7, 40),
+    "packing": ("Packing: the disks in", 1.0, 25),
+    "compile": ("compiling the kernels", 5.0, 22),
+    "sweep": (" cells in ", 3.0, 30),
+    "export": ("complete after", 0.7, 28),
 }
 """What a run does when it is struck, in order: what shows from outside that this has begun, the latest moment after that,
 in s, and its share of the kills. The command has no ranks yet; these import, then find one another and broadcast under
@@ -108,7 +108,7 @@ class Killing:
             self._new_trial(f"cache-{self._count}" if phase == "packing" else "cache") if anew else self._begun.pop(0)
         )
         os.environ["NUMBA_CACHE_DIR"] = str((trial.folder if phase == "compile" else self._top) / "kernels")
-        restarts = numbers.choice((0, 1, 1))
+        restarts = numbers.choice((0, 0, 1))
         process = trial.start("--start-timeout", str(self._patience / 2.0), restarts=restarts)
         self._wait_for(phase, trial, process, numbers)
         struck = phase_of(trial)
