@@ -167,8 +167,8 @@ def test_softening_takes_half_of_itself_from_a_velocity() -> None:
     assert parts(record=slipping(softening=np.inf)).slip == 1.0
 
 
-def test_slip_counts_until_the_peak_has_come() -> None:
-    """Of looks after 1, 3, 5, 7 periods those count that are not behind a peak that came 2, 3, 6 after it was sent."""
+def test_slip_counts_while_the_pulse_is_on_its_way() -> None:
+    """Looks after 1, 3, 5 and 7 periods count as far as the way, 2, 3 and 6 periods, is."""
     looks = tuple(Nonlinearity(0.0, softening) for softening in (1e-3, 2e-3, 4e-3, 8e-3))
     late = replace(RECORD, nonlinear=looks)
     for periods, largest in ((2.0, 1e-3), (3.0, 2e-3), (6.0, 4e-3)):

@@ -131,12 +131,11 @@ def estimate_error(
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest share and softening until a peak came after so many periods.
+    """Largest share and softening while the whole pulse was on a way of so many periods.
 
-    On a long way contacts slip that the pulse had not reached when it had been sent. What happens behind its peak, half
-    a period later than it was sent, is not on its way.
+    On a long way contacts slip that the pulse had not reached when it had been sent.
     """
-    looks = record.nonlinear[: 1 + max(0, int((periods - 0.5) / LOOKS_APART))]
+    looks = record.nonlinear[: 1 + max(0, int((periods - 1.0) / LOOKS_APART))]
     return Nonlinearity(*np.max(looks, axis=0).tolist()) if looks else Nonlinearity()
 
 
