@@ -261,3 +261,17 @@ def test_contents_are_checked_against_the_packing(packing: Packing) -> None:
     message = str(refused.value)
     assert "campaign.contents = [0.0, 90.0]" in message
     assert "wave.receiver_half_width = 0.05" in message
+
+
+@pytest.mark.parametrize("changed", [{"amplitude": 10.0}, {"frequency": 1e6}])
+def test_a_pulse_is_checked_against_the_packing(packing: Packing, changed: dict[str, float]) -> None:
+    """A pulse that is too loud or too short for the packing is refused before anything is computed."""
+    frequency = changed.pop("frequency", 1e3)
+    unfit = replace(
+        TINY,
+        campaign=replace(TINY.campaign, contents=(0.0,)),
+        wave=replace(TINY.wave, receiver_half_width=0.005, boundary_thickness=0.001, listening_depth=0.005, **changed),
+        excitation=replace(TINY.excitation, frequency=frequency),
+    )
+    with pytest.raises(ValueError, match=r"at 0 % wave\.(amplitude|frequency) = "):
+        check_against_packing(unfit, packing)

@@ -13,6 +13,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import refuse_unfit_pulse
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
@@ -227,6 +228,12 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
         driven_disks(packing, configuration.wave)
     except ValueError as error:
         problems.append(Problem(f"wave.{error}"))
+    for content in () if problems else plan.contents:
+        try:
+            refuse_unfit_pulse(experiment, experiment.frequency(content), cemented=content > 0.0)
+        except ValueError as error:
+            problems.append(Problem(f"at {content:g} % wave.{error}"))
+            break
     seed, room = _tightest_seed(experiment, plan.seed_numbers, max(plan.contents))
     if max(plan.contents) > room:
         limit = f"the packing holds at most {room:.4g} % of calcite (seed {seed})"

@@ -111,14 +111,7 @@ def prepare_recorder(
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
-    longest_step = float(state.time_step.max())
-    require(
-        longest_step * frequency * FEWEST_SAMPLES <= 1.0,
-        "frequency",
-        frequency,
-        f"the pulse is shorter than {FEWEST_SAMPLES} time steps of {longest_step:.3g} s, far above what the sample "
-        "lets through: choose a lower frequency",
-    )
+    _refuse_short_pulse(float(state.time_step.max()), frequency)
     rank = np.argsort(state.assembly.order)
     return Recorder(
         state,
@@ -131,6 +124,22 @@ def prepare_recorder(
         unbalanced_speed=speed,
         closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(experiment, pulse.stroke),
         breakable=rule.most_broken_bonds,
+    )
+
+
+def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
+    """Raise a `ValueError` if no sample of a packing stands a pulse: as far as this can be told without its cement."""
+    refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
+    _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_whole_packing(experiment, cemented), frequency)
+
+
+def _refuse_short_pulse(step: float, frequency: float) -> None:
+    require(
+        step * frequency * FEWEST_SAMPLES <= 1.0,
+        "frequency",
+        frequency,
+        f"the pulse is shorter than {FEWEST_SAMPLES} time steps of {step:.3g} s, far above what the sample lets "
+        f"through: choose a lower frequency, at most {int(1.0 / (step * FEWEST_SAMPLES))} Hz",
     )
 
 
