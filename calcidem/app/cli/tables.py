@@ -97,7 +97,7 @@ def vs_table(store: Store, selection: Selection) -> Table:
         remarks = [f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"]
     if doubtful:
         remarks.append(f"! {MEAN_IN_DOUBT}")
-    if count := np.count_nonzero(columns["broken_bonds"] > 0):
+    if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
         remarks.append(
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
         )
