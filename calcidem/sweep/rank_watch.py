@@ -9,7 +9,6 @@ import time
 from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass
-from math import inf
 from typing import Self
 
 from calcidem.sweep.starter import GREETING
@@ -54,6 +53,8 @@ class _ReportedRank:
     ended, ended_after, ended_well, killed
         How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
         exit code was 0; whether a signal has ended it.
+    worded
+        Whether its starter has said a last word: how it ended, or that the launcher ends it.
     told
         Whether rank 0 was told of its end.
     """
@@ -70,6 +71,7 @@ class _ReportedRank:
     ended_after: float = 0.0
     ended_well: bool = False
     killed: bool = False
+    worded: bool = False
     told: bool = False
 
     def __str__(self) -> str:
@@ -182,21 +184,14 @@ class RankWatch:
     def ranks_left(self) -> dict[str, int]:
         """Number of ranks on each host that is not lost, once all is over; empty if no host is lost, or all are.
 
-        Lost are the hosts whose ranks all were gone without a word before any other rank ended, or still are not seen
-        to have ended.
+        Lost are the hosts none of whose ranks has had a last word, but for the command's own.
         """
         hosts: dict[str, list[_ReportedRank]] = defaultdict(list)
         for _, rank in sorted(self._ranks.items()):  # so that rank 0 stays where it was
             hosts[rank.host].append(rank)
-        worded = [rank.ended_after for rank in self._ranks.values() if rank.ended not in {"", _VANISHED}]
-        ends = {host: max(rank.ended_after or inf for rank in ranks) for host, ranks in hosts.items()}
-        first, last = min([*ends.values(), *worded]), max(ends.values())
-        lost = [
-            host
-            for host, ranks in hosts.items()
-            if ends[host] == inf or (ends[host] == first < last and all(rank.ended == _VANISHED for rank in ranks))
-        ]
-        return {host: len(ranks) for host, ranks in hosts.items() if host not in lost} if lost else {}
+        own = socket.gethostname()
+        left = {host: len(ranks) for host, ranks in hosts.items() if host == own or any(rank.worded for rank in ranks)}
+        return left if len(left) < len(hosts) else {}
 
     def describe_silent_master(self) -> str:
         """What to tell the user when rank 0 has stopped to beat, once each time; empty if there is nothing to tell."""
@@ -287,6 +282,7 @@ class RankWatch:
         """Take in a line: see `calcidem.sweep.channel` for those of a rank, and `starter` for its own."""
         rank.silent = 0.0
         word, _, rest = text.partition(" ")
+        rank.worded |= word in {"dismissed", "ended"}
         match word:
             case "alive":
                 if int(rest) > 0:

@@ -136,7 +136,8 @@ class _Starter:
         woken, waker = os.pipe()
         os.set_blocking(waker, False)
         signal.set_wakeup_fd(waker)
-        signal.signal(signal.SIGCHLD, lambda *_: None)
+        for number in (signal.SIGCHLD, signal.SIGTERM):
+            signal.signal(number, lambda *_: None)
         poll = select.poll()
         poll.register(woken, select.POLLIN)
         poll.register(errors, select.POLLIN)
@@ -148,7 +149,8 @@ class _Starter:
                 self._say(f"alive {self._missing()}")
             for descriptor, _ in poll.poll(1000.0 * max(beat - time.monotonic(), 0.0) + 1.0):
                 if descriptor == woken:
-                    os.read(woken, 100)
+                    if signal.SIGTERM in os.read(woken, 100):
+                        self._say("dismissed")  # the launcher ends the run: this host is not lost
                 elif descriptor != errors:  # the command is gone, or cannot be reached any more
                     os.kill(child, signal.SIGKILL)
                     poll.unregister(descriptor)

@@ -39,8 +39,8 @@ _POLL_INTERVAL = 0.2
 _TIME_TO_END = 5.0
 """Seconds that the launcher has for ending its ranks before it is killed."""
 
-_TIME_FOR_LAST_WORDS = 3.0
-"""Seconds in which it arrives how the ranks have ended."""
+_TIME_FOR_LAST_WORDS = 10.0
+"""Seconds in which it arrives how the ranks have ended, unless their host is lost."""
 
 _PATIENCE_OF_USERS = 10.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
@@ -136,11 +136,13 @@ class Launch:
             killed_at_start = launcher_killed or watch.killed_at_start
             watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
             screen.end()
+            left = {} if launcher_killed else watch.ranks_left()
+            enough = sum(left.values()) != 1
             if watch.exit_code is not None:
                 # When ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals are somebody's wish, and a
                 # database that is locked or away is no better a second later.
-                curable = watch.exit_reason in {"", signal.SIGTERM.name}
-                return _LaunchEnd(watch.exit_code, worth_a_restart=watch.exit_code == EXIT_RESUMABLE and curable)
+                curable = watch.exit_code == EXIT_RESUMABLE and watch.exit_reason in {"", signal.SIGTERM.name}
+                return _LaunchEnd(watch.exit_code, worth_a_restart=curable and enough, hosts=left)
             if process.returncode == NO_LISTENER and again and not watch.anybody_began:
                 screen.say(f"{name} failed before any rank began; it is being started once more.")
                 return self._once(mpirun, relay, screen, hosts, again=False)
@@ -149,8 +151,7 @@ class Launch:
             why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
             if watch.begun:
                 screen.say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
-                left = watch.ranks_left()
-                return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and sum(left.values()) != 1, hosts=left)
+                return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and enough, hosts=left)
             if relay.asked:
                 screen.say("Ended at a signal before the ranks had begun; the same command begins anew.")
                 return _LaunchEnd(EXIT_RESUMABLE)

@@ -20,7 +20,7 @@ from slurm_cluster import NO_SLURM, Cluster, can_start_slurm
 
 HOSTS = Path(__file__).with_name("programs") / "hosts.sh"
 PROGRAMS = ("ip", "unshare", "nsenter", "ssh", "ssh-keygen", "sshd", "pgrep")
-SEEDS = 12
+SEEDS = 20
 PATIENCE = 500.0
 LIMIT = 15.0
 """Time limit of a batch, s, that a busy machine does not reach either."""
@@ -149,7 +149,7 @@ def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: 
         configuration = trial.folder / "c.toml"
         configuration.write_text(re.sub("time_limit = .*", "", configuration.read_text()))
     process = trial.begin("--silence-timeout", "60" if limit else "20")
-    trial.wait_for("cells (")
+    trial.wait_for(" cells in ")
     trial.do("link", "nodeB", "down")
     ended = trial.finish(process)
     assert ended.code == 0, ended.output
@@ -160,7 +160,7 @@ def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: 
 def test_a_host_that_dies_is_left_out(trial: HostTrial, undisturbed: Cells) -> None:
     """The launcher ends the run when a host dies; the command starts it again on the hosts that are left."""
     process = trial.begin("--restarts", "1")
-    trial.wait_for("cells (")
+    trial.wait_for(" cells in ")
     trial.do("kill", "nodeB")
     ended = trial.finish(process)
     assert ended.code == 0, ended.output
@@ -171,7 +171,7 @@ def test_a_host_that_dies_is_left_out(trial: HostTrial, undisturbed: Cells) -> N
 def test_a_run_whose_host_dies_goes_on_elsewhere(trial: HostTrial, undisturbed: Cells) -> None:
     """Where command and rank 0 die with their host, another one waits until their lease is over, and completes."""
     process = trial.begin()
-    trial.wait_for("cells (")
+    trial.wait_for(" cells in ")
     trial.do("kill", "nodeA")
     process.wait(10.0)
     trial.command_host, trial.ranks_on = "nodeB", "nodeB slots=2\nnodeC slots=2\n"
