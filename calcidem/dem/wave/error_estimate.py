@@ -25,7 +25,9 @@ _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _USUAL_STEP = 6.0e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
+_USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
+_WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
 
 
@@ -110,14 +112,15 @@ def estimate_error(
     travel_time: float,
     *,
     noisy: bool = False,
-) -> tuple[float, ErrorParts]:
-    """Relative error to expect of a velocity, and the bounds of its parts; Hz and s.
+) -> tuple[float, float, ErrorParts]:
+    """Relative error to expect of a velocity, its bound, and the bounds of its parts; Hz and s.
 
     The first is the order of its size, which ranks cells. A change of a signal by the part e of its height, as fast as
     the pulse is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change
     goes with the nonlinear share in the linear regime, and with how rough the signal is, since another step makes
     another chatter. To this come an error of first order in the step over its limit, and a part of what else the bound
-    has. ``noisy`` where noise hides the first arrival.
+    has. The bound is no less than what one of a hundred such errors exceeds; what the transmitter loses has its own.
+    ``noisy`` where noise hides the first arrival.
     """
     shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
     parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
@@ -127,7 +130,9 @@ def estimate_error(
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
-    return float(step + shift * change + _USUAL * others), parts
+    usual = float(step + shift * change + _USUAL * others)
+    loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
+    return usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
@@ -224,11 +229,19 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
 
     - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away; on a
       way of less than a wavelength that changes the shape, as in `_error_parts`. ``periods`` are f travel time.
-    - Where contacts at the transmitter slip, the part e of its force is missing from then on. That moves a peak as
-      changes of the signal do, by ``shift`` e, and the top of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
+    - What the transmitter loses: see `_loss_error`.
 
     Contacts slip where the pulse over what they have left to their friction limit is large, or nothing is left.
     """
     found = _largest_nonlinearity(record, periods)
-    missing = max(shift, 1.0 / (np.pi * periods)) * record.slipped
-    return float(min(1.0, 0.5 * max(1.0, 1.0 / periods) * found.softening + missing))
+    loss = _loss_error(record, shift, periods)
+    return float(min(1.0, 0.5 * max(1.0, 1.0 / periods) * found.softening + loss))
+
+
+def _loss_error(record: WaveRecord, shift: float, periods: float) -> float:
+    """Bound of the relative error of a velocity where contacts at the transmitter slip.
+
+    The part e of its force is missing from then on. That moves a peak as changes of the signal do, by ``shift`` e, and
+    the top of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
+    """
+    return float(max(shift, 1.0 / (np.pi * periods)) * record.slipped)

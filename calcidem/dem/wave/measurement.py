@@ -8,14 +8,13 @@ from time import perf_counter
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.arrival import has_arrived, read_travel_times
-from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, estimate_error
+from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.recorder import WaveRecord
 
 LARGEST_BOUND = 0.05  # of the error, above which a velocity is not trusted
-_WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _INEXACT = "the numerical error may be above 5 %"
 _SILENT = 1e-3  # received velocity over the amplitude of the pulse; real arrivals are above 2e-2
 _MUTED = 1e-2  # the same where damping leaves so little of a pulse that its remains have several tops
@@ -177,5 +176,4 @@ def numerical_error(
 ) -> tuple[float, float, ErrorParts]:
     """Relative error of a velocity to expect, its bound, and the parts of that; Hz and s."""
     noisy = picks.first_arrival.failure == PickFailure.NOISE
-    expected, parts = estimate_error(experiment, record, signals, frequency, travel_time, noisy=noisy)
-    return expected, max(error_bound(parts), _WORST_OF_HUNDRED * expected), parts
+    return estimate_error(experiment, record, signals, frequency, travel_time, noisy=noisy)
