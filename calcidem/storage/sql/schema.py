@@ -34,10 +34,10 @@ def _read_without_checksums(table: str, more: str = "") -> str:
     return _read_with(table, f"'{UNCHECKED}' AS checksum{more}")
 
 
-_UNKNOWN = ", ".join(f"NULL AS {name}" for name in (*NEW_COLUMNS, BROKEN_BONDS))
+_SINCE_0005 = ", ".join(f"NULL AS {name}" for name in (*NEW_COLUMNS, BROKEN_BONDS))
 _OF_0005 = (
     _read_without_checksums("attempt"),
-    _read_without_checksums("result", f", error_estimate AS error_bound, {_UNKNOWN}"),
+    _read_without_checksums("result", f", error_estimate AS error_bound, {_SINCE_0005}"),
 )
 _OF_0004 = (*_OF_0005, _read_without_checksums("run", ", NULL AS workers"))
 _OVERLAPS = ", mean_overlap AS mean_relative_overlap, largest_overlap AS largest_relative_overlap"
