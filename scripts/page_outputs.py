@@ -1,0 +1,100 @@
+"""Run the commands of a page of the documentation in a new folder, and write below each what it printed.
+
+    python scripts/page_outputs.py docs/how-to/first-own-sand.md docs/tutorial/tutorial.ipynb
+
+A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` is written as that file; a block
+``text`` gets what the one before it printed. Figures that the page shows are taken over from the folder. A notebook is
+run on a copy of the database beside it.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from calcidem.storage.sql.store import open_store
+
+ROOT = Path(__file__).parents[1]
+_WIDTH = "100"  # columns of a terminal: what the site shows without scrolling
+_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
+_HERE = "/home/me/sand"
+
+
+def text_with_outputs(text: str, folder: Path) -> str:
+    """Text of a page with what its commands print in a folder.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If one of them fails.
+    """
+    folder = folder.resolve()
+    printed = ""
+
+    def follow(block: re.Match[str]) -> str:
+        nonlocal printed
+        language, lines = block[1], block[2]
+        if language == "text":
+            return f"```text\n{printed}```\n"
+        if language in {"sh", "python"}:
+            program = ["bash", "-e", "-c"] if language == "sh" else [sys.executable, "-c"]
+            shown = subprocess.run(  # noqa: S603 - our own pages
+                [*program, lines],
+                cwd=folder,
+                env=_environment(),
+                check=True,
+                text=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            ).stdout
+            printed = "".join(f"{line.rstrip()}\n" for line in shown.replace(str(folder), _HERE).splitlines())
+        elif name := re.match(r"# (\S+\.toml)\n", lines):
+            (folder / name[1]).write_text(lines, encoding="utf-8")
+        return block[0]
+
+    return _BLOCK.sub(follow, text)
+
+
+def run_notebook(file: Path, folder: Path) -> Any:  # noqa: ANN401 - nbformat's own mapping
+    """Notebook with what its cells give, as text and pictures, on a copy of its database in a folder."""
+    import nbclient  # noqa: PLC0415 - only notebooks need it
+    import nbformat  # noqa: PLC0415 - as above
+
+    open_store(shutil.copy(file.with_name("quick.db"), folder)).close()  # in the present schema
+    os.environ["PYTHONPATH"] = str(ROOT)  # the kernel is to import the calcidem of this copy
+    notebook = nbformat.read(file, as_version=4)
+    nbclient.NotebookClient(
+        notebook, timeout=300, record_timing=False, resources={"metadata": {"path": str(folder)}}
+    ).execute()
+    for output in (output for cell in notebook.cells for output in cell.get("outputs", ())):
+        output.get("data", {}).pop("text/html", None)  # xarray's is as large as a picture
+    return notebook
+
+
+def _environment() -> dict[str, str]:
+    """Environment in which `calcidem` is the one of this copy of the repository, which is CALCIDEM."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return os.environ | {"PATH": path, "COLUMNS": _WIDTH, "PYTHONPATH": str(ROOT), "CALCIDEM": str(ROOT)}
+
+
+def main() -> None:
+    """Renew the pages named."""
+    for page in map(Path, sys.argv[1:]):
+        with tempfile.TemporaryDirectory() as folder:
+            if page.suffix == ".ipynb":
+                import nbformat  # noqa: PLC0415 - as above
+
+                nbformat.write(run_notebook(page, Path(folder)), page)
+                continue
+            text = text_with_outputs(page.read_text(encoding="utf-8"), Path(folder))
+            page.write_text(text, encoding="utf-8")
+            for picture in re.findall(r"\]\(([\w-]+\.png)\)", text):
+                shutil.copy(next(Path(folder).rglob(picture)), page.parent / picture)
+
+
+if __name__ == "__main__":
+    main()
