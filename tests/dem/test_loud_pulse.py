@@ -1,0 +1,110 @@
+"""Pulses of 5 m/s, which press contacts far harder than the packing did: what carries them, and what ends them."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scenes import HERTZ, RADIUS, SOFT, pair_scene
+
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.state import start
+from calcidem.dem.kernels.layout import X
+from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.guards import problems_of
+from calcidem.dem.wave.measurement import Measurement, Outcome, measure
+from calcidem.dem.wave.pick import PickRule
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+
+LOUD, CONTENT, FREQUENCY = 5.0, 0.34, 2.4e4
+STRESS = 3.0e5  # that carries it, Pa
+SEEDS = (1, 2, 3)
+
+
+@lru_cache
+def experiment(stress: float = STRESS, **rule: object) -> Experiment:
+    """Some 280 disks under a stress (Pa), of which those at the left wall are driven at 5 m/s."""
+    sizes = PackingRule(width=0.03, height=0.06, stress=stress, unbalanced_force_ratio=1e-5)
+    wave = WaveRule(
+        amplitude=LOUD,
+        transmitter="driven",
+        transmitter_half_width=0.01,
+        receiver_half_width=0.012,
+        boundary_thickness=0.012,
+        listening_depth=0.006,
+        regime="finite",
+    )
+    return Experiment(
+        make_packing(sizes, Sand(), np.random.default_rng(1)),
+        cement=Cement(bond_stiffness_ratio=1.6),
+        stiffness_factor=2.8,
+        wave=replace(wave, **rule),  # type: ignore[arg-type]
+        pick=PickRule(smoothing=0.4),
+        frequencies=((0.0, CONTENT), (0.3 * FREQUENCY, FREQUENCY)),
+    )
+
+
+def measured(given: Experiment) -> list[Measurement]:
+    """Measure every seed by itself: each combination of lanes is compiled anew."""
+    return [measure(given, CONTENT, [seed], lanes=1)[0] for seed in SEEDS]
+
+
+def recorded(given: Experiment, step_of_limit: float) -> WaveRecord:
+    """Send the pulse with a step over its limit at the start, for as long as it takes to cross the sample."""
+    recorder = prepare_recorder(given, [given.ordering(1).at(CONTENT).bonded], FREQUENCY, 1, lambda: None)
+    limit = recorder.state.critical_time_step
+    recorder.stride = max(1, int(2e-7 / (step_of_limit * limit[0])))
+    recorder.state = replace(recorder.state, time_step=step_of_limit * limit)
+    return recorder.run(lambda record: record.duration > 1.5e-4, lambda: None)[0]
+
+
+@pytest.mark.parametrize("part", [0.5, 0.8])
+@pytest.mark.parametrize("above", [False, True])
+def test_the_step_is_held_against_the_contacts_as_they_are_pressed_now(part: float, above: bool) -> None:
+    """A Hertz contact's limit falls with the fourth root of its overlap: a step is too long from part^-4 of it on."""
+    overlap = 1e-4 * RADIUS
+    state = start(pair_scene(-overlap, sand=SOFT), features=HERTZ, step_fraction=part, steps_per_contact=0.0)
+    state.motion.displacement[1, X, 0] = -overlap * (part**-4 * (1.02 if above else 0.98) - 1.0)
+    (problem,) = problems_of(state, amplitude=1.0, overlap=overlap)
+    assert ("above the stability limit of the pressed contacts" in problem) == above
+
+
+@pytest.mark.full
+def test_the_end_of_a_loud_record_changes_no_reading() -> None:
+    """A record at 5 m/s that ends when its pick is settled gives the same bits as the whole record."""
+    short, whole = measured(experiment()), measured(replace(experiment(), early_stop=False))
+    assert [cell.outcome for cell in short] == [Outcome.DONE] * len(SEEDS)
+    assert all(one.record.duration < other.record.duration for one, other in zip(short, whole, strict=True))
+    assert [cell.vs for cell in short] == [cell.vs for cell in whole]
+
+
+@pytest.mark.full
+def test_what_a_loud_pulse_makes_heard_does_not_depend_on_disks_out_of_reach() -> None:
+    """At 5 m/s, too, damping layers let nothing through: with the same step, the signal is that of all disks."""
+    part, whole = (recorded(experiment(boundary_thickness=0.022, keep=keep), 0.4) for keep in ((), (WHOLE_DOMAIN,)))
+    assert np.abs(whole.velocity).max() > 1e-3 * LOUD
+    np.testing.assert_allclose(part.velocity, whole.velocity, rtol=0.0, atol=1e-6 * LOUD)
+
+
+@pytest.mark.full
+def test_a_shock_is_told_from_an_unstable_run() -> None:
+    """Under 300 kPa 5 m/s goes through, and half the step gives the same Vs; a step above the limit is found out."""
+    given = experiment()
+    coarse, fine = measured(given), measured(replace(given, wave=replace(given.wave, step_fraction=0.4)))
+    assert all(not cell.record.problem and not cell.record.retry for cell in (*coarse, *fine))
+    assert [cell.vs for cell in coarse] == pytest.approx([cell.vs for cell in fine], rel=0.02)
+    stable, unstable = (recorded(given, part) for part in (0.8, 2.5))
+    assert not stable.problem
+    assert "moves at" in unstable.problem or "above the stability limit" in unstable.problem
+    assert unstable.duration < stable.duration
+
+
+@pytest.mark.full
+def test_a_sample_that_a_loud_pulse_presses_too_hard_is_sent_again_with_half_the_step() -> None:
+    """Sand under 5 kPa stiffens so much that the step is too long: it is sent again with half of it, and says so."""
+    (cell,) = measure(experiment(stress=5e3), 0.0, [1], lanes=1)
+    assert "stability limit of the pressed contacts" in cell.record.retry
+    assert cell.record.time_step == pytest.approx(0.4 * cell.record.stability_limit)
