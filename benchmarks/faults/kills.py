@@ -50,6 +50,9 @@ PHASES: dict[str, tuple[str, float, int]] = {
 in s, and its share of the kills. The command has no ranks yet; these import, then find one another and broadcast under
 MPI. Where kernels come from the cache, a run that says "compiling" is said to load them."""
 
+FEWEST = 20
+"""Kills of each phase that come first, before the shares are looked at."""
+
 NOT_BEGUN = {"command", "spawn", "import"}
 """Phases in which nothing can have been stored."""
 
@@ -256,7 +259,7 @@ def main() -> None:
         killing = Killing(Path(name), options.patience) if len(rows) < options.count else None
         while killing is not None and len(rows) < options.count:
             struck = Counter(row["phase"] for row in rows)
-            phase = min(PHASES, key=lambda phase: struck[phase] / PHASES[phase][2])
+            phase = min(PHASES, key=lambda phase: (struck[phase] >= FEWEST, struck[phase] / PHASES[phase][2]))
             row = killing.kill_in(phase, random.Random(f"{len(rows)} {time.time_ns()}"))
             if row is None:
                 print(f"{phase}: ended before", flush=True)
