@@ -288,6 +288,37 @@ def test_a_contact_beyond_its_limit_slips_however_weak_the_pulse(slide: float) -
     assert not np.any(nonlinearity(state).softening)
 
 
+@pytest.mark.parametrize("amplitude", [1e-3, 1e-6])
+def test_a_loaded_contact_loses_shear_where_it_is_unloaded(amplitude: float) -> None:
+    """The part 1 - sqrt(1 - a / d) of the shear it bears, however weak the wave; nothing where it is pressed."""
+    overlap, apart, slide = 1e-6, 1e-6 * amplitude, 2e-6 * amplitude
+    scene = pair_scene(gap=-overlap, sand=SOFT, walls=FAR)
+    coefficient = float(SOFT.hertz_coefficient(scene.radius[:1], scene.radius[:1])[0])
+    borne = 0.5 * SOFT.friction * coefficient * overlap**1.5
+    state = start(
+        scene,
+        features=replace(LINEAR, bonds=False, linear_group=False),
+        preload=Preload(np.array([[0, 1]]), np.array([borne])),
+    )
+    state.motion.displacement[1, :2, 0] = apart, slide
+    stiffness = 1.5 * coefficient * overlap**0.5
+    work = stiffness * (apart * apart + SOFT.shear_ratio * slide * slide)
+    lost = borne * (1.0 - np.sqrt(1.0 - apart / overlap)) * slide
+    assert nonlinearity(state).rescaling == pytest.approx(lost / work, rel=1e-6)
+    state.motion.displacement[1, 0, 0] = -apart
+    assert not np.any(nonlinearity(state).rescaling)
+
+
+def test_what_shear_rescaling_takes_counts_half_and_is_expected_in_part() -> None:
+    """A velocity goes with the root of the stiffness; the bound adds half of the work to what geometry changes."""
+    rescaled = replace(RECORD, nonlinear=(Nonlinearity(0.0, 0.0, 0.01),))
+    assert parts(EXACT, rescaled).regime - parts(EXACT).regime == pytest.approx(0.005)
+    usual, larger = (
+        estimate_error(EXACT, record, received(), FREQUENCY, TRAVEL_TIME)[0] for record in (RECORD, rescaled)
+    )
+    assert larger - usual == pytest.approx(0.33 * 0.005)
+
+
 def test_softening_is_slip_over_what_is_spare() -> None:
     """Of C contacts of N disks one that slips leaves 2 C - 1 components of force for 3 N ways to move."""
     x, y = hexagonal(5, 4, 2.0 * SCENE_RADIUS - 1e-6)

@@ -17,6 +17,7 @@ from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 _SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
 _TURNING = 3.0  # over mean overlap / mean radius
 _STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
+_RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: a velocity goes with the root of the stiffness
 _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _CHATTER = 7.5e-3  # see `_chatter_error`
@@ -26,6 +27,7 @@ _USUAL_STEP = 6.0e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
+_USUAL_RESCALING = 0.33  # of the bound of what shear rescaling changes; work of either sign partly cancels
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
@@ -44,8 +46,9 @@ class ErrorParts(NamedTuple):
         The smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by a part
         of an interval. The factor is half as large again as the largest shift found.
     regime
-        See `_geometry_error`. Small and linear displacement also keep gaps open that a pulse closes: each adds a
-        contact near the transmitter for half of the time (docs/accuracy.md, "Gaps that close").
+        See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. Small and linear displacement also keep gaps open
+        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Gaps that
+        close").
     slip
         See `_slip_error`.
     precision
@@ -124,24 +127,25 @@ def estimate_error(
     """
     shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
     parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
-    share = _largest_nonlinearity(record, frequency * travel_time).share
-    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * roughness
+    found = _largest_nonlinearity(record, frequency * travel_time)
+    change = _USUAL_CHANGE * found.share + _USUAL_ROUGHNESS * roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
-    usual = float(step + shift * change + _USUAL * others)
+    rescaling = _USUAL_RESCALING * _RESCALING * found.rescaling
+    usual = float(step + shift * change + rescaling + _USUAL * others)
     loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
     return usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest share and softening while the whole pulse was on a way of so many periods.
+    """Largest of each number while the whole pulse was on a way of so many periods.
 
     On a long way contacts slip that the pulse had not reached when it had been sent.
     """
     looks = record.nonlinear[: 1 + max(0, int((periods - 1.0) / LOOKS_APART))]
-    return Nonlinearity(*np.max(looks, axis=0).tolist()) if looks else Nonlinearity()
+    return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
 def _shift_by_change(
@@ -177,7 +181,9 @@ def _error_parts(
     # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     periods = frequency * travel_time
     shape = max(1.0, 1.0 / periods)
+    found = _largest_nonlinearity(record, periods)
     geometry = _geometry_error(experiment, frequency) + _CLOSING * record.closing_gaps
+    geometry += _RESCALING * float(found.rescaling)
     return ErrorParts(
         step=0.5 * record.time_step / travel_time + coarse * coarse / 24.0,
         sampling=_SAMPLING * record.sampling_interval / travel_time,

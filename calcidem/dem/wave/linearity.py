@@ -42,10 +42,15 @@ class Nonlinearity(NamedTuple):
         where contacts stiffen, open and slip. Cement is linear in either case.
     softening
         Part of its stiffness that the sample may lose by slip, see `nonlinearity`.
+    rescaling
+        Work of the shear forces that contacts already bear and would lose where the wave unloads them (shear rescaling
+        mode 1, `laws.rescale_shear`), each taken as positive, over that of ``F du``. It goes with the loads of the
+        packing, not with the amplitude.
     """
 
     share: Floats | float = 0.0
     softening: Floats | float = 0.0
+    rescaling: Floats | float = 0.0
 
 
 def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
@@ -61,7 +66,7 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
     isostaticity there is no bound, and softening is infinite.
     """
     if not state.features.linear:
-        return Nonlinearity(*np.zeros((2, state.features.lanes))[:, lanes])
+        return Nonlinearity(*np.zeros((len(Nonlinearity._fields), state.features.lanes))[:, lanes])
     pairs = state.assembly.pairs
     approach, slide, twist = _relative_displacements(state, lanes)
     overlap = pairs.geometry[:, OVERLAP, None].astype(float)
@@ -85,7 +90,11 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
     slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * slide))) / total
     spare = _spare_share(state, intact, (lacking != 0.0) | (held != installed))
     softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
-    return Nonlinearity(_lane_sums(np.where(intact, 0.0, changed)) / total, softening)
+    left = np.sqrt(
+        np.clip(1.0 + np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0), 0.0, 1.0)
+    )
+    lost = _lane_sums(np.where(intact, 0.0, np.abs(held * (1.0 - left) * slide)))
+    return Nonlinearity(_lane_sums(np.where(intact, 0.0, changed)) / total, softening, lost / total)
 
 
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
