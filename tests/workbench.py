@@ -65,7 +65,7 @@ LONG = (
     "calcidem.app.studies.stability.command.stability",
     "calcidem.app.cli.status.time.sleep",
     "calcidem.app.report.folder.CampaignAnalysis",
-    "calcidem.app.report.one_cell.CampaignAnalysis",
+    "calcidem.app.campaign.plots.CampaignAnalysis",
     "calcidem.app.report.page.CampaignAnalysis",
     "calcidem.app.studies.frequency_and_damping.send_waves",
     "calcidem.app.studies.trials.ProcessPoolExecutor",

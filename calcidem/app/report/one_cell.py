@@ -4,12 +4,10 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.figures.registry import load_arrival
-from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
-from calcidem.analysis.figures.signals import draw_signals
+from calcidem.analysis.campaign_analysis import UnavailableError
 from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.report.cell_data import EXCEPTIONAL
 from calcidem.app.report.wording import ABSENT, Table, decimal, readable_unit, significant
 from calcidem.storage.sql.quantities import QUANTITIES, Quantity
@@ -51,14 +49,13 @@ def show_cell(
     """
     with open_campaign(database, campaign_name) as campaign:
         campaign.cell(seed=seed, content=content)  # says what is wrong if there is none
-        analysis = CampaignAnalysis(campaign)
         values = campaign.store.table(
             [quantity.name for quantity in QUANTITIES], Selection(seeds=(seed,), contents=(content,))
         )
         told = [quantity for quantity in QUANTITIES if values[quantity.name][0] or quantity.name not in EXCEPTIONAL]
         rows = [(quantity.meaning, _text(quantity, values[quantity.name][0])) for quantity in told]
         shown = tuple(row for row in rows if row[1] not in {"", ABSENT})
-        files = [] if out is None else _draw(analysis, seed, content, Path(out))
+        files = [] if out is None else _draw(campaign.plot, seed, content, Path(out))
     return Table(f"Seed {seed} at {content:g} %.", ("quantity", "value"), shown), files
 
 
@@ -69,14 +66,9 @@ def _text(quantity: Quantity, value: str | float | None) -> str:
     return text if text == ABSENT else f"{text} {readable_unit(quantity.unit)}".rstrip()
 
 
-def _draw(analysis: CampaignAnalysis, seed: int, content: float, folder: Path) -> list[Path]:
-    name = f"seed{seed}_content{content:g}"
+def _draw(plots: CampaignPlots, seed: int, content: float, folder: Path) -> list[Path]:
     files: list[Path] = []
-    with suppress(UnavailableError):
-        sample = analysis.sample(seed, content)
-        graph = analysis.graphs[sample.packing_index]
-        files += save(draw_cemented_samples(graph, [sample]), folder, f"{name}_cement")
-        files += save(draw_preferential_paths(graph, [sample]), folder, f"{name}_path")
-    with suppress(UnavailableError):
-        files += save(draw_signals([load_arrival(analysis, seed, content)]), folder, f"{name}_signals")
+    for name, draw in {"cement": plots.cement, "path": plots.path, "signals": plots.signal}.items():
+        with suppress(UnavailableError):
+            files += save(draw(seed=seed, content=content), folder, f"seed{seed}_content{content:g}_{name}")
     return files
