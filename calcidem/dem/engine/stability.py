@@ -140,12 +140,12 @@ def _ends_of_pairs(scene: Scene, assembly: Assembly, features: Features, overlap
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
     depth = pairs.geometry[:, OVERLAP, None].astype(float) if overlap is None else overlap
 
-    def ends(disk: Integers, side: float) -> _Ends:
+    def one_side(disk: Integers, side: float) -> _Ends:
         own = radius[disk, None]
         arm = np.broadcast_to(1.0 + np.maximum(-0.5 * depth, 0.0) / own, normal.shape)
         return _ends(disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
 
-    return ends(pairs.first, -1.0), ends(pairs.second, 1.0)
+    return one_side(pairs.first, -1.0), one_side(pairs.second, 1.0)
 
 
 def _ends_at_walls(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> _Ends:
