@@ -28,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--packing", type=int, default=31)
     parser.add_argument("--seeds", type=int, nargs=2, default=(3101, 8), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--contents", type=float, nargs="+", default=(0.0, 0.11, 0.23, 0.66, 2.55, 5.0, 9.0))
+    parser.add_argument("--contents", type=float, nargs="+", default=(0.0, 0.11, 0.23, 0.66, 1.24, 2.55, 5.0, 9.0))
     given = parser.parse_args()
     values = tomllib.loads(_FILE.read_text())
     values["packing"]["seed"] = given.packing
