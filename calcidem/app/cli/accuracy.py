@@ -6,7 +6,7 @@ import typer
 
 from calcidem.app.cli.arguments import (
     DEFAULT_CONFIGURATION,
-    MOST_SEEDS,
+    SEEDS_AT_ONCE,
     ConfigurationFile,
     JudgedDatabase,
     OnlyContents,
@@ -18,7 +18,9 @@ from calcidem.app.cli.arguments import (
 def accuracy_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
-    seeds: Annotated[int, typer.Option(min=1, max=MOST_SEEDS, help="Number of seeds of the campaign to measure.")] = 4,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds of the campaign to measure.")
+    ] = 4,
     only: Annotated[
         list[str] | None,
         typer.Option(

@@ -10,7 +10,7 @@ import typer
 DEFAULT_CONFIGURATION = Path("calcidem.toml")
 
 HIGHEST_SEED = 2**63 - 1  # as the store has it, which takes a second to import
-MOST_SEEDS = 1_000_000  # as a configuration has it
+SEEDS_AT_ONCE = 1_000_000  # at most, as in a configuration
 
 
 def number_parser(low: float, high: float, refusal: str) -> Callable[[object], float]:

@@ -9,7 +9,7 @@ import typer
 
 from calcidem.app.cli.arguments import (
     HIGHEST_SEED,
-    MOST_SEEDS,
+    SEEDS_AT_ONCE,
     ConfigurationFile,
     StudyCores,
     number_parser,
@@ -44,9 +44,9 @@ def calibrate_command(
         ),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(min=3, max=MOST_SEEDS, help="Number of seeds at each content, the same in every trial.")
+        int, typer.Option(min=3, max=SEEDS_AT_ONCE, help="Number of seeds at each content, the same in every trial.")
     ] = 16,
-    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - MOST_SEEDS, help="First of them.")] = 1,
+    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First of them.")] = 1,
     predict: Annotated[
         list[float] | None,
         typer.Option(

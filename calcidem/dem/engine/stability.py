@@ -134,7 +134,7 @@ def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _E
 
 
 def _ends_of_pairs(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> tuple[_Ends, _Ends]:
-    """Both ends of the contacts between disks, see `_ends`."""
+    """Both ends of the contacts between disks, see `_matrices_at`."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
@@ -143,20 +143,20 @@ def _ends_of_pairs(scene: Scene, assembly: Assembly, features: Features, overlap
     def one_side(disk: Integers, side: float) -> _Ends:
         own = radius[disk, None]
         arm = np.broadcast_to(1.0 + np.maximum(-0.5 * depth, 0.0) / own, normal.shape)
-        return _ends(disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
+        return _matrices_at(disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
 
     return one_side(pairs.first, -1.0), one_side(pairs.second, 1.0)
 
 
 def _ends_at_walls(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> _Ends:
-    """The disks' ends of half of the contacts with walls, see `_ends`."""
+    """The disks' ends of half of the contacts with walls, see `_matrices_at`."""
     wall_pairs, walls = assembly.wall_pairs, assembly.walls
     depth = wall_pairs.overlap[:, None] if overlap is None else overlap
     shape = (len(wall_pairs.disk), features.lanes)
     tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
     shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
     normal = walls.normal[wall_pairs.wall].astype(float)
-    return _ends(wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
+    return _matrices_at(wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
 
 
 def _no_contact_step(scene: Scene) -> float:
@@ -200,7 +200,7 @@ def pair_stiffness(
     return normal, shear, twist
 
 
-def _ends(disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]) -> _Ends:
+def _matrices_at(disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]) -> _Ends:
     """Disks (M,) and what contacts add to their matrices: the entries `_UPPER`, (M, L, 6).
 
     ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the rotational stiffness, each (M, L).
