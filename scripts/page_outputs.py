@@ -19,9 +19,9 @@ from typing import Any
 from calcidem.storage.sql.store import open_store
 
 ROOT = Path(__file__).parents[1]
-_WIDTH = "100"  # columns of a terminal: what the site shows without scrolling
+_WIDTH = "110"  # columns of a terminal: what the site shows without scrolling
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
-_HERE = "/home/me/sand"
+_HOME = "/home/me"
 
 
 def text_with_outputs(text: str, folder: Path) -> str:
@@ -45,13 +45,14 @@ def text_with_outputs(text: str, folder: Path) -> str:
             shown = subprocess.run(  # noqa: S603 - our own pages
                 [*program, lines],
                 cwd=folder,
-                env=_environment(),
+                env=_environment(folder),
                 check=True,
                 text=True,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
             ).stdout
-            printed = "".join(f"{line.rstrip()}\n" for line in shown.replace(str(folder), _HERE).splitlines())
+            shown = shown.replace(f"{folder}/.cache", f"{_HOME}/.cache/calcidem").replace(str(folder), f"{_HOME}/sand")
+            printed = "".join(f"{line.rstrip()}\n" for line in shown.splitlines())
         elif name := re.match(r"# (\S+\.toml)\n", lines):
             (folder / name[1]).write_text(lines, encoding="utf-8")
         return block[0]
@@ -75,10 +76,11 @@ def run_notebook(file: Path, folder: Path) -> Any:  # noqa: ANN401 - nbformat's 
     return notebook
 
 
-def _environment() -> dict[str, str]:
-    """Environment in which `calcidem` is the one of this copy of the repository, which is CALCIDEM."""
+def _environment(folder: Path) -> dict[str, str]:
+    """Environment in which `calcidem` is that of this copy of the repository, CALCIDEM, and has no packing yet."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return os.environ | {"PATH": path, "COLUMNS": _WIDTH, "PYTHONPATH": str(ROOT), "CALCIDEM": str(ROOT)}
+    places = {"PYTHONPATH": str(ROOT), "CALCIDEM": str(ROOT), "CALCIDEM_CACHE": str(folder / ".cache")}
+    return os.environ | places | {"PATH": path, "COLUMNS": _WIDTH}
 
 
 def main() -> None:
