@@ -94,8 +94,8 @@ def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
     found = cKDTree(middle).query_pairs(reach, output_type="ndarray")
     between = samples[found[:, 0]] - samples[found[:, 1]]
     gap = length(between[:, 0], between[:, 1]) - (radius[found[:, 0]] + radius[found[:, 1]])[:, None]
-    found = np.sort(found[(gap < skin).any(axis=1)], axis=1)
-    return found[np.lexsort((found[:, 1], found[:, 0]))]
+    keys = np.sort(pair_keys(found[(gap < skin).any(axis=1)], len(centres)))
+    return np.column_stack(np.divmod(keys, len(centres)))
 
 
 def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
@@ -110,7 +110,7 @@ def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
 
 
 def assemble(
-    scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike, wall_moved: Floats | None = None
+    scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike, old: Assembly | None = None
 ) -> Assembly:
     """Arrays of the kernel for a scene.
 
@@ -124,8 +124,9 @@ def assemble(
         Pairs whose rims are closer than this in any of the samples are listed, m.
     lanes, dtype
         Width and precision.
-    wall_moved
-        (W, K) present displacements of the walls along their normals, m; zero by default.
+    old
+        Assembly so far, of which disks, and walls where they have gone, are kept; without it the walls are where the
+        scene has them.
 
     Returns
     -------
@@ -136,7 +137,7 @@ def assemble(
     ValueError
         If two disks have the same centre.
     """
-    order = _memory_order(scene)
+    order = _memory_order(scene) if old is None else old.order
     radius = np.asarray(scene.radius, dtype=float)[order]
     reference = np.column_stack([scene.x, scene.y])[order]
     cemented = np.zeros(0, dtype=np.int64)
@@ -146,15 +147,18 @@ def assemble(
     samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
-    listed = np.unique(np.concatenate([pair_keys(near, scene.count), cemented]))
-    moved = np.zeros((len(scene.walls), centres.shape[2])) if wall_moved is None else wall_moved
-    facing = _near_walls(scene, reference, present, radius + skin, moved[:, samples])
+    listed = pair_keys(near, scene.count)
+    if len(cemented):
+        listed = np.unique(np.concatenate([listed, cemented]))
+    walls = _assemble_walls(scene, lanes, dtype) if old is None else old.walls
+    moved = walls.motion[:, NORMAL_PATH].astype(float)[:, samples]
+    facing = _near_walls(scene, reference, present, radius + skin, moved)
     return Assembly(
         order=order,
-        grains=_assemble_grains(scene, order, dtype),
+        grains=_assemble_grains(scene, order, dtype) if old is None else old.grains,
         pairs=_assemble_pairs(scene, reference, radius, listed, cemented, lanes, dtype),
         wall_pairs=_assemble_wall_pairs(scene, reference, radius, facing, lanes, dtype),
-        walls=_assemble_walls(scene, lanes, dtype),
+        walls=walls,
     )
 
 

@@ -1,6 +1,6 @@
 """Histories of contacts: what they begin with, and how they outlive a new list of neighbours."""
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ from calcidem.dem.engine.material import require
 from calcidem.dem.engine.portable import three_halves
 from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import NORMAL, NORMAL_PATH, OVERLAP, REFERENCE_OVERLAP, SHEAR, Floats, Integers
+from calcidem.dem.kernels.layout import NORMAL, OVERLAP, REFERENCE_OVERLAP, SHEAR, Floats, Integers
 
 
 def listed_pairs(assembly: Assembly) -> Integers:
@@ -87,16 +87,20 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
     centres = np.empty((scene.count, 2, lanes))
     centres[old.order] = displacement
     centres += np.column_stack([scene.x, scene.y])[:, :, None]
-    fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old.walls.motion[:, NORMAL_PATH].astype(float))
-    new_keys, old_keys = (pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old))
-    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("intact", "linear", "shear", "root", "bond_force"):
-        getattr(fresh.pairs, name)[new_place] = getattr(old.pairs, name)[old_place]
-    new_keys, old_keys = (_wall_keys(assembly) for assembly in (fresh, old))
-    _, new_place, old_place = np.intersect1d(new_keys, old_keys, assume_unique=True, return_indices=True)
-    for name in ("shear", "root"):
-        getattr(fresh.wall_pairs, name)[new_place] = getattr(old.wall_pairs, name)[old_place]
-    return replace(fresh, walls=old.walls)
+    fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old)
+    keys = [pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old)]
+    _hand_down(fresh.pairs, old.pairs, keys, ("intact", "linear", "shear", "root", "bond_force"))
+    keys = [_wall_keys(assembly) for assembly in (fresh, old)]
+    _hand_down(fresh.wall_pairs, old.wall_pairs, keys, ("shear", "root"))
+    return fresh
+
+
+def _hand_down(fresh: NamedTuple, old: NamedTuple, keys: list[npt.NDArray[np.int64]], names: tuple[str, ...]) -> None:
+    """Give a list, in place, what its pairs had in the old one; both have increasing keys."""
+    place = np.searchsorted(keys[1], keys[0])
+    known = np.append(keys[1], -1)[place] == keys[0]
+    for name in names:
+        getattr(fresh, name)[known] = getattr(old, name)[place[known]]
 
 
 def _wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:

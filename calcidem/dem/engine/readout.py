@@ -130,8 +130,12 @@ def wall_overlaps(state: State) -> Floats:
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
     """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
+    return _contact_forces(state, look_ahead(state), lane)
+
+
+def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
+    """Forces between the disks; ``ahead`` is what `look_ahead` gives."""
     _refuse_linear(state)
-    ahead = look_ahead(state)
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
@@ -186,8 +190,17 @@ def net_forces(state: State, lane: int = 0) -> Floats:
 
     Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
     """
+    return _net_forces(state, _look_undamped(state), lane)
+
+
+def _look_undamped(state: State) -> State:
+    """What `look_ahead` gives, of disks without damping."""
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
-    ahead = look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
+    return look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
+
+
+def _net_forces(state: State, ahead: State, lane: int) -> Floats:
+    """(N, 3) net force and moment on the disks; ``ahead`` is what `_look_undamped` gives."""
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
     change = (ahead.motion.velocity[:, :, lane] - before) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
@@ -196,10 +209,11 @@ def net_forces(state: State, lane: int = 0) -> Floats:
 
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
     """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
-    net = net_forces(state, lane)
-    contacts = contact_forces(state, lane)
+    ahead = _look_undamped(state)
+    net = _net_forces(state, ahead, lane)
+    contacts = _contact_forces(state, ahead, lane)
     magnitude = 2.0 * float(length(contacts.normal, contacts.shear).sum())
-    magnitude += float(np.abs(wall_reactions(state, lane)).sum())
+    magnitude += float(np.abs(ahead.assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)).sum())
     unbalanced = float(length(net[:, X], net[:, Y]).sum())
     return unbalanced / magnitude if magnitude > 0.0 else 0.0
 

@@ -34,9 +34,13 @@ class UnstableRunError(RuntimeError):
 
 def step_limit(state: State) -> Floats:
     """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
-    now = _instant(state, look_ahead(state))
-    stability = critical_time_step(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
-    return np.asarray(np.minimum(stability, _impact_limits(state, now)[0].min(axis=0)))
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    stability = critical_time_step(state.scene, state.assembly, state.features, overlap, wall_overlap)
+    if not is_watched(state):
+        return stability
+    limits, _ = _impact_limits(state, _instant(state, look_ahead(state)))
+    return np.asarray(np.minimum(stability, limits.min(axis=0)))
 
 
 def is_watched(state: State) -> bool:
@@ -47,8 +51,6 @@ def is_watched(state: State) -> bool:
 def _impact_limits(state: State, now: Instant) -> tuple[Floats, Floats]:
     """Limit (N, L) by the impacts each disk may have and by what it may cross in a step, s; fastest speed (L,), m/s."""
     limits, fastest = contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
-    if not is_watched(state):
-        return np.full_like(limits, np.inf), fastest
     with np.errstate(divide="ignore"):
         limits = limits / (SAFETY * state.control.per_contact)
         if state.features.search:

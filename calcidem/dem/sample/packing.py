@@ -17,7 +17,7 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
-from calcidem.dem.engine.state import advance, start
+from calcidem.dem.engine.state import SKIN, advance, choose_features, start
 from calcidem.dem.engine.step_control import UnstableRunError, step_limit
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
@@ -29,6 +29,7 @@ _IMPACT_STEPS = 4.0  # enough for impacts that damping is to end
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
 _FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
 _NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
+_FILLING_SKIN, _PRESSING_SKIN = 0.7, 0.1  # skins of the pair list over the mean radius: a gas, and disks held in place
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
 
 
@@ -342,7 +343,14 @@ def relax(
     PackingError
         If it does not, or blows up.
     """
-    state = start(scene, preload=preload, steps_per_contact=_IMPACT_STEPS if own else 0.0)
+    state = start(
+        scene,
+        # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.
+        features=replace(choose_features(scene, "finite"), servo=True),
+        preload=preload,
+        skin_fraction=SKIN if own else _FILLING_SKIN if filling else _PRESSING_SKIN,
+        steps_per_contact=_IMPACT_STEPS if own else 0.0,
+    )
     ratios: list[float] = []
     cost.watch(_stage_of(cost, rule, ratios))
     while True:
