@@ -4,7 +4,8 @@
                                      [--contents 0 2.55] [--keep FOLDER] [--json FILE]
 
 Every seed is packed by both in turns, each on one core with its kernels in the cache; without ``--against`` by this one
-alone. A difference of means is given in units of its standard error: of many, one in twenty lies beyond 2. Of normal
+alone. Two packings of one seed begin with the same disks, so what is given is the mean of their differences in units of
+its standard error: of many, one in twenty lies beyond 2, more of few seeds. Of normal
 forces over their mean, f, the whole distributions are compared too: the largest distance between the two (Kolmogorov and
 Smirnov) over that of seeds dealt out to two heaps at random, since forces of one packing are not independent.
 ``--keep`` keeps packings and takes those that are there; their seconds are then those of the clock.
@@ -19,7 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import ks_2samp
+
+Floats = npt.NDArray[np.float64]
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -52,9 +56,9 @@ class Worker:
         return found
 
 
-def mean_and_error(values: list[float]) -> tuple[float, float]:
+def mean_and_error(values: Floats) -> tuple[float, float]:
     """Mean and its standard error, of the numbers among them."""
-    known = np.array(values)[np.isfinite(values)]
+    known = values[np.isfinite(values)]
     return float(known.mean()), float(known.std(ddof=1) / np.sqrt(len(known))) if len(known) > 1 else float("nan")
 
 
@@ -77,11 +81,11 @@ def show(found: list[list[dict[str, Any]]]) -> None:
     print("|---|---|", "---|---|" if both else "")
     for part in ("cost", "statistics"):
         for name in found[0][0][part]:
-            means = [mean_and_error([packing[part][name] for packing in packings]) for packings in found]
-            cells = [f"{mean:.5g} ± {error:.2g}" for mean, error in means]
+            values = np.array([[packing[part][name] for packing in packings] for packings in found])
+            cells = ["{:.5g} ± {:.2g}".format(*mean_and_error(row)) for row in values]
             if both:
-                error = float(np.hypot(means[0][1], means[1][1]))
-                cells.append(f"{(means[0][0] - means[1][0]) / error:+.1f}" if error > 0.0 else "0")
+                mean, error = mean_and_error(values[0] - values[1])
+                cells.append(f"{mean / error:+.1f}" if error > 0.0 else "0")
             print("|", name, "|", " | ".join(cells), "|")
     if both:
         distance, larger = distance_of_forces([[packing["force"] for packing in packings] for packings in found])
@@ -101,8 +105,6 @@ def main() -> None:
     options = parser.parse_args()
     workers = [Worker(checkout, options) for checkout in (ROOT, options.against) if checkout]
     found: list[list[dict[str, Any]]] = [[] for _ in workers]
-    for worker in workers:
-        worker.pack(0)  # compiles
     for seed in range(1, options.seeds + 1):
         for worker, packings in zip(workers, found, strict=True):
             packings.append(worker.pack(seed))

@@ -5,12 +5,13 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
-from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing, make_packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
@@ -75,7 +76,9 @@ def main() -> None:
     parser.add_argument("--keep", type=Path)
     options = parser.parse_args()
     values = {key: json.loads(value) for key, _, value in (item.partition("=") for item in options.set)}
-    configuration = load_configuration(options.configuration, values)
+    configuration = change_configuration(options.configuration, values)
+    small = replace(configuration, packing=replace(configuration.packing, width=0.02, height=0.03))
+    make(small, 1)  # compiles
     for line in sys.stdin:
         kept = options.keep and options.keep / f"{int(line)}.npz"
         if kept and kept.exists():

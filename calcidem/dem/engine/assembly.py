@@ -100,7 +100,8 @@ def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
 
 def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
     """(M,) one number for each pair (M, 2) of ``count`` things, whichever comes first; they sort as pairs do."""
-    keys: npt.NDArray[np.int64] = pairs.min(axis=1).astype(np.int64) * count + pairs.max(axis=1)
+    ends = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    keys: npt.NDArray[np.int64] = np.minimum(*ends) * count + np.maximum(*ends)
     return keys
 
 
