@@ -27,7 +27,6 @@ _USUAL_STEP = 6.0e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
-_USUAL_RESCALING = 0.33  # of the bound of what shear rescaling changes; work of either sign partly cancels
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
@@ -127,14 +126,13 @@ def estimate_error(
     """
     shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
     parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
-    found = _largest_nonlinearity(record, frequency * travel_time)
-    change = _USUAL_CHANGE * found.share + _USUAL_ROUGHNESS * roughness
+    share = _largest_nonlinearity(record, frequency * travel_time).share
+    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
-    rescaling = _USUAL_RESCALING * _RESCALING * found.rescaling
-    usual = float(step + shift * change + rescaling + _USUAL * others)
+    usual = float(step + shift * change + _USUAL * others)
     loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
     return usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts
 
