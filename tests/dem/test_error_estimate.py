@@ -310,7 +310,7 @@ def test_a_loaded_contact_loses_shear_where_it_is_unloaded(amplitude: float) -> 
 
 
 def test_the_bound_counts_half_of_what_shear_rescaling_takes() -> None:
-    """A velocity goes with the root of the stiffness; what is to be expected stays, since work of both signs cancels."""
+    """A velocity goes with the root of the stiffness; what is expected stays, since work of both signs cancels."""
     rescaled = replace(RECORD, nonlinear=(Nonlinearity(0.0, 0.0, 0.01),))
     assert parts(EXACT, rescaled).regime - parts(EXACT).regime == pytest.approx(0.005)
     usual, same = (
