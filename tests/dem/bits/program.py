@@ -25,6 +25,7 @@ from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.rule import WaveRule
 
 SEEDS = (1, 2, 3)
@@ -56,7 +57,10 @@ def experiment_on(scene: str, packing: Packing, regime: str) -> Experiment:
     """Experiment of a scene."""
     if scene == "small":
         wave = replace(SMALL_WAVE, amplitude=1e-4 if regime == "linear" else 1e-3)
-        experiment = Experiment(packing, cement_rule=CementRule(p_share=0.77), wave=wave, stiffness_factor=13.0)
+        pick = PickRule(fewest_periods=0.0)  # there is no longer way in so small a box
+        experiment = Experiment(
+            packing, cement_rule=CementRule(p_share=0.77), wave=wave, pick=pick, stiffness_factor=13.0
+        )
     else:
         experiment = PAPER.experiment(packing)
     return replace(experiment, wave=replace(experiment.wave, regime=regime))
