@@ -30,6 +30,7 @@ class OftenLockedStore(SqlStore):
         return super().record_lost(keys, reason)
 
 
+@pytest.mark.slow
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
     monkeypatch.setattr(store_sink, "LOCK_PAUSE", 0.0)
