@@ -8,6 +8,8 @@ from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 
+pytestmark = pytest.mark.slow
+
 BONDS = 6
 FORCE = 1.0
 CEMENT = Cement(bond_stiffness_ratio=2.5)
