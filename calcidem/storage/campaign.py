@@ -170,7 +170,12 @@ class StoredCampaign(Closable):
         >>> [cell.key.seed for cell in campaign.select(content=5.0, where="vs > 1150")]
         [1]
         """
-        return self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
+        found = self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
+        return self._complete(found) if with_arrays else found
+
+    def _complete(self, outcomes: Iterator[CellResult]) -> Iterator[CellResult]:
+        """Give outcomes with their arrays; a campaign that can draw cement which is not stored does so here."""
+        return outcomes
 
     def refuse_unknown_contents(self, contents: Iterable[float]) -> None:
         """Raise an `UnknownCellError` that names the contents of this campaign if one of these is none of them."""

@@ -158,18 +158,9 @@ class OpenedCampaign(StoredCampaign):
         found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
-    def select(
-        self,
-        *,
-        content: float | Collection[float] | None = None,
-        seed: int | Collection[int] | None = None,
-        status: str | Collection[str] | None = None,
-        where: str | None = None,
-        with_arrays: bool = False,
-    ) -> Iterator[CellResult]:
-        """Give outcomes as `StoredCampaign.select`; arrays include cement that is not stored, drawn from its seed."""
-        found = super().select(content=content, seed=seed, status=status, where=where, with_arrays=with_arrays)
-        return with_patterns(self, found) if with_arrays else found
+    def _complete(self, outcomes: Iterator[CellResult]) -> Iterator[CellResult]:
+        """Add cement that is not stored, drawn from its seed."""
+        return with_patterns(self, outcomes)
 
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content.

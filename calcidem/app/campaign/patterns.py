@@ -16,15 +16,7 @@ from calcidem.storage.records import CellResult
 
 
 def stored_experiment(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
-    """What the cells of a packing share.
-
-    Raises
-    ------
-    UnknownCellError
-        If there is no such packing.
-    StoreError
-        If the database was not made by a run, so that its configuration or its packing is incomplete.
-    """
+    """What the cells of a packing share, as `calcidem.OpenedCampaign.experiment`, for modules that one needs."""
     return Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, packing_index))
 
 
