@@ -1,6 +1,7 @@
 """Expected error and bound of cells of a packing that took no part in setting them, against a finer finite run.
 
-    python benchmarks/accuracy/population.py [--packing 31] [--seeds 3101 8] [--contents 9 5 2.55 0.66]
+    python benchmarks/accuracy/population.py [--packing 32] [--seeds 3201 8] [--contents 9 5 2.55 0.66]
+    python benchmarks/accuracy/population.py --loud 5 --config calcidem/app/config/presets/paper-locked.toml --contents 0.66 2.55 5
 
 prints, for each regime and amplitude, the rank correlation of expected and true error and how many are within their bound.
 """
@@ -19,6 +20,7 @@ from calcidem.app.config.reader import read_configuration
 from calcidem.dem.wave.measurement import measure_all
 
 _FILE = Path(__file__).resolve().parents[2] / "examples" / "paper.toml"
+_CONTENTS = (0.0, 0.11, 0.23, 0.34, 0.45, 0.55, 0.66, 1.24, 1.88, 2.55, 3.17, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)  # percent
 _PLAN = {1e-3: ("linear", "finite"), 3e-3: ("linear",), 3e-2: ("finite",)}  # m/s
 _FINER = {"regime": "finite", "step_fraction": 0.2, "samples_per_period": 400}
 
@@ -26,11 +28,14 @@ _FINER = {"regime": "finite", "step_fraction": 0.2, "samples_per_period": 400}
 def main() -> None:
     """Measure, and print after each content what is known until then."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--packing", type=int, default=31)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(3101, 8), metavar=("FIRST", "COUNT"))
-    parser.add_argument("--contents", type=float, nargs="+", default=(0.0, 0.11, 0.23, 0.66, 1.24, 2.55, 5.0, 9.0))
+    parser.add_argument("--packing", type=int, default=32)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(3201, 8), metavar=("FIRST", "COUNT"))
+    parser.add_argument("--contents", type=float, nargs="+", default=_CONTENTS)
+    parser.add_argument("--config", type=Path, default=_FILE, metavar="FILE")
+    parser.add_argument("--loud", type=float, metavar="M_PER_S", help="only the finite regime at this amplitude")
     given = parser.parse_args()
-    values = tomllib.loads(_FILE.read_text())
+    plan = {given.loud: ("finite",)} if given.loud else _PLAN
+    values = tomllib.loads(given.config.read_text())
     values["packing"]["seed"] = given.packing
     configuration = read_configuration(values)
     experiment = configuration.experiment(provide_packing(configuration, None, print, lambda: None))
@@ -38,7 +43,7 @@ def main() -> None:
     for content in given.contents:
         first, count = given.seeds
         seeds = range(first, first + (count if content else 1))
-        for amplitude, regimes in _PLAN.items():
+        for amplitude, regimes in plan.items():
             loud = replace(experiment, wave=replace(experiment.wave, amplitude=amplitude))
             exact = measure_all(replace(loud, wave=replace(loud.wave, **_FINER)), content, seeds)
             for regime in regimes:
