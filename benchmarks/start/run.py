@@ -57,7 +57,7 @@ PHASES = {
     "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
     "looks at the records": ("calcidem.dem.wave.measurement.has_arrived",),
-    "guards": ("calcidem.dem.wave.recorder.problems_of", "calcidem.dem.wave.recorder.nonlinear_share"),
+    "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task.with_graph",),
