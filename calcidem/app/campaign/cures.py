@@ -311,8 +311,8 @@ def _smaller_error(symptoms: Symptoms) -> Iterator[Cure]:
 
 
 _Remedy = Callable[[Symptoms], Iterator[Cure]]
-_FEW_PERIODS = _higher_frequency, _narrower_receiver, _less_damping, _wider_box, _softer_pulse
-_UNCLEAR = _higher_frequency, _lower_frequency, _more_damping, _other_receiver, _softer_pulse
+_FEW_PERIODS = _higher_frequency, _wider_box, _narrower_receiver, _softer_pulse, _less_damping
+_UNCLEAR = _higher_frequency, _lower_frequency, _other_receiver, _softer_pulse, _more_damping
 _BY_FAILURE: dict[PickFailure | None, tuple[_Remedy, ...]] = {
     PickFailure.NOT_FINITE: (_smaller_step, _softer_pulse, _tolerated_breaking),
     PickFailure.BROAD: _FEW_PERIODS,
@@ -331,4 +331,8 @@ _BY_VERDICT: dict[PassedOver | None, tuple[_Remedy, ...]] = {
     PassedOver.FAINT: (_higher_frequency, _louder_pulse, _narrower_receiver),
     PassedOver.OUTSIDE: (_wider_window, _higher_frequency),
 }
-"""Kinds of cures that suit a reason, the most promising first; `NO_PEAK` has those of its highest top."""
+"""Kinds of cures that suit a reason, the most promising first; `NO_PEAK` has those of its highest top.
+
+Tried on stiff cement in quartz (docs/how-to/no-velocity.md), another frequency cured most cells; another damping hardly
+any, and it makes another sand.
+"""

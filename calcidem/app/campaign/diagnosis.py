@@ -6,8 +6,9 @@ seed and content give the same bits.
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,9 @@ _SLOWED = 0.5
 
 _RIVAL, _RIVALS = 0.95, "about as high as the main peak before it"
 """Height of a later top over that of the main peak from which on it is shown, and what is said of it."""
+
+_LEAST_MOVED, _SAME_VS = 0.02, 0.1
+"""Relative changes: of the neighbours' mean Vs that is too much for a cure, and of a cell's Vs from cure to cure."""
 
 _BATCH = 8
 """Cells that are tried side by side: those without velocity, and readable ones for comparison."""
@@ -117,6 +121,61 @@ class CureTrial:
         """Mean relative change of Vs of the neighbours that are still readable; NaN without any."""
         ratios = [after / before for before, after in self.neighbours.values() if after is not None]
         return float(np.mean(ratios)) - 1.0 if ratios else math.nan
+
+    @property
+    def lost(self) -> int:
+        """How many neighbours are not readable any more."""
+        return sum(after is None for _, after in self.neighbours.values())
+
+    @property
+    def verdict(self) -> "Verdict":
+        """What came of it."""
+        if self.refusal:
+            return Verdict.REFUSED
+        if self.lost >= self.cured:
+            return Verdict.LOSES if self.cured else Verdict.FAILED
+        if abs(self.change) > _LEAST_MOVED:
+            return Verdict.MOVES
+        if math.isnan(self.change):
+            return Verdict.UNCHECKED
+        return Verdict.WORKS if self.cured == len(self.velocities) and not self.lost else Verdict.HELPS
+
+
+class Verdict(StrEnum):
+    """What came of a cure that was tried, the best first."""
+
+    WORKS = "works"
+    HELPS = "helps some"
+    UNCHECKED = "no neighbour to compare"
+    MOVES = "moves other Vs"
+    LOSES = "loses as many"
+    FAILED = "failed"
+    REFUSED = "refused"
+
+
+def rank_trials(trials: Iterable[CureTrial]) -> list[CureTrial]:
+    """Trials content by content, those that work best first."""
+    order = list(Verdict)
+
+    def badness(trial: CureTrial) -> tuple[float, int, int, float]:
+        change = 0.0 if math.isnan(trial.change) else abs(trial.change)
+        return trial.content, order.index(trial.verdict), trial.lost - trial.cured, change
+
+    return sorted(trials, key=badness)
+
+
+def contradicted_cells(trials: Iterable[CureTrial]) -> set[tuple[float, int]]:
+    """Content and seed of cells to which cures give velocities that differ by more than a tenth.
+
+    What a cure does to the neighbours is taken off before.
+    """
+    given: defaultdict[tuple[float, int], list[float]] = defaultdict(list)
+    for trial in trials:
+        scale = 1.0 if math.isnan(trial.change) else 1.0 + trial.change
+        for seed, vs in trial.velocities.items():
+            if vs is not None:
+                given[trial.content, seed].append(vs / scale)
+    return {cell for cell, found in given.items() if max(found) > (1.0 + _SAME_VS) * min(found)}
 
 
 def diagnose(
@@ -399,16 +458,20 @@ def _strongest_cures(diagnoses: Sequence[Diagnosis], experiment: Experiment) -> 
 
 
 def frequency_table(
-    campaign: StoredCampaign, diagnoses: Sequence[Diagnosis]
+    campaign: StoredCampaign, diagnoses: Sequence[Diagnosis], trials: Sequence[CureTrial] = ()
 ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Contents (percent) and frequencies (Hz) of a campaign, with the highest that is the first cure of a cell.
 
-    None where another frequency is the first cure of no cell.
+    Where cures were tried it is the frequency that was best, if it helps. None where no other frequency is left.
     """
     present = Configuration.from_physics(campaign.config).excitation.table.at
     wanted: defaultdict[float, list[float]] = defaultdict(list)
+    tried = {trial.content for trial in trials}
     for diagnosis in diagnoses:
-        if diagnosis.cures[0].name == "wave.frequency":
+        if diagnosis.key.content not in tried and diagnosis.cures[0].name == "wave.frequency":
             wanted[diagnosis.key.content].append(float(diagnosis.cures[0].value))
+    for trial in rank_trials(trials):
+        if trial.cure.name == "wave.frequency" and trial.verdict in {Verdict.WORKS, Verdict.HELPS}:
+            wanted[trial.content] = wanted[trial.content] or [float(trial.cure.value)]
     contents = campaign.record.contents
-    return (contents, tuple(max(wanted.get(at, [present(at)])) for at in contents)) if wanted else None
+    return (contents, tuple(max(wanted.get(at) or [present(at)]) for at in contents)) if wanted else None

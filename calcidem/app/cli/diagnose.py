@@ -57,10 +57,11 @@ def diagnose_command(
                 typer.echo(f"  Wrote {file}")
         if len(shown) < len(found):
             typer.echo(f"\nand {len(found) - len(shown)} more; choose with --content and --seed")
-        for line in _frequency_lines(opened, found):
+        tried = _try(opened, found, trials) if trials else []
+        if tried:
+            make_console().print(_trial_table(found, tried, trials))
+        for line in _frequency_lines(opened, found, tried):
             typer.echo(printable(line))
-        if found and trials:
-            make_console().print(_trial_table(opened, found, trials))
 
 
 def _overview_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
@@ -106,12 +107,14 @@ def _save_picture(diagnosis: "Diagnosis", folder: Path | None) -> list[Path]:
     return save(diagnosis.draw(), folder, name, ("png",))
 
 
-def _frequency_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]") -> Iterator[str]:
-    """Frequencies that the cures ask for, as a configuration has them for all contents."""
+def _frequency_lines(
+    campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", tried: "Sequence[CureTrial]"
+) -> Iterator[str]:
+    """Frequencies that the cures ask for, or that helped, as a configuration has them for all contents."""
     from calcidem.app.campaign.diagnosis import frequency_table
     from calcidem.app.config.reference import written
 
-    table = frequency_table(campaign, found)
+    table = frequency_table(campaign, found, tried)
     if table is None:
         return
     yield "\nA frequency is meant for its content. For the whole campaign, under another name:\n"
@@ -120,29 +123,45 @@ def _frequency_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]") -
         yield f"    {key} = {written(values)}"
 
 
-def _trial_table(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> Table:
-    """What the cures gave on some cells."""
-    from calcidem.app.campaign.diagnosis import try_cures
+def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> "list[CureTrial]":
+    """Compute the cures on some cells; the best of each content first."""
+    from calcidem.app.campaign.diagnosis import rank_trials, try_cures
     from calcidem.app.cli.tables import tell
 
+    return rank_trials(try_cures(campaign, found, count, tell))
+
+
+def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", count: int) -> Table:
+    """What the cures gave on some cells."""
+    from calcidem.app.campaign.diagnosis import contradicted_cells
+
+    doubted = contradicted_cells(trials)
     title = f"Tried on {min(count, len(found))} of {pluralize(len(found), 'cell')}; nothing is stored"
     table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("content %", justify="right", no_wrap=True)
     table.add_column("set", no_wrap=True)
-    for name in ("have Vs now", "Vs m/s (seed)", "Vs of readable neighbours"):
-        table.add_column(name)
-    for trial in try_cures(campaign, found, count, tell):
-        table.add_row(f"{trial.content:g}", *(printable(text) for text in _trial_entries(trial)))
+    for name in ("", "have Vs now", "Vs m/s (seed)", "Vs of neighbours"):
+        table.add_column(name, no_wrap=name != "Vs m/s (seed)")
+    for trial in trials:
+        table.add_row(f"{trial.content:g}", *(printable(text) for text in _trial_entries(trial, doubted)))
+    if doubted:
+        table.caption = "? cures differ by more than a tenth on this cell: look at its signals before you take either"
+        table.caption_justify = "left"
     return table
 
 
-def _trial_entries(trial: "CureTrial") -> tuple[str, str, str, str]:
+def _trial_entries(trial: "CureTrial", doubted: set[tuple[float, int]]) -> tuple[str, str, str, str, str]:
     """What a cure gave, in the columns of the table."""
     if trial.refusal:
-        return str(trial.cure), "-", f"refused: {trial.refusal}", "-"
-    velocities = [f"{vs:.0f} ({seed})" for seed, vs in trial.velocities.items() if vs is not None]
+        return str(trial.cure), trial.verdict, "-", trial.refusal, "-"
+    velocities = [
+        f"{vs:.0f} ({seed}){' ?' if (trial.content, seed) in doubted else ''}"
+        for seed, vs in trial.velocities.items()
+        if vs is not None
+    ]
     return (
         str(trial.cure),
+        trial.verdict,
         f"{trial.cured} of {len(trial.velocities)}",
         ", ".join(velocities) or "-",
         _neighbours_text(trial),
@@ -151,9 +170,6 @@ def _trial_entries(trial: "CureTrial") -> tuple[str, str, str, str]:
 
 def _neighbours_text(trial: "CureTrial") -> str:
     """How the readable neighbours changed."""
-    if not trial.neighbours:
-        return "there are none"
-    still = [after for _, after in trial.neighbours.values() if after is not None]
-    lost = len(trial.neighbours) - len(still)
-    text = f"{trial.change:+.1%} on {len(still)}" if still else ""
-    return "; ".join(part for part in (text, f"{lost} unreadable now" if lost else "") if part)
+    still = len(trial.neighbours) - trial.lost
+    text = f"{trial.change:+.1%} on {still}" if still else ""
+    return ", ".join(part for part in (text, f"{trial.lost} lost" if trial.lost else "") if part) or "there are none"
