@@ -1,6 +1,6 @@
 """What may give a sample a velocity that has none: values of the configuration, computed from its scene.
 
-Nothing here is certain before it is tried, see `calcidem.app.campaign.diagnosis.try_cures`.
+Nothing here is certain before it is tried, see `calcidem.app.campaign.cure_trials.try_cures`.
 """
 
 import math

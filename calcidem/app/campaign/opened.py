@@ -25,7 +25,8 @@ from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
-from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis, diagnose, try_cures
+from calcidem.app.campaign.cure_trials import CureTrial, rank_trials, try_cures
+from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
@@ -359,11 +360,11 @@ class OpenedCampaign(StoredCampaign):
         return diagnose(self, seed=seed, content=content)
 
     def try_cures(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[CureTrial, ...]:
-        """Compute so many of these cells again with each of their cures; nothing is written to the database.
+        """Compute so many of these cells again with each of their cures, and rank these; nothing is written.
 
-        See `calcidem.app.campaign.diagnosis.try_cures`.
+        See `calcidem.app.campaign.cure_trials.try_cures`.
         """
-        return tuple(try_cures(self, diagnoses, count))
+        return tuple(rank_trials(try_cures(self, diagnoses, count)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.

@@ -15,7 +15,8 @@ from calcidem.app.cli.terminal import printable
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
-    from calcidem.app.campaign.diagnosis import CureTrial, Diagnosis
+    from calcidem.app.campaign.cure_trials import CureTrial
+    from calcidem.app.campaign.diagnosis import Diagnosis
     from calcidem.app.campaign.opened import OpenedCampaign
 
 _MOST_SHOWN = 12
@@ -111,7 +112,7 @@ def _frequency_lines(
     campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", tried: "Sequence[CureTrial]"
 ) -> Iterator[str]:
     """Frequencies that the cures ask for, or that helped, as a configuration has them for all contents."""
-    from calcidem.app.campaign.diagnosis import frequency_table
+    from calcidem.app.campaign.cure_trials import frequency_table
     from calcidem.app.config.reference import written
 
     table = frequency_table(campaign, found, tried)
@@ -125,7 +126,7 @@ def _frequency_lines(
 
 def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> "list[CureTrial]":
     """Compute the cures on some cells; the best of each content first."""
-    from calcidem.app.campaign.diagnosis import rank_trials, try_cures
+    from calcidem.app.campaign.cure_trials import rank_trials, try_cures
     from calcidem.app.cli.tables import tell
 
     return rank_trials(try_cures(campaign, found, count, tell))
@@ -133,7 +134,7 @@ def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -
 
 def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", count: int) -> Table:
     """What the cures gave on some cells."""
-    from calcidem.app.campaign.diagnosis import contradicted_cells
+    from calcidem.app.campaign.cure_trials import contradicted_cells
 
     doubted = contradicted_cells(trials)
     title = f"Tried on {min(count, len(found))} of {pluralize(len(found), 'cell')}; nothing is stored"
