@@ -13,7 +13,8 @@ from scipy.stats import norm
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.outcomes import bias_of_failed, is_in_doubt
-from calcidem.app.campaign.cures import Symptoms, find_cures
+from calcidem.app.campaign.cure_trials import CureTrial, Verdict, contradicted_cells, rank_trials
+from calcidem.app.campaign.cures import Cure, Symptoms, find_cures
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing, packing_record
 from calcidem.app.campaign.task import cell_result
@@ -152,6 +153,28 @@ def test_a_frequency_puts_as_many_periods_on_the_way_as_the_reading_asks_for(
     assert first.name == "wave.frequency"
     assert PERIODS_ASKED[failure] < float(first.value) * travel < 1.25 * PERIODS_ASKED[failure]
     assert first.apply(experiment).frequency(CONTENT) == first.value
+
+
+def test_cures_that_were_tried_are_ranked_by_what_came_of_them() -> None:
+    """One that reads all cells and leaves the others alone comes first, one that reads none is told as failed."""
+    cure = Cure("wave.frequency", 9e3, "")
+    neighbours = {3: (200.0, 200.0), 4: (210.0, 211.0)}
+    best = CureTrial(5.0, cure, {1: 220.0, 2: 199.0}, neighbours)
+    expected = [
+        (best, Verdict.WORKS),
+        (replace(best, velocities={1: 230.0, 2: None}), Verdict.HELPS),
+        (replace(best, neighbours={}), Verdict.UNCHECKED),
+        (replace(best, neighbours={3: (200.0, 210.0)}, velocities={1: 231.0, 2: 209.0}), Verdict.MOVES),
+        (replace(best, neighbours={3: (200.0, None)}, velocities={1: 221.0, 2: None}), Verdict.LOSES),
+        (replace(best, velocities={1: None, 2: None}), Verdict.FAILED),
+        (replace(best, velocities={}, neighbours={}, refusal="too loud"), Verdict.REFUSED),
+        (replace(best, content=7.0), Verdict.WORKS),
+    ]
+    trials = [trial for trial, _ in expected]
+    assert rank_trials(reversed(trials)) == trials
+    assert [trial.verdict for trial in trials] == [verdict for _, verdict in expected]
+    assert not contradicted_cells(trials), "what moves the neighbours by 5 % may move the cell as much"
+    assert contradicted_cells([*trials, replace(best, velocities={1: 199.0, 2: 199.0})]) == {(5.0, 1)}
 
 
 @pytest.mark.parametrize(("measured", "failed"), [(7, 1), (5, 3), (111, 5), (39, 9)])
