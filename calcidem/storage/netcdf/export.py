@@ -15,7 +15,7 @@ from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedE
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.groups import SAMPLE_GROUPS, append_attempts, append_packing, append_samples
-from calcidem.storage.records import CampaignRecord, CellStatus
+from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.store import Store
@@ -65,12 +65,8 @@ def export_netcdf(
         raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(SAMPLE_GROUPS)}")
     wanted = [group for group in SAMPLE_GROUPS if group not in without]
     with _replace_netcdf(path, campaign.hash) as temporary:
-        # Once everything is read, so that the root has the flag of a cell whose arrays alone are damaged.
-        outcomes = store.results(with_arrays=True) if wanted else iter(())
-        damaged = {outcome.key: outcome.reason for outcome in outcomes if outcome.status is CellStatus.DAMAGED}
-        dataset = campaign_dataset(store, campaign, damaged=damaged)
-        dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
-        with netCDF4.Dataset(temporary, "a") as file:
+        damaged: dict[CellKey, str] = {}
+        with netCDF4.Dataset(temporary, "w") as file:
             for index in store.packing_indices():
                 with suppress(DamagedStoreError):  # cells without a packing tell that it is missing
                     append_packing(file, store.load_packing(index))
@@ -78,6 +74,10 @@ def export_netcdf(
                 append_attempts(file, attempts)
             for results in chunks(store.results(with_arrays=bool(wanted)), _CELLS_COPIED_AT_ONCE):
                 append_samples(file, results, wanted)
+                damaged |= {found.key: found.reason for found in results if found.status is CellStatus.DAMAGED}
+        # Once everything is read, so that the root has the flag of a cell whose arrays alone are damaged.
+        dataset = campaign_dataset(store, campaign, damaged=damaged)
+        dataset.to_netcdf(temporary, mode="a", engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
     return Path(path).absolute()
 
 

@@ -76,7 +76,7 @@ class CementPattern(ComparedByValue):
         contacts = freeze_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
         kind = freeze_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
         centres = freeze_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
-        if not np.isin(kind, (P_CONTACT, C_CONTACT)).all():
+        if not ((kind == P_CONTACT) | (kind == C_CONTACT)).all():
             raise ValueError("CementPattern.kind holds other values than 1 (P) and 2 (C); use these two.")
         object.__setattr__(self, "contacts", contacts)
         object.__setattr__(self, "kind", kind)
