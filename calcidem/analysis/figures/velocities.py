@@ -62,7 +62,7 @@ def draw_range(
     _draw_range(axes, vs, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
-    axes.legend(loc="lower right")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
         _draw_range(inset, vs, low, [row for row in published if row[0] <= _LOW_CONTENT])
@@ -112,6 +112,7 @@ def _draw_range(
             zorder=4,
             label="published mean and standard\ndeviation (set off to the right)",
         )
+    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is below, whatever a band says
 
 
 @apply_style
