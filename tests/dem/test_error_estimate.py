@@ -160,18 +160,19 @@ def test_chatter_grows_with_damping_and_step(damping: float, fraction: float) ->
     assert parts(waves(EXPERIMENT, damping=damping), record).chatter == pytest.approx(expected)
 
 
-def test_softening_takes_half_of_itself_from_a_velocity() -> None:
-    """V goes with the root of the stiffness; on a quarter of the way the shape counts four times; more than 1 is 1."""
-    assert parts(record=slipping(softening=0.02)).slip == pytest.approx(1.0 - np.sqrt(1.0 - 0.02), rel=0.01)
-    assert parts(record=slipping(softening=0.02), travel_time=0.5 / FREQUENCY).slip == pytest.approx(0.02)
+def test_softening_counts_for_more_than_it_takes_where_slip_is_even() -> None:
+    """V goes with the root of the stiffness; on half a wavelength of way the shape counts twice; more than 1 is 1."""
+    assert parts(record=slipping(softening=0.02)).slip > 1.0 - np.sqrt(1.0 - 0.02)
+    assert parts(record=slipping(softening=0.02)).slip == pytest.approx(0.02)
+    assert parts(record=slipping(softening=0.02), travel_time=0.5 / FREQUENCY).slip == pytest.approx(0.04)
     assert parts(record=slipping(softening=np.inf)).slip == 1.0
 
 
-def test_slip_counts_while_the_pulse_is_on_its_way() -> None:
-    """Looks after 1, 3, 5 and 7 periods count as far as the way is, 2.5, 3.5 and 6 periods."""
+def test_slip_counts_until_the_pulse_has_come() -> None:
+    """Looks after 1, 3, 5 and 7 periods count until the whole pulse, a period long, has gone the way."""
     looks = tuple(Nonlinearity(0.0, softening) for softening in (1e-3, 2e-3, 4e-3, 8e-3))
     late = replace(RECORD, nonlinear=looks)
-    for periods, largest in ((2.5, 1e-3), (3.5, 2e-3), (6.0, 4e-3)):
+    for periods, largest in ((1.9, 1e-3), (2.1, 2e-3), (3.9, 2e-3), (4.1, 4e-3), (5.9, 4e-3)):
         found = parts(record=late, travel_time=periods / FREQUENCY).slip
         assert found == parts(record=slipping(softening=largest), travel_time=periods / FREQUENCY).slip
 

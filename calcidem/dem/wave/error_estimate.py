@@ -138,11 +138,11 @@ def estimate_error(
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest of each number while the whole pulse was on a way of so many periods.
+    """Largest of each number until the whole pulse had gone a way of so many periods.
 
     On a long way contacts slip that the pulse had not reached when it had been sent.
     """
-    looks = record.nonlinear[: 1 + max(0, int((periods - 1.0) / LOOKS_APART))]
+    looks = record.nonlinear[: 1 + int(periods / LOOKS_APART)]
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
@@ -231,15 +231,17 @@ def turning_error(experiment: Experiment) -> float:
 def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
     """Bound of the relative error of a velocity by contacts that do not slip in the linear regime; 1 says nothing.
 
-    - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away; on a
-      way of less than a wavelength that changes the shape, as in `_error_parts`. ``periods`` are f travel time.
+    - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away: half
+      of it, were what it takes from each contact's neighbours the same everywhere. Twice that here
+      (docs/stability.md, "near isostaticity"); on a way of less than a wavelength that changes the shape, as in
+      `_error_parts`. ``periods`` are f travel time.
     - What the transmitter loses: see `_loss_error`.
 
     Contacts slip where the pulse over what they have left to their friction limit is large, or nothing is left.
     """
     found = _largest_nonlinearity(record, periods)
     loss = _loss_error(record, shift, periods)
-    return float(min(1.0, 0.5 * max(1.0, 1.0 / periods) * found.softening + loss))
+    return float(min(1.0, max(1.0, 1.0 / periods) * found.softening + loss))
 
 
 def _loss_error(record: WaveRecord, shift: float, periods: float) -> float:
