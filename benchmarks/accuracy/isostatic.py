@@ -23,7 +23,15 @@ def main() -> None:
     """Print a row for each packing seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=(1, 2, 3))
-    titles = ("packing seed", "both read", "linear gives Vs", "within its bound", "worst error", "refused", "worst of these")
+    titles = (
+        "packing seed",
+        "both read",
+        "linear gives Vs",
+        "within its bound",
+        "worst error",
+        "refused",
+        "worst of these",
+    )
     print(f"| {' | '.join(titles)} |\n|{'---|' * len(titles)}")
     for seed in parser.parse_args().seeds:
         found = [pair for pair in _pairs(seed) if all(_read(cell) for cell in pair)]
