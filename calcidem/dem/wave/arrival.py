@@ -10,7 +10,14 @@ import numpy as np
 
 from calcidem.dem.engine.portable import sliding_products
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.main_peak import MainPeak, PreparedSignals, find_main_peak, parabola_vertex, prepare_signals
+from calcidem.dem.wave.main_peak import (
+    MainPeak,
+    PreparedSignals,
+    find_main_peak,
+    parabola_vertex,
+    prepare_signals,
+    settled_peak,
+)
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
 
 _PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
@@ -45,7 +52,8 @@ def _weigh_against_peak(other: Reading, peak: Reading) -> Reading:
 
 def has_arrived(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> bool:
     """Return whether the main peak is settled, trusted or not: a longer record of this sample changes no reading."""
-    return isinstance(find_main_peak(prepare_signals(signals, rule)), MainPeak)
+    record = prepare_signals(signals, rule)
+    return bool(np.isfinite(record.received).all()) and isinstance(settled_peak(record), MainPeak)
 
 
 def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = _DEFAULT_RULE) -> float:

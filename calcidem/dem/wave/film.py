@@ -64,7 +64,7 @@ def film_wave(
     stride = -(-samples // frames)
     times, velocity = [], []
     for begin in range(0, samples, stride):
-        recorder.chunks.append(recorder.record_chunk(min(stride, samples - begin)))
+        recorder.record_chunk(min(stride, samples - begin))
         times.append(float(recorder.state.time[0]))
         velocity.append(recorder.state.velocity()[:, 1].astype(np.float32))
         watch(len(times), -(-samples // stride))

@@ -78,12 +78,12 @@ class WaveRecord:
     @property
     def start_time(self) -> float:
         """Time of the first sample, s: half a time step before `sampling_interval`."""
-        return float(_sample_times(1, self.stride, self.time_step)[0])
+        return float(_sample_times(0, 1, self.stride, self.time_step)[0])
 
     @property
     def times(self) -> Floats:
         """(S,) times of the samples, s."""
-        return _sample_times(len(self.sent), self.stride, self.time_step)
+        return _sample_times(0, len(self.sent), self.stride, self.time_step)
 
     @property
     def duration(self) -> float:
@@ -91,12 +91,12 @@ class WaveRecord:
         return len(self.sent) * self.sampling_interval
 
 
-def _sample_times(count: int, stride: int, time_step: float) -> Floats:
-    """(count,) times of samples, s.
+def _sample_times(begin: int, end: int, stride: int, time_step: Floats | float) -> Floats:
+    """Times of some samples, s: (S,), or (L, S) for steps (L, 1).
 
     A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
     """
-    return ((np.arange(count) + 1) * stride - 0.5) * time_step
+    return np.asarray(((np.arange(begin, end) + 1) * stride - 0.5) * time_step)
 
 
 @dataclass(slots=True)
@@ -123,8 +123,8 @@ class Recorder:
         See `WaveRecord`.
     breakable
         See `guards.problems_of`.
-    chunks
-        (samples, 2, L) shear force and velocity of each chunk so far.
+    signals
+        (L, 3, S) so far: sent, force and velocity of `WaveRecord`.
     nonlinear, slipped
         See `WaveRecord`, for each sample and each lane.
     """
@@ -139,13 +139,14 @@ class Recorder:
     unbalanced_speed: Floats
     closing_gaps: float
     breakable: float = 0.0
-    chunks: list[Floats] = field(default_factory=list, init=False)
+    signals: Floats = field(init=False)
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
+        self.signals = np.zeros((self.state.features.lanes, 3, 0))
         self.slipped = np.zeros(self.state.features.lanes)
 
     @property
@@ -159,7 +160,7 @@ class Recorder:
         records: dict[int, WaveRecord] = {}
         while len(records) < self.samples:
             check()
-            self.chunks.append(self.record_chunk())
+            self.record_chunk()
             self._look_at_contacts()
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             for lane in sorted(set(range(self.samples)) - set(records)):
@@ -181,13 +182,13 @@ class Recorder:
             for lane, values in zip(due, found.T.tolist(), strict=True):
                 self.nonlinear[lane].append(Nonlinearity(*values))
 
-    def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> Floats:
-        """Advance by so many samples; (samples, 2, L) shear force and velocity."""
-        steps = samples * self.stride
+    def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> None:
+        """Advance by so many samples."""
+        steps, begin = samples * self.stride, self.signals.shape[2]
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
-            drive=self.pulse.velocity(middle).astype(dtype),
+            drive=self._sent_at(middle).astype(dtype),
             driven=-1 if len(self.driven_disks) else TRANSMITTER,
             driven_disks=self.driven_disks,
             offset=0,
@@ -197,19 +198,27 @@ class Recorder:
             samples=np.zeros((samples, 2, lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
-        return recording.samples
+        times = _sample_times(begin, begin + samples, self.stride, self.state.time_step[:, None])
+        received = recording.samples.astype(float)
+        # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
+        chunk = self._sent_at(times), -received[:, RECEIVED].T, received[:, LISTENED].T
+        self.signals = np.concatenate([self.signals, np.stack(chunk, axis=1)], axis=2)
+
+    def _sent_at(self, times: Floats) -> Floats:
+        """Velocities of the transmitter at times, m/s; all at once where it is at rest again."""
+        first = times.min()
+        resting = self.pulse.frequency * first >= 1.0  # as `Pulse.velocity` asks
+        return np.full(times.shape, self.pulse.velocity(first)) if resting else self.pulse.velocity(times)
 
     def record_of(self, lane: int, problem: str) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
-        signals = np.concatenate([chunk[:, :, lane] for chunk in self.chunks]).astype(float)
-        step = float(self.state.time_step[lane])
+        sent, force, velocity = self.signals[lane]
         return WaveRecord(
-            time_step=step,
+            time_step=float(self.state.time_step[lane]),
             stride=self.stride,
-            sent=self.pulse.velocity(_sample_times(len(signals), self.stride, step)),
-            # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
-            force=-signals[:, RECEIVED],
-            velocity=signals[:, LISTENED],
+            sent=sent,
+            force=force,
+            velocity=velocity,
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
