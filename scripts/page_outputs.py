@@ -1,6 +1,7 @@
 """Run the commands of a page of the documentation in a new folder, and write below each what it printed.
 
     python scripts/page_outputs.py docs/how-to/first-own-sand.md docs/tutorial/tutorial.ipynb
+    python scripts/page_outputs.py --list       # all commands of all pages, and which of them no test runs
 
 A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` is written as that file; a block
 ``text`` gets what the one before it printed. Figures that the page shows are taken over from the folder. A notebook is
@@ -13,6 +14,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +25,62 @@ ROOT = Path(__file__).parents[1]
 _WIDTH = "110"  # columns of a terminal: what the site shows without scrolling
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
 _HOME = "/home/me"
+
+PAGES = sorted({ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")})
+"""Pages that may tell what to type."""
+
+RECORDED = ROOT / "docs" / "how-to" / "first-own-sand.md"
+"""The page that shows what its commands print, and is run as a whole."""
+
+_STARTS = r"calcidem |python |pip |mkdocs |pytest |\. |\./"
+_TYPED = re.compile(
+    r"(?:^<!-- long: ([^>]*) -->\n\n?)?"
+    rf"(?:^```(\w+)\n(.*?)^```|((?:^    (?:{_STARTS})[^\n]*\n(?:^ {{5,}}[^\n]*\n)*)+))",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Lines of a page to be typed or written to a file.
+
+    Attributes
+    ----------
+    language, text
+        What it is, and its lines.
+    reason
+        Why no test runs it; empty for those that are run.
+    """
+
+    language: str
+    text: str
+    reason: str
+
+    @property
+    def commands(self) -> list[str]:
+        """Commands, without comments and with their continuation lines."""
+        whole = (line.split(" #")[0].split(" || ")[0].strip() for line in self.text.replace("\\\n", "").splitlines())
+        return [line for line in whole if line] if self.language == "sh" else []
+
+
+def typed_blocks(page: Path) -> Iterator[Block]:
+    """Fenced blocks of a page but those that are only shown (``text``), and indented ones that begin with a command."""
+    for reason, language, fenced, indented in _TYPED.findall(page.read_text(encoding="utf-8")):
+        if language != "text":
+            yield Block(language or "sh", fenced or re.sub(r"^    ", "", indented, flags=re.MULTILINE), reason)
+
+
+def _list_commands() -> None:
+    """Print a table of all commands of all pages."""
+    run = total = 0
+    for page in PAGES:
+        for block in typed_blocks(page):
+            reason = "" if page == RECORDED else block.reason
+            for command in block.commands:
+                total += 1
+                run += not reason
+                print(f"{page.relative_to(ROOT)}: {command}: {f'long, {reason}' if reason else 'run'}")
+    print(f"{run} of {total} commands are run by tests, {total - run} are marked as long")
 
 
 def text_with_outputs(text: str, folder: Path) -> str:
@@ -84,7 +143,10 @@ def _environment(folder: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    """Renew the pages named."""
+    """Renew the pages named, or list all commands."""
+    if sys.argv[1:] == ["--list"]:
+        _list_commands()
+        return
     for page in map(Path, sys.argv[1:]):
         with tempfile.TemporaryDirectory() as folder:
             if page.suffix == ".ipynb":

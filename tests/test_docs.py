@@ -8,10 +8,9 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
 from inspect import getmembers, isclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -33,15 +32,10 @@ from calcidem.sweep.sweep_end import LaunchError, MasterLostError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [DOCS / "quick-start.md", *sorted((DOCS / "how-to").glob("*.md"))]
-"""Pages whose commands a user types."""
-
-RECORDED = DOCS / "how-to" / "first-own-sand.md"
-"""The page that shows what its commands print."""
-
-FENCE = re.compile(r"(?:<!-- long: ([^>]*) -->\n)?^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "make_docs.py"))
+OUTPUTS = runpy.run_path(str(ROOT / "scripts" / "page_outputs.py"))
+RECORDED, typed_blocks = OUTPUTS["RECORDED"], OUTPUTS["typed_blocks"]
+PAGES = [page for page in OUTPUTS["PAGES"] if any(typed_blocks(page))]
 
 
 @pytest.mark.parametrize("name", sorted(SCRIPT["PAGES"]))
@@ -85,44 +79,15 @@ def test_the_schema_for_editors_accepts_what_the_reader_accepts() -> None:
         assert list(validator.iter_errors(tomllib.loads(wrong))), wrong
 
 
-@dataclass(frozen=True)
-class Block:
-    """A fenced block of a page.
-
-    Attributes
-    ----------
-    language, text
-        What it is, and its lines.
-    reason
-        Why no test runs it; empty for those that are run.
-    """
-
-    language: str
-    text: str
-    reason: str
-
-    @property
-    def lines(self) -> list[list[str]]:
-        """Words of its lines."""
-        return [shlex.split(line, comments=True) for line in self.text.replace("\\\n", "").splitlines() if line]
-
-
-def blocks(page: Path) -> Iterator[Block]:
-    """Fenced blocks of a page that say what to do: what is only shown is ``text``."""
-    for reason, language, text in FENCE.findall(page.read_text(encoding="utf-8")):
-        if language != "text":
-            yield Block(language, text, reason)
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_a_page_has_the_options_it_is_given(page: Path) -> None:
-    """Commands that are run, and those that take too long for it, exist with these options; all others are long."""
+    """Commands that are run, and those that take too long for it, exist with these options; others are marked."""
     sections = (DOCS / "commands.md").read_text(encoding="utf-8").split("\n### calcidem ")
     known = {section.split("\n")[0]: set(re.findall(r"--[\w-]+", section)) for section in sections[1:]}
-    for block in blocks(page):
-        for words in block.lines if block.language == "sh" else ():
+    for block in typed_blocks(page):
+        for words in map(shlex.split, block.commands):
             if words[0] == "calcidem":
-                assert {word for word in words if word.startswith("--")} <= known[words[1]], words
+                assert {word.split("=")[0] for word in words if word.startswith("--")} <= known[words[1]], words
             else:
                 assert block.reason, words
 
@@ -131,7 +96,7 @@ def test_every_command_of_a_page_has_the_options_it_is_given(page: Path) -> None
 def test_a_recorded_page_shows_what_its_commands_print(tmp_path: Path) -> None:
     """Numbers and words of `first-own-sand.md` are what its commands give today; times are not compared."""
     text = RECORDED.read_text(encoding="utf-8")
-    now = runpy.run_path(str(ROOT / "scripts" / "page_outputs.py"))["text_with_outputs"](text, tmp_path)
+    now = OUTPUTS["text_with_outputs"](text, tmp_path)
     assert without_times(now) == without_times(text), f"run: python scripts/page_outputs.py {RECORDED}"
 
 
@@ -151,27 +116,29 @@ def test_the_commands_of_a_page_work(
 ) -> None:
     """What a page tells to do works in its order, on the database of the tutorial; what computes is listed."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "results").mkdir()
-    shutil.copy(DOCS / "tutorial" / "quick.db", "results/quick.db")
-    if page.stem != "quick-start":
-        Path("calcidem.toml").write_text(preset_text("quick"), encoding="utf-8")
-    for block in blocks(page):
+    for copy in ("results/quick.db", "quick.db"):
+        Path(copy).parent.mkdir(exist_ok=True)
+        shutil.copy(DOCS / "tutorial" / "quick.db", copy)
+    for file in ("quick.toml", *(["calcidem.toml"] if page.stem not in {"quick-start", "README"} else [])):
+        Path(file).write_text(preset_text("quick"), encoding="utf-8")
+    names: dict[str, object] = {}
+    for block in typed_blocks(page):
         if block.reason:
             with capsys.disabled():
                 sys.stdout.write(f"\n{page.stem}: not run ({block.reason}):\n{block.text}")
         else:
-            follow(block)
+            follow(block, names)
 
 
-def follow(block: Block) -> None:
+def follow(block: Any, names: dict[str, object]) -> None:  # noqa: ANN401 - of a script
     """Do what a block says: run its commands, or write its file, or put its values into the configuration."""
     name = re.match(r"# (\S+\.\w+)\n", block.text)
     if block.language == "sh":
-        for _, *words in block.lines:
+        for _, *words in map(shlex.split, block.commands):
             result = CliRunner().invoke(build_application(), words)
             assert result.exit_code == 0, (words, result.output, result.exception)
     elif block.language == "python":
-        exec(block.text, {})  # noqa: S102 - our own pages
+        exec(block.text, names)  # noqa: S102 - our own pages
     elif name:
         Path(name[1]).write_text(block.text.removeprefix(name[0]), encoding="utf-8")
     else:

@@ -17,6 +17,8 @@ _HEAD = """# Verification
 Does the kernel compute what it says? Each row below compares it with something that shares no code with it: a closed form, a
 matrix put together and solved elsewhere, a law of conservation, a slow twin, another program. One command makes this page:
 
+<!-- long: 2 minutes -->
+
     python benchmarks/verification/run.py --out docs/verification.md
 
 It takes two minutes on one core. The scenes are in `benchmarks/verification`; radii, materials, directions and speeds were
