@@ -60,7 +60,10 @@ COMMANDS = tuple(name for panel in PANELS.values() for name in panel)
 
 
 class _LazyGroup(TyperGroup):
-    """Commands whose modules are imported when they are used: they need libraries that take seconds to load."""
+    """Commands whose modules are imported when they are used: they need libraries that take seconds to load.
+
+    Click's recipe of a lazy group asks each command for its summary to list them all, which loads them; `PANELS` has those.
+    """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Click's own, which typer brings along or does not
         """Put the command itself in the place of what the list shows of it."""
