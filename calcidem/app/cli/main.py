@@ -62,7 +62,7 @@ COMMANDS = tuple(name for panel in PANELS.values() for name in panel)
 class _LazyGroup(TyperGroup):
     """Commands whose modules are imported when they are used: they need libraries that take seconds to load.
 
-    Click's recipe of a lazy group asks each command for its summary to list them all, which loads them; `PANELS` has those.
+    Click's recipe of a lazy group loads all commands to list them, for their summaries; here `PANELS` has these.
     """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Click's own, which typer brings along or does not

@@ -1,8 +1,8 @@
 """One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
 
 The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides
-between machines, where locks on network file systems can't be relied on. filelock (4.2) raises where a file system has no
-locks (ENOLCK), or goes over to a file that a kill leaves behind: neither lets the row decide.
+between machines, where locks on network file systems can't be relied on. filelock (4.2) raises where a file system
+has no locks (ENOLCK), or goes over to a file that a kill leaves behind: neither lets the row decide.
 """
 
 import errno
