@@ -82,4 +82,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """Names of what there is, imported or not."""
-    return sorted([*globals(), *__all__, "__version__"])
+    return sorted({*(name for name in globals() if name.startswith("_")), *__all__, "__version__"})

@@ -218,9 +218,9 @@ def test_mistakes_in_a_file_of_targets_are_named(text: str, named: str, tmp_path
 
 
 def test_targets_are_read_with_what_they_have(tmp_path: Path) -> None:
-    """Scatter and number of samples may be missing, as columns or in a row; a spreadsheet's byte-order mark is none."""
+    """Scatter and number of samples may be missing, as columns or in a row; byte-order marks and comments are none."""
     path = tmp_path / "targets.csv"
-    path.write_text("content,vs\n0.66,380.34\n", encoding="utf-8-sig")
+    path.write_text("# of the lab, 2026\ncontent,vs\n0.66,380.34\n", encoding="utf-8-sig")
     assert read_targets(path) == (Target(0.66, 380.34),)
     path.write_text("content, vs, sd, samples\n0.66, 380.34, 35.49, 116\n\n5, 1211, ,\n", encoding="utf-8")
     assert read_targets(path) == (Target(0.66, 380.34, 35.49, 116), Target(5.0, 1211.0))

@@ -49,6 +49,8 @@ _REQUIRED = ("content", "vs")
 def read_targets(file: Path) -> tuple[Target, ...]:
     """Read means, and where they are given standard deviations and numbers of samples, from a CSV file.
 
+    Lines that begin with ``#`` are comments.
+
     Raises
     ------
     ConfigurationError
@@ -58,10 +60,11 @@ def read_targets(file: Path) -> tuple[Target, ...]:
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
         text = source.read(_MOST_CHARACTERS)  # no device fills the memory
     try:
-        lines = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text)) if any(line)]
+        table = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text))]
     except csv.Error as error:
         problem = f"no table of targets ({error}); give a line for each content, numbers with commas between them"
         raise ConfigurationError(str(file), [Problem(problem)]) from error
+    lines = [line for line in table if any(line) and not line[0].startswith("#")]
     header, rows = (lines[0], lines[1:]) if lines else ([], [])
     problems = list(_header_problems(header, rows))
     targets: list[Target] = []
