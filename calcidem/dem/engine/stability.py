@@ -1,5 +1,7 @@
 """Largest stable time step of the explicit scheme."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -21,11 +23,52 @@ from calcidem.dem.kernels.layout import (
 )
 
 _Entry = tuple[int, int]
-_Ends = tuple[Integers, Floats]
 
 _UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
 
 _SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
+
+
+class _Springs(NamedTuple):
+    """Ends of contacts at disks.
+
+    Attributes
+    ----------
+    disk
+        (M,) the disk of each.
+    n
+        (M, 2) unit vector that points to it.
+    normal, shear
+        (M, L) stiffnesses, N/m.
+    arm, twist
+        (M, L) arm over the disk's radius, and rotational stiffness, as `critical_time_step` scales it.
+    """
+
+    disk: Integers
+    n: Floats
+    normal: Floats
+    shear: Floats
+    arm: Floats
+    twist: Floats
+
+    @property
+    def trace(self) -> Floats:
+        """(M, L) trace of what each adds to its disk's matrix."""
+        return np.asarray(self.normal + self.shear * (1.0 + 2.0 * (self.arm * self.arm)) + self.twist)
+
+    @property
+    def entries(self) -> Floats:
+        """(M, L, 6) entries `_UPPER` of what each adds to its disk's matrix."""
+        n_x, n_y = self.n[:, X, None], self.n[:, Y, None]
+        normal, shear, turned = self.normal, self.shear, -np.sqrt(2.0) * self.arm
+        entries = np.empty((*turned.shape, len(_UPPER)))
+        entries[..., 0] = normal * (n_x * n_x) + shear * (n_y * n_y)
+        entries[..., 1] = normal * (n_x * n_y) + shear * (-n_y * n_x)
+        entries[..., 2] = normal * (n_y * n_y) + shear * (n_x * n_x)
+        entries[..., 3] = shear * (-n_y * turned)
+        entries[..., 4] = shear * (n_x * turned)
+        entries[..., 5] = shear * (turned * turned) + self.twist
+        return entries
 
 
 def critical_time_step(
@@ -56,13 +99,14 @@ def critical_time_step(
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
     contacts, and that rules of thumb overestimate it.
     """
-    matrices, factor = _contact_matrices(scene, assembly, features, overlap, wall_overlap)
-    # An eigenvalue lies between the largest entry of the diagonal and the sum of all three: few can be the largest.
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
-    possible = 1.000001 * factor * diagonal.sum(axis=-1) >= (factor * diagonal.max(axis=-1)).max(axis=0)
-    squared = np.zeros(possible.shape)
-    squared[possible] = largest_eigenvalue(matrices[possible])
-    squared = (factor * squared).max(axis=0)
+    springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
+    factor = _inverse_masses(assembly)
+    # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
+    most = factor * _sum_over_disks(springs.disk, springs.trace, scene.count)
+    tops = np.unique(most.argmax(axis=0))
+    least = (factor[tops] * largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
+    near = np.flatnonzero((1.000001 * most >= least).any(axis=1))
+    squared = (factor[near] * largest_eigenvalue(_contact_matrices(springs, near, features))).max(axis=0, initial=0.0)
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
 
@@ -71,29 +115,36 @@ def squared_frequencies(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
 ) -> Floats:
     """Each disk's part in the bound of `critical_time_step` on the highest frequency: (N, L) squares, rad^2/s^2."""
-    matrices, factor = _contact_matrices(scene, assembly, features, overlap, wall_overlap)
-    return np.asarray(factor * largest_eigenvalue(matrices))
+    springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
+    matrices = _contact_matrices(springs, np.arange(scene.count), features)
+    return np.asarray(_inverse_masses(assembly) * largest_eigenvalue(matrices))
 
 
-def _contact_matrices(
-    scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
-) -> tuple[Floats, Floats]:
-    """Matrices (N, L, 3, 3) of `critical_time_step`, and what makes squared frequencies of their eigenvalues (N, 1)."""
-    ends = (
-        *_ends_of_pairs(scene, assembly, features, overlap),
-        _ends_at_walls(scene, assembly, features, wall_overlap),
-    )
-    disk, blocks = (np.concatenate(parts) for parts in zip(*ends, strict=True))
-    # One entry a contact: each disk's are added in their order, and multiplied by exactly one.
-    of_disk = csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(scene.count, len(disk)))
-    width = features.lanes * len(_UPPER)
-    entries = (of_disk @ blocks.reshape(len(disk), width)).reshape(scene.count, features.lanes, len(_UPPER))
-    matrices = np.zeros((scene.count, features.lanes, 3, 3))
+def _inverse_masses(assembly: Assembly) -> Floats:
+    """What makes squared frequencies (N, L) of the eigenvalues of `_contact_matrices`, (N, 1) 1/kg."""
+    grains = assembly.grains
+    return np.asarray(2.0 * (grains.inverse_mass.astype(float) * (1.0 + grains.damping.astype(float)))[:, None])
+
+
+def _sum_over_disks(disk: Integers, values: Floats, count: int) -> Floats:
+    """Sums (count, ...) of values (M, ...) of disks (M,), each added up in their order."""
+    of_disk = csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(count, len(disk)))
+    sums: Floats = of_disk @ values.reshape(len(disk), int(np.prod(values.shape[1:])))
+    return sums.reshape(count, *values.shape[1:])
+
+
+def _contact_matrices(springs: _Springs, disks: Integers, features: Features) -> Floats:
+    """Matrices (K, L, 3, 3) of `critical_time_step` of some disks (K,), which increase."""
+    number = np.full(max(springs.disk.max(initial=-1), disks.max(initial=-1)) + 1, -1)
+    number[disks] = np.arange(len(disks))
+    chosen = np.flatnonzero(number[springs.disk] >= 0)
+    part = _Springs(*(values[chosen] for values in springs))
+    entries = _sum_over_disks(number[part.disk], part.entries, len(disks))
+    matrices = np.zeros((*entries.shape[:2], 3, 3))
     for entry, (row, column) in enumerate(_UPPER):
         if features.rotation or ROTATION not in (row, column):
             matrices[..., row, column] = matrices[..., column, row] = entries[..., entry]
-    inverse_mass = assembly.grains.inverse_mass.astype(float) * (1.0 + assembly.grains.damping.astype(float))
-    return matrices, 2.0 * inverse_mass[:, None]
+    return matrices
 
 
 def largest_eigenvalue(matrices: Floats) -> Floats:
@@ -133,30 +184,29 @@ def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _E
     entry[pq] = np.zeros_like(off)
 
 
-def _ends_of_pairs(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> tuple[_Ends, _Ends]:
-    """Both ends of the contacts between disks, see `_matrices_at`."""
+def _springs_at_disks(
+    scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
+) -> _Springs:
+    """Both ends of the contacts between disks, and half of each contact with a wall."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
-    pairs, radius = assembly.pairs, assembly.grains.radius.astype(float)
+    pairs, wall_pairs, walls = assembly.pairs, assembly.wall_pairs, assembly.walls
+    radius = assembly.grains.radius.astype(float)
     n = pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
     depth = pairs.geometry[:, OVERLAP, None].astype(float) if overlap is None else overlap
 
-    def one_side(disk: Integers, side: float) -> _Ends:
+    def one_side(disk: Integers, side: float) -> _Springs:
         own = radius[disk, None]
         arm = np.broadcast_to(1.0 + np.maximum(-0.5 * depth, 0.0) / own, normal.shape)
-        return _matrices_at(disk, side * n, normal, shear, (arm, 2.0 * twist / own**2))
+        return _Springs(disk, side * n, normal, shear, arm, 2.0 * twist / own**2)
 
-    return one_side(pairs.first, -1.0), one_side(pairs.second, 1.0)
-
-
-def _ends_at_walls(scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None) -> _Ends:
-    """The disks' ends of half of the contacts with walls, see `_matrices_at`."""
-    wall_pairs, walls = assembly.wall_pairs, assembly.walls
-    depth = wall_pairs.overlap[:, None] if overlap is None else overlap
+    pressed = wall_pairs.overlap[:, None] if wall_overlap is None else wall_overlap
     shape = (len(wall_pairs.disk), features.lanes)
-    tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, depth), shape)
-    shear = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
-    normal = walls.normal[wall_pairs.wall].astype(float)
-    return _matrices_at(wall_pairs.disk, normal, tangent / 2.0, shear / 2.0, (np.ones(shape), np.zeros(shape)))
+    tangent = np.broadcast_to(hertz_tangent(wall_pairs.hertz, pressed), shape)
+    rubbing = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
+    towards = walls.normal[wall_pairs.wall].astype(float)
+    at_walls = _Springs(wall_pairs.disk, towards, tangent / 2.0, rubbing / 2.0, np.ones(shape), np.zeros(shape))
+    ends = one_side(pairs.first, -1.0), one_side(pairs.second, 1.0), at_walls
+    return _Springs(*(np.concatenate(parts) for parts in zip(*ends, strict=True)))
 
 
 def _no_contact_step(scene: Scene) -> float:
@@ -198,21 +248,3 @@ def pair_stiffness(
             shear = np.where(intact, np.maximum(bond[:, SHEAR, None], least[1]), shear)
         twist = np.where(intact, bond[:, MOMENT, None], twist)
     return normal, shear, twist
-
-
-def _matrices_at(disk: Integers, n: Floats, normal: Floats, shear: Floats, turning: tuple[Floats, Floats]) -> _Ends:
-    """Disks (M,) and what contacts add to their matrices: the entries `_UPPER`, (M, L, 6).
-
-    ``n`` (M, 2) points to the disk; ``turning`` is the arm over its radius and the rotational stiffness, each (M, L).
-    """
-    arm, twist = turning
-    n_x, n_y = n[:, X, None], n[:, Y, None]
-    turned = -np.sqrt(2.0) * arm
-    entries = np.empty((*arm.shape, len(_UPPER)))
-    entries[..., 0] = normal * (n_x * n_x) + shear * (n_y * n_y)
-    entries[..., 1] = normal * (n_x * n_y) + shear * (-n_y * n_x)
-    entries[..., 2] = normal * (n_y * n_y) + shear * (n_x * n_x)
-    entries[..., 3] = shear * (-n_y * turned)
-    entries[..., 4] = shear * (n_x * turned)
-    entries[..., 5] = shear * (turned * turned) + twist
-    return disk, entries
