@@ -116,7 +116,7 @@ def test_the_commands_of_a_page_work(
 ) -> None:
     """What a page tells to do works in its order, on the database of the tutorial; what computes is listed."""
     monkeypatch.chdir(tmp_path)
-    for copy in ("results/quick.db", "quick.db"):
+    for copy in ("results/quick.db", *(["quick.db"] if page.stem != "README" else [])):  # the README computes it
         Path(copy).parent.mkdir(exist_ok=True)
         shutil.copy(DOCS / "tutorial" / "quick.db", copy)
     for file in ("quick.toml", *(["calcidem.toml"] if page.stem not in {"quick-start", "README"} else [])):
