@@ -45,7 +45,9 @@ def clock(name, action):
     found[name] = time.process_time() - began
 rule = PackingRule(width=0.02, height=0.02, expansion_steps=1)
 generator = random_generator(0, 1, RandomPurpose.DISKS)
-clock("packing: both kernels", lambda: make_packing(rule, Sand(), generator))
+moved, began = [], time.process_time()
+clock("a packing", lambda: make_packing(rule, Sand(), generator, lambda: moved.append(time.process_time() - began)))
+found["a packing, until it has moved"] = moved[0]
 packing = kept_packing(configuration.packing_hash, lambda _: None)
 for number, action in enumerate(kernel_compilations(configuration, packing)):
     clock(f"wave: {('largest', 'smallest')[number]} content", action)
@@ -112,10 +114,13 @@ def run_python(program: str, *arguments: str, cache: Path | None = None) -> tupl
 
 
 def run_command(configuration: Path, ranks: int, folder: Path, cache: Path) -> dict[str, float]:
-    """Seconds of `calcidem run`: of the clock until rank 0 says that it computes cells, of all, and of the processor."""
+    """Seconds of `calcidem run`: of the clock until rank 0 says that it computes cells, of all, and of the processor.
+
+    Packings that it makes are kept beside the kernels.
+    """
     command = [sys.executable, "-m", "calcidem", "run", str(configuration), "--db", str(folder / "c.db")]
     command += ["--output", str(folder), *(["--ranks", str(ranks)] if ranks > 1 else [])]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONUNBUFFERED": "1"}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "CALCIDEM_CACHE": str(cache), "PYTHONUNBUFFERED": "1"}
     used, began = children_seconds(), time.monotonic()
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     found: dict[str, float] = {}
@@ -169,11 +174,15 @@ def main() -> None:
         for title in ("compiling", "loading kernels from the cache"):
             found[title] = json.loads(run_python(KERNELS, str(options.config), cache=cache)[1])
             show(f"{title.capitalize()}, processor", found[title])
-    with scratch() as folder, scratch() as cache:
-        for title in ("first command", "same command again"):
-            (folder / "c.db").unlink(missing_ok=True)
-            found[title] = run_command(ROOT / "examples" / "quick.toml", options.ranks, folder, cache)
-            show(f"{title.capitalize()}, quick.toml on {options.ranks} ranks", found[title])
+    quick = (ROOT / "examples" / "quick.toml").read_text(encoding="utf-8")
+    for packing, seed in (("shipped packing", 1), ("another packing", 31)):
+        with scratch() as folder, scratch() as cache:
+            text = quick.replace("[packing]\nseed = 1\n", f"[packing]\nseed = {seed}\n")
+            (folder / "quick.toml").write_text(text, encoding="utf-8")
+            for title in (f"first command, {packing}", f"same command again, {packing}"):
+                (folder / "c.db").unlink(missing_ok=True)
+                found[title] = run_command(folder / "quick.toml", options.ranks, folder, cache)
+                show(f"{title.capitalize()}, quick.toml on {options.ranks} ranks", found[title])
     if options.seeds:
         campaign_phases(options.config, 1)  # compiles, if need be
         found["campaign"] = campaign_phases(options.config, options.seeds)
