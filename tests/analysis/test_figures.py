@@ -94,6 +94,14 @@ def test_range_shows_the_means(analysis: CampaignAnalysis) -> None:
     assert np.allclose(line.get_ydata(), means)
 
 
+def test_the_legend_of_the_range_covers_no_band(analysis: CampaignAnalysis) -> None:
+    """It stands below the axes, and these have no velocity below zero."""
+    figure = draw_range(analysis.vs, analysis.distributions)
+    figure.draw_without_rendering()
+    assert figure.legends[0].get_window_extent().y1 < figure.axes[0].get_window_extent().y0
+    assert figure.axes[0].get_ylim()[0] >= 0.0
+
+
 def test_histograms_are_densities(analysis: CampaignAnalysis) -> None:
     """The bars of each histogram have the area one, so that the normal density fits on them."""
     rows = [row for row in analysis.distributions if row.vs.standard_deviation > 0]

@@ -111,7 +111,9 @@ def test_what_a_trial_says_is_printed(unread: Path, invoke: Callable[..., str]) 
         for trial in campaign.try_cures(campaign.diagnose(seed=1), count=1):
             row = next(line for line in said.splitlines() if str(trial.cure) in line and " of 1 " in line)
             assert f"{trial.cured} of 1" in row
-            assert all(f"{vs:.0f} ({seed})" in row for seed, vs in trial.velocities.items() if vs is not None)
+            assert all(
+                f"{vs:.0f}\N{NO-BREAK SPACE}({seed})" in row for seed, vs in trial.velocities.items() if vs is not None
+            )
     assert unread.read_bytes() == before
 
 

@@ -141,7 +141,7 @@ def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", co
     table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("content %", justify="right", no_wrap=True)
     table.add_column("set", no_wrap=True)
-    for name in ("", "have Vs now", "Vs m/s (seed)", "Vs of neighbours"):
+    for name in ("have Vs now", "Vs m/s (seed)", "Vs of neighbours"):
         table.add_column(name, no_wrap=name != "Vs m/s (seed)")
     for trial in trials:
         table.add_row(f"{trial.content:g}", *(printable(text) for text in _trial_entries(trial, doubted)))
@@ -151,19 +151,18 @@ def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", co
     return table
 
 
-def _trial_entries(trial: "CureTrial", doubted: set[tuple[float, int]]) -> tuple[str, str, str, str, str]:
+def _trial_entries(trial: "CureTrial", doubted: set[tuple[float, int]]) -> tuple[str, str, str, str]:
     """What a cure gave, in the columns of the table."""
     if trial.refusal:
-        return str(trial.cure), trial.verdict, "-", trial.refusal, "-"
+        return str(trial.cure), trial.verdict, trial.refusal, "-"
     velocities = [
-        f"{vs:.0f} ({seed}){' ?' if (trial.content, seed) in doubted else ''}"
+        f"{vs:.0f}\N{NO-BREAK SPACE}({seed}){'?' if (trial.content, seed) in doubted else ''}"
         for seed, vs in trial.velocities.items()
         if vs is not None
     ]
     return (
         str(trial.cure),
-        trial.verdict,
-        f"{trial.cured} of {len(trial.velocities)}",
+        f"{trial.cured} of {len(trial.velocities)}, {trial.verdict}",
         ", ".join(velocities) or "-",
         _neighbours_text(trial),
     )
