@@ -109,11 +109,10 @@ def test_what_a_trial_says_is_printed(unread: Path, invoke: Callable[..., str]) 
     assert "Tried on 1 of 1 cell; nothing is stored" in said
     with open_campaign(unread) as campaign:
         for trial in campaign.try_cures(campaign.diagnose(seed=1), count=1):
-            row = next(line for line in said.splitlines() if str(trial.cure) in line and " of 1 " in line)
-            assert f"{trial.cured} of 1" in row
-            assert all(
-                f"{vs:.0f}\N{NO-BREAK SPACE}({seed})" in row for seed, vs in trial.velocities.items() if vs is not None
-            )
+            row = next(line for line in said.splitlines() if str(trial.cure) in line and " of 1, " in line)
+            assert f"{trial.cured} of 1, {trial.verdict}" in row
+            read = {seed: vs for seed, vs in trial.velocities.items() if vs is not None}
+            assert all(f"{vs:.0f}\N{NO-BREAK SPACE}({seed})" in row for seed, vs in read.items())
     assert unread.read_bytes() == before
 
 
