@@ -67,34 +67,92 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
     """
     if not state.features.linear:
         return Nonlinearity(*np.zeros((len(Nonlinearity._fields), state.features.lanes))[:, lanes])
+    contacts, intact = _strained_contacts(state, lanes), _intact_bonds(state, lanes)
+    sheared = contacts.held - contacts.shear_stiffness * contacts.slide
+    lacking = np.clip(sheared, -contacts.limit, contacts.limit) - sheared
+    total = _spring_work(state, contacts, intact)
+    slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * contacts.slide))) / total
+    spare = _spare_share(state, intact, (lacking != 0.0) | (contacts.held != contacts.installed))
+    softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
+    changed = length(contacts.normal - contacts.before - contacts.stiffness * contacts.approach, lacking)
+    share = _lane_sums(np.where(intact, 0.0, changed * length(contacts.approach, contacts.slide))) / total
+    lost = _lane_sums(np.where(intact, 0.0, np.abs(contacts.held * _rescaled_part(contacts) * contacts.slide)))
+    return Nonlinearity(share, softening, lost / total)
+
+
+class _StrainedContacts(NamedTuple):
+    """Contacts of listed pairs of disks in some lanes, with what Hertz's and Coulomb's laws say of them; SI.
+
+    Attributes
+    ----------
+    approach, slide, twist
+        (M, L) m, m and rad, as `_relative_displacements`.
+    overlap
+        (M, 1) before the wave, m.
+    stiffness, shear_stiffness
+        (M, 1) N/m, constant.
+    before, normal
+        (M, 1) and (M, L) normal force before the wave and now, N.
+    installed, held
+        (M, L) shear force before the wave, N: as the packing left it, and no more than friction bears.
+    limit
+        (M, L) what friction bears now, N.
+    """
+
+    approach: Floats
+    slide: Floats
+    twist: Floats
+    overlap: Floats
+    stiffness: Floats
+    shear_stiffness: Floats
+    before: Floats
+    normal: Floats
+    installed: Floats
+    held: Floats
+    limit: Floats
+
+
+def _strained_contacts(state: State, lanes: Integers | slice) -> _StrainedContacts:
+    """Contacts at the present displacements."""
     pairs = state.assembly.pairs
     approach, slide, twist = _relative_displacements(state, lanes)
     overlap = pairs.geometry[:, OVERLAP, None].astype(float)
     hertz, rubbing = (values[:, None].astype(float) for values in (pairs.hertz, pairs.friction))
-    stiff, shear_stiff = (pairs.tangent[:, column, None].astype(float) for column in (NORMAL, SHEAR))
+    stiffness, shear_stiffness = (pairs.tangent[:, column, None].astype(float) for column in (NORMAL, SHEAR))
     before = hertz * three_halves(np.maximum(overlap, 0.0))
     normal = hertz * three_halves(np.maximum(overlap + approach, 0.0))
     installed = pairs.shear[:, lanes].astype(float)
     held = np.clip(installed, -rubbing * before, rubbing * before)
-    sheared = held - shear_stiff * slide
-    lacking = np.clip(sheared, -rubbing * normal, rubbing * normal) - sheared
-    changed = length(normal - before - stiff * approach, lacking) * length(approach, slide)
+    limit = rubbing * normal
+    return _StrainedContacts(
+        approach, slide, twist, overlap, stiffness, shear_stiffness, before, normal, installed, held, limit
+    )
+
+
+def _intact_bonds(state: State, lanes: Integers | slice) -> Flags:
+    """(M, L) which listed pairs are cemented."""
+    return np.asarray(lanes_of_bits(state.assembly.pairs.intact, state.features.lanes)[:, lanes])
+
+
+def _spring_work(state: State, contacts: _StrainedContacts, intact: Flags) -> Floats:
+    """(L,) ``F du`` of constant stiffnesses over all contacts, positive: 1 where nothing moved."""
+    pairs = state.assembly.pairs
     springs = pairs.bond.astype(float)
     if state.features.linear_group:
         springs[:, :MOMENT] += pairs.linear[:, :MOMENT]
+    approach, slide, twist = contacts.approach, contacts.slide, contacts.twist
     bound = springs[:, NORMAL, None] * approach * approach + springs[:, SHEAR, None] * slide * slide
     bound = bound + springs[:, MOMENT, None] * twist * twist
-    intact = lanes_of_bits(pairs.intact, state.features.lanes)[:, lanes]
-    total = _lane_sums(np.where(intact, bound, stiff * approach * approach + shear_stiff * slide * slide))
-    total = np.where(total > 0.0, total, 1.0)
-    slip = _lane_sums(np.where(intact, 0.0, np.abs(lacking * slide))) / total
-    spare = _spare_share(state, intact, (lacking != 0.0) | (held != installed))
-    softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
-    left = np.sqrt(
-        np.clip(1.0 + np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0), 0.0, 1.0)
-    )
-    lost = _lane_sums(np.where(intact, 0.0, np.abs(held * (1.0 - left) * slide)))
-    return Nonlinearity(_lane_sums(np.where(intact, 0.0, changed)) / total, softening, lost / total)
+    bare = contacts.stiffness * approach * approach + contacts.shear_stiffness * slide * slide
+    total = _lane_sums(np.where(intact, bound, bare))
+    return np.where(total > 0.0, total, 1.0)
+
+
+def _rescaled_part(contacts: _StrainedContacts) -> Floats:
+    """(M, L) part of the shear force that shear rescaling takes from a contact that a wave unloads."""
+    overlap, approach = contacts.overlap, contacts.approach
+    change = np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0)
+    return np.asarray(1.0 - np.sqrt(np.clip(1.0 + change, 0.0, 1.0)))
 
 
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
