@@ -105,6 +105,12 @@ def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
     return keys
 
 
+def is_among(values: npt.NDArray[np.int64], ascending: npt.NDArray[np.int64]) -> Flags:
+    """(M,) whether each value is one of some that ascend."""
+    place = np.searchsorted(ascending, values)
+    return np.asarray(np.append(ascending, -1)[place] == values)
+
+
 def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
     """(M, L) truth values of words (M,) whose bit l is lane l."""
     return ((bits[:, None] >> np.arange(lanes, dtype=np.uint32)) & 1).astype(bool)
@@ -149,8 +155,9 @@ def assemble(
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
     listed = pair_keys(near, scene.count)
-    if len(cemented):
-        listed = np.unique(np.concatenate([listed, cemented]))
+    across = cemented[~is_among(cemented, listed)]  # cement that spans a gap
+    if len(across):
+        listed = np.unique(np.concatenate([listed, across]))
     walls = _assemble_walls(scene, lanes, dtype) if old is None else old.walls
     moved = walls.motion[:, NORMAL_PATH].astype(float)[:, samples]
     facing = _near_walls(scene, reference, present, radius + skin, moved)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import Assembly, assemble, lanes_of_bits, overlap_roots, pair_keys
+from calcidem.dem.engine.assembly import Assembly, assemble, is_among, lanes_of_bits, overlap_roots, pair_keys
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.portable import three_halves
 from calcidem.dem.engine.scene import Preload, Scene
@@ -63,7 +63,7 @@ def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Flo
     # Swapping the two ends turns both n and the relative motion, so the number stays the same.
     keys = pair_keys(np.argsort(assembly.order)[given.astype(np.int64)], scene.count)
     listed = pair_keys(listed_pairs(assembly), scene.count)
-    known = np.isin(keys, listed)
+    known = is_among(keys, listed)
     shear = np.zeros(len(listed))
     shear[np.searchsorted(listed, keys[known])] = forces[known]
     return shear
