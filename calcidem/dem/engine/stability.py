@@ -138,7 +138,7 @@ def _contact_matrices(springs: _Springs, disks: Integers, features: Features) ->
     number = np.full(max(springs.disk.max(initial=-1), disks.max(initial=-1)) + 1, -1)
     number[disks] = np.arange(len(disks))
     chosen = np.flatnonzero(number[springs.disk] >= 0)
-    part = _Springs(*(values[chosen] for values in springs))
+    part = _Springs(springs.disk[chosen], *(values[chosen] for values in springs[1:]))
     entries = _sum_over_disks(number[part.disk], part.entries, len(disks))
     matrices = np.zeros((*entries.shape[:2], 3, 3))
     for entry, (row, column) in enumerate(_UPPER):
