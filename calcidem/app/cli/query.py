@@ -115,7 +115,8 @@ def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in names:
         quantity = QUANTITY_BY_NAME[name]
-        unit = f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
+        bare = quantity.unit == "1" and quantity.kind == "real"  # a fraction or a ratio, and no percent
+        unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
         table.add_column(Text(f"{name}{unit}"), justify="left" if quantity.kind == "text" else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row))

@@ -59,7 +59,7 @@ const HEADINGS = {
   vs_peak: "by peak",
   vs_first_arrival: "by first arrival",
   vs_cross_correlation: "by correlation",
-  error_bound: "error bound",
+  error_bound: "relative error bound",
   path_normalized_connectivity: "C_d,n",
   seconds: "time (s)",
   reason: "reason",
