@@ -32,7 +32,7 @@ PAGES = sorted({ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").r
 RECORDED = ROOT / "docs" / "how-to" / "first-own-sand.md"
 """The page that shows what its commands print, and is run as a whole."""
 
-_STARTS = r"calcidem |python |pip |mkdocs |pytest |\. |\./"
+_STARTS = r"calcidem |python |pip |mkdocs |pytest |apt-get |cmake |make |mkdir |\. |\./"
 _TYPED = re.compile(
     r"(?:^<!-- long: ([^>]*) -->\n\n?)?"
     rf"(?:^```(\w+)\n(.*?)^```|((?:^    (?:{_STARTS})[^\n]*\n(?:^ {{5,}}[^\n]*\n)*)+))",
