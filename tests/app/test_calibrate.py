@@ -22,7 +22,7 @@ STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
 BOTH = (ParameterRange(STIFFNESS), ParameterRange(MODULUS))
 CONTENTS = (0.1, 9.0)
 SHORT_WAVES = Excitation(FrequencyTable(CONTENTS, (17e3, 120e3)))
-"""So short for this box that most cells are read (7 and 6 of 8)."""
+"""So short for this box that most cells are read."""
 
 SEEDS = tuple(range(1, 9))
 
@@ -30,7 +30,7 @@ SEEDS = tuple(range(1, 9))
 @pytest.fixture(scope="module")
 def configuration(small_configuration: Configuration) -> Configuration:
     """Give a campaign on 280 disks whose pulse is gentle enough for so short a way."""
-    return replace(small_configuration, wave=replace(small_configuration.wave, amplitude=4e-4), excitation=SHORT_WAVES)
+    return replace(small_configuration, wave=replace(small_configuration.wave, amplitude=1e-4), excitation=SHORT_WAVES)
 
 
 @pytest.mark.slow

@@ -494,7 +494,7 @@ def load_paper_campaign() -> xr.Dataset:
     >>> import calcidem
     >>> campaign = calcidem.load_paper_campaign()
     >>> dict(campaign.sizes), int(campaign.vs.notnull().sum())
-    ({'seed': 116, 'content': 17}, 1954)
+    ({'seed': 116, 'content': 17}, 1951)
     >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
     370.0
     """
