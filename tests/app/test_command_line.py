@@ -108,7 +108,8 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop"
 
 def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
     """`run` reports packing, velocities and paths; `status` and `export` find what it stored."""
-    short = "amplitude = 1e-4\ntransmitter_half_width = 0.01\n[wave.frequency]\ncontent = [0.0, 0.66]\nfrequency = [17e3, 17e3]"
+    gentle = "amplitude = 1e-4\ntransmitter_half_width = 0.01"
+    short = f"{gentle}\n[wave.frequency]\ncontent = [0.0, 0.66]\nfrequency = [17e3, 17e3]"
     workshop.configure(seeds=2, contents=(0.1, 0.66), wave=short)
     database = workshop.folder / "elsewhere" / "mine.db"
     done = workshop.run("run", "c.toml", "--db", str(database), "--output", "out")
