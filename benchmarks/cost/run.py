@@ -48,7 +48,7 @@ from calcidem.dem.engine.state import choose_features
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 
-GRAINS = (1_000, 3_000, 10_000, 30_000, 100_000)
+GRAINS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 LANES = (1, 2, 4, 8, 16, 32)
 ROUNDS = 5
 SEEDS = tuple(range(1, 9))
