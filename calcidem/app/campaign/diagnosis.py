@@ -44,9 +44,6 @@ _SLOWED = 0.5
 _RIVAL, _RIVALS = 0.95, "about as high as the main peak before it"
 """Height of a later top over that of the main peak from which on it is shown, and what is said of it."""
 
-_BATCH_WIDTH = 8
-"""As wide as campaigns are by default, whose kernel is compiled already."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
@@ -173,7 +170,7 @@ class _Examiner:
         refuse_other_physics(self.campaign.record)
         self.progress(f"Computing seed {cell.key.seed} at {cell.key.content:g} % again")
         experiment = self.experiment(cell.packing_index)
-        return measure_all(experiment, cell.key.content, [cell.key.seed], lanes=_BATCH_WIDTH)[0].record
+        return measure_all(experiment, cell.key.content, [cell.key.seed])[0].record
 
     def _expected(self, key: CellKey, experiment: Experiment) -> tuple[tuple[float, float] | None, str]:
         """Slowest and fastest S wave that is expected of a cell, m/s, and how that is known."""

@@ -52,8 +52,7 @@ def _weigh_against_peak(other: Reading, peak: Reading) -> Reading:
 
 def has_arrived(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> bool:
     """Return whether the main peak is settled, trusted or not: a longer record of this sample changes no reading."""
-    record = prepare_signals(signals, rule)
-    return bool(np.isfinite(record.received).all()) and isinstance(settled_peak(record), MainPeak)
+    return isinstance(settled_peak(prepare_signals(signals, rule)), MainPeak)
 
 
 def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = _DEFAULT_RULE) -> float:

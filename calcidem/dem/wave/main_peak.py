@@ -151,14 +151,16 @@ def _median(values: Floats) -> float:
 
 def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
     """Find the first top that can be the S wave's, looking no further than its horizon."""
-    if not np.isfinite(record.received).all():
-        return PickFailure.NOT_FINITE
     found = settled_peak(record)
-    return found if isinstance(found, MainPeak) else _why_no_peak(record, cut_off=found is not None)
+    if isinstance(found, MainPeak) or found is PickFailure.NOT_FINITE:
+        return found
+    return _why_no_peak(record, cut_off=found is not None)
 
 
 def settled_peak(record: PreparedSignals) -> MainPeak | PickFailure | None:
-    """Main peak of a finite record; `PickFailure.TOO_SHORT` if only a longer one could tell, None without any."""
+    """Main peak; `PickFailure.TOO_SHORT` if only a longer record could tell, `NOT_FINITE`, or None without any."""
+    if not np.isfinite(record.received).all():
+        return PickFailure.NOT_FINITE
     certain = (
         verdict
         for _, verdict in judge_tops(record)
