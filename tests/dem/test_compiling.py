@@ -1,4 +1,5 @@
-import runpy
+import gc
+import importlib
 from pathlib import Path
 
 import pytest
@@ -8,15 +9,18 @@ from calcidem.dem.kernels import compiling
 
 def test_compiled_code_of_other_sources_is_not_even_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What another calcidem has left in the cache on disk, be it unreadable, is passed over; its own is used again."""
-    program = tmp_path / "adder.py"
-    program.write_text("def add(x):\n    return x + 1\n")
+    (tmp_path / "small_adder.py").write_text("def add(x):\n    return x + 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    # a module: Numba imports it by its name where the function that was compiled a moment ago has been collected
+    module = importlib.import_module("small_adder")
     for sources in ("a" * 64, "b" * 64):
         monkeypatch.setattr(compiling, "SOURCES", sources)
-        assert compiling.compile_function(cache=True)(runpy.run_path(str(program))["add"])(1) == 2
+        assert compiling.compile_function(cache=True)(importlib.reload(module).add)(1) == 2
         (index,) = tmp_path.rglob(f"*{sources[:16]}*.nbi")
         index.write_bytes(b"classes that have gone")
     monkeypatch.setattr(compiling, "SOURCES", "c" * 64)
     for hits in (0, 1):
-        function = compiling.compile_function(cache=True)(runpy.run_path(str(program))["add"])
+        gc.collect()
+        function = compiling.compile_function(cache=True)(importlib.reload(module).add)
         assert function(1) == 2
         assert sum(function.stats.cache_hits.values()) == hits
