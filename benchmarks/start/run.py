@@ -58,7 +58,7 @@ PHASES = {
     "kernel": ("calcidem.dem.engine.leapfrog.advance_steps",),
     "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
-    "looks at the records": ("calcidem.dem.wave.measurement.has_arrived",),
+    "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
     "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.arrival import has_arrived, read_travel_times, record_duration
+from calcidem.dem.wave.arrival import is_settled, read_travel_times, record_duration
+from calcidem.dem.wave.main_peak import MainPeak, least_later_height, prepare_signals, settled_peak
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
 from calcidem.dem.wave.pulse import Pulse
 
@@ -290,7 +291,7 @@ def test_two_tops_of_one_height_are_no_peak(second: float, apart: float) -> None
     """Which of them is the peak would be chance, and so would be the other readings."""
     picks = read_travel_times(humps(second, apart))
     assert {picks.peak.failure, picks.first_arrival.failure, picks.cross_correlation.failure} == {PickFailure.UNSURE}
-    assert has_arrived(humps(second, apart))
+    assert is_settled(humps(second, apart))
 
 
 @pytest.mark.parametrize("apart", [0.4, 0.6, 0.7, 0.8, 1.0])
@@ -387,7 +388,7 @@ def test_numbers_that_are_not_finite_are_no_arrival() -> None:
     signals = delayed(200.0, 10e3)
     signals.received[len(signals.received) // 2] = np.nan
     assert read_travel_times(signals).cross_correlation.failure is PickFailure.NOT_FINITE
-    assert not has_arrived(signals)
+    assert not is_settled(signals)
 
 
 @given(VELOCITIES, FREQUENCIES, st.floats(0.0, 1.0))
@@ -398,8 +399,8 @@ def test_cut_records_give_the_same_reading_or_none(velocity: float, frequency: f
     assert picks.peak.failure is None
     length = int(share * len(whole.sent))
     cut = replace(whole, received=whole.received[: max(1, length)])
-    assert has_arrived(cut) == (read_travel_times(cut, ANY_WAY).peak.failure is None)
-    if has_arrived(cut):
+    assert is_settled(cut) == (read_travel_times(cut, ANY_WAY).peak.failure is None)
+    if is_settled(cut):
         assert read_travel_times(cut, ANY_WAY) == picks
     else:
         assert length * whole.sampling_interval < record_duration(DISTANCE, 0.9 * velocity, frequency)
@@ -413,7 +414,7 @@ def test_readings_are_final_from_the_first_sample_on() -> None:
     reflection = bump(signals, 0.5e-4 + DISTANCE / 400.0 + 1.2e-4, 10e3, 1.8 * signals.received.max())
     whole = with_received(signals, signals.received + noise + reflection)
     cuts = [with_received(whole, whole.received[:length]) for length in range(1, len(whole.received))]
-    settled = [cut for cut in cuts if has_arrived(cut)]
+    settled = [cut for cut in cuts if is_settled(cut)]
     assert 10 < len(settled) < len(cuts)
     assert {read_travel_times(cut) for cut in settled} == {read_travel_times(whole)}
 
@@ -491,3 +492,22 @@ def test_signals_that_cannot_be_read_are_refused() -> None:
         replace(good, distance=-0.1)
     with pytest.raises(ValueError, match="floor = nan"):
         replace(good, floor=float("nan"))
+
+
+@given(st.floats(0.0, 1.0), st.floats(50.0, 1500.0), st.floats(3e3, 3e4), st.booleans(), st.integers(0, 2**32 - 1))
+def test_what_comes_later_is_read_only_if_it_is_high_enough(
+    share: float, velocity: float, frequency: float, upwards: bool, seed: int
+) -> None:
+    """Behind a record without main peak no wave becomes one that stays below the height that is told."""
+    before = delayed(velocity, 10e3, longer=2.0)
+    generator = np.random.default_rng(seed)
+    noise = 0.02 * generator.normal(size=len(before.sent)).cumsum() * before.received.max() / np.sqrt(len(before.sent))
+    cut = with_received(before, noise[: 110 + int(share * (len(noise) - 110))])  # the pulse is sent
+    height = least_later_height(prepare_signals(cut, ANY_WAY))
+    if settled_peak(prepare_signals(cut, ANY_WAY)) is not None or not is_settled(cut, ANY_WAY, loudest=0.99 * height):
+        return
+    assert not is_settled(cut, ANY_WAY, loudest=height)
+    later = bump(before, generator.uniform(0.0, 1.2) * times(velocity, 10e3, 100, 2.0)[-1], frequency, 0.9 * height)
+    later[: len(cut.received)] = 0.0
+    whole = np.where(np.arange(len(noise)) < len(cut.received), noise, 0.0) + (later if upwards else -later)
+    assert not isinstance(settled_peak(prepare_signals(with_received(before, whole), ANY_WAY)), MainPeak)

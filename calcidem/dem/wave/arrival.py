@@ -2,8 +2,8 @@
 
 Three methods of reading bender elements (section 3.1.1 of the paper; Viggiani and Atkinson 1995,
 doi:10.1680/geot.1995.45.1.149): from peak to peak, by first arrival, and by cross-correlation. All lean on one search
-for the main peak, see `main_peak`, so a simulation that stops when `has_arrived` says so gives the same readings, to
-the last bit, as one that goes on.
+for the main peak, see `main_peak`, so a simulation that stops when `is_settled` says so gives the same readings, to the
+last bit, as one that goes on.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from calcidem.dem.wave.main_peak import (
     MainPeak,
     PreparedSignals,
     find_main_peak,
+    least_later_height,
     parabola_vertex,
     prepare_signals,
     settled_peak,
@@ -50,9 +51,18 @@ def _weigh_against_peak(other: Reading, peak: Reading) -> Reading:
     return Reading(failure=PickFailure.DISAGREEMENT) if differs else other
 
 
-def has_arrived(signals: Signals, rule: PickRule = _DEFAULT_RULE) -> bool:
-    """Return whether the main peak is settled, trusted or not: a longer record of this sample changes no reading."""
-    return isinstance(settled_peak(prepare_signals(signals, rule)), MainPeak)
+def is_settled(signals: Signals, rule: PickRule = _DEFAULT_RULE, *, loudest: float = np.inf) -> bool:
+    """Return whether a longer record of this sample changes no reading.
+
+    Either the main peak is there, trusted or not, or there is none, and what is received from now on, ``loudest`` at
+    most, is too low to be it.
+    """
+    record = prepare_signals(signals, rule)
+    main = settled_peak(record)
+    if main is not None:
+        return isinstance(main, MainPeak)
+    height, open_end = least_later_height(record), np.asarray(signals.received)[-1 - record.reach :]
+    return loudest < height and float(np.abs(open_end).max()) < height
 
 
 def record_duration(distance: float, velocity: float, frequency: float, rule: PickRule = _DEFAULT_RULE) -> float:

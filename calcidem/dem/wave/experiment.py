@@ -40,7 +40,8 @@ class Experiment:
     least_quality
         Readings of lower quality are not trusted.
     early_stop
-        End a record as soon as its reading is settled; it does not change the reading.
+        End a record as soon as its reading is settled, or what still moves cannot become one; it does not change the
+        reading.
     signal
         Received signal that is read.
     frequencies

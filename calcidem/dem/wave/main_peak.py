@@ -179,6 +179,19 @@ def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFa
         yield index, _judge_peak(record, index) if possible else PassedOver.OUTSIDE
 
 
+def least_later_height(record: PreparedSignals) -> float:
+    """Height above zero below which a top behind a finite record, which holds the whole pulse, is passed over.
+
+    Each condition is one of `_judge_peak`, whose quiet part, largest value and trough only grow with the record.
+    """
+    known = record.smooth[: max(1, len(record.smooth) - record.reach)]
+    travel, trough = len(known) - record.sent_peak, int(np.argmin(known))
+    quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period)
+    noise = float(np.abs(known[: max(1, int(max(quiet, record.earliest)))]).max())
+    height = max(record.signals.floor, _ENOUGH * float(known.max()), record.rule.signal_to_noise * noise)
+    return height - abs(float(record.signals.received[0] - record.received[0]))
+
+
 def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
     """Weigh a top against the record up to its horizon."""
     rule, smooth, sent = record.rule, record.smooth, record.sent_peak

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
 
+import numpy as np
+
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.arrival import has_arrived, read_travel_times
+from calcidem.dem.wave.arrival import is_settled, read_travel_times
 from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pick import PickFailure, Picks, Signals
@@ -108,8 +110,10 @@ def measure(
     frequency = experiment.frequency(content)
 
     def stop_when(record: WaveRecord) -> bool:
-        sent_all = record.duration > 1.0 / frequency
-        return experiment.early_stop and sent_all and has_arrived(signals_of(record, experiment), experiment.pick)
+        if not experiment.early_stop or record.duration <= 1.0 / frequency:
+            return False
+        loudest = record.remaining_speed if experiment.signal == "velocity" else np.inf
+        return is_settled(signals_of(record, experiment), experiment.pick, loudest=loudest)
 
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)

@@ -7,7 +7,7 @@ import numpy as np
 
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
-from calcidem.dem.kernels.layout import LISTENED, RECEIVED, Floats, Integers, Recording
+from calcidem.dem.kernels.layout import LISTENED, RECEIVED, XY, Floats, Integers, Recording
 from calcidem.dem.wave.guards import broken_bonds, problems_of
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
@@ -44,6 +44,8 @@ class WaveRecord:
         in the finite regime, where they may touch.
     broken_bonds
         Bonds that broke until then.
+    remaining_speed
+        Bound of the velocity from then on, m/s: that of its disks, were all that moves in the sample theirs.
     nonlinear
         What the contact laws would change when the pulse has been sent, and after every `LOOKS_APART` periods from then
         on.
@@ -65,6 +67,7 @@ class WaveRecord:
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
+    remaining_speed: float = np.inf
     nonlinear: tuple[Nonlinearity, ...] = ()
     slipped: float = 0.0
     problem: str = ""
@@ -163,8 +166,9 @@ class Recorder:
             self.record_chunk()
             self._look_at_contacts()
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
+            remaining = self._remaining_speeds()
             for lane in sorted(set(range(self.samples)) - set(records)):
-                record = self.record_of(lane, problems[lane])
+                record = self.record_of(lane, problems[lane], float(remaining[lane]))
                 if record.problem or record.duration >= self.longest or stop_when(record):
                     records[lane] = record
         return [records[lane] for lane in sorted(records)]
@@ -210,7 +214,18 @@ class Recorder:
         resting = self.pulse.frequency * first >= 1.0  # as `Pulse.velocity` asks
         return np.full(times.shape, self.pulse.velocity(first)) if resting else self.pulse.velocity(times)
 
-    def record_of(self, lane: int, problem: str) -> WaveRecord:
+    def _remaining_speeds(self) -> Floats:
+        """(L,) see `WaveRecord.remaining_speed`, m/s.
+
+        Half of the energy of waves is kinetic, on their way and at the receiver, and damping only takes from it. The
+        mean velocity of n disks is highest where they move together: at ``sum(m v^2) / (n m)``, its square, at most.
+        """
+        mass = self.state.scene.mass[self.state.assembly.order]
+        velocity = self.state.motion.velocity[:, XY].astype(float)
+        moving = (mass[:, None, None] * (velocity * velocity)).sum(axis=0).sum(axis=0)
+        return np.asarray(np.sqrt(moving / (len(self.listeners) * mass[self.listeners].min())))
+
+    def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
         sent, force, velocity = self.signals[lane]
         return WaveRecord(
@@ -224,6 +239,7 @@ class Recorder:
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),
+            remaining_speed=remaining_speed,
             nonlinear=tuple(self.nonlinear[lane]),
             slipped=float(self.slipped[lane]),
             problem=problem,
