@@ -137,5 +137,6 @@ def _touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDAr
 
 
 def _contact_keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:
-    keys: NDArray[np.int64] = pairs.min(axis=1) * grain_count + pairs.max(axis=1)
+    first, second = pairs.T
+    keys: NDArray[np.int64] = np.minimum(first, second) * grain_count + np.maximum(first, second)
     return keys

@@ -8,6 +8,7 @@ needs, so the samples of a seed are nested: what is cemented stays cemented at e
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from itertools import chain
 from typing import cast
 
@@ -256,9 +257,8 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     pore_area = box[0] * box[1] - sand_area
     if not pore_area > 0.0:
         raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size")
-    first, second = 2.0 * radius[pairs[:, 0]], 2.0 * radius[pairs[:, 1]]
-    p_area = rule.p_share * toroid_area(first, second, rule.p_diameter)
-    c_area = toroid_area(first, second, rule.c_diameter)
+    p_area, c_area = _contact_areas(packing, rule)
+    p_area = rule.p_share * p_area
     order = random_generator(root_seed, seed, RandomPurpose.P_CONTACTS).permutation(len(pairs))
     p_rank = np.empty_like(order)
     p_rank[order] = np.arange(len(order))
@@ -296,11 +296,16 @@ def content_of_contacts(packing: Packing, rule: CementRule, kind: npt.NDArray[np
     kind
         (M,) `CementKind` of each contact.
     """
-    cemented = kind != CementKind.NONE
-    radius = np.asarray(packing.radius, dtype=float)
-    first, second = 2.0 * radius[packing.pairs[cemented]].T
-    width = np.where(kind[cemented] == CementKind.P, rule.p_diameter, rule.c_diameter)
-    return rule.content(float(toroid_area(first, second, width).sum()), float(np.pi * np.sum(radius * radius)))
+    radius, (p_area, c_area) = np.asarray(packing.radius, dtype=float), _contact_areas(packing, rule)
+    area = np.where(kind == CementKind.P, p_area, c_area)[kind != CementKind.NONE]
+    return rule.content(float(area.sum()), float(np.pi * np.sum(radius * radius)))
+
+
+@lru_cache(maxsize=4)  # it is asked for by every cell
+def _contact_areas(packing: Packing, rule: CementRule) -> tuple[Floats, Floats]:
+    """Eq. 2 for every contact, as P and as C, each (M,) m^2."""
+    first, second = 2.0 * np.asarray(packing.radius, dtype=float)[packing.pairs].T
+    return toroid_area(first, second, rule.p_diameter), toroid_area(first, second, rule.c_diameter)
 
 
 def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Floats:
@@ -326,28 +331,39 @@ def _draw_clusters(
     ``points`` (M, 2) and ``contact_area`` (M,) are the contact points, m, and their calcite, m^2. Returns the
     centres (K, 2), the first cluster of each contact (M,), and the calcite of each cluster (K,).
     """
-    centres: list[Floats] = []
-    areas: list[float] = []
-    first_cluster = np.full(len(points), -1, dtype=np.int64)
-    waiting, room = len(points), pore_area
-    for centre, contacts in _circles(points, box, rule.cluster_diameter / 2.0, generator):
-        reached_now = contacts[first_cluster[contacts] < 0]
-        first_cluster[reached_now] = len(centres)
-        area = rule.cluster_area or float(contact_area[contacts].sum())
-        centres.append(centre)
+    centres, areas, count, room = [np.zeros((0, 2))], [np.zeros(0)], 0, pore_area
+    never = np.iinfo(np.int64).max
+    first_cluster = np.full(len(points), never)
+    for drawn, circle, contacts in _circles(points, box, rule.cluster_diameter / 2.0, generator):
+        np.minimum.at(first_cluster, contacts, count + circle)
+        area = _sums_in_groups(contact_area[contacts], circle)
+        if rule.cluster_area is not None:
+            area = np.full(len(drawn), rule.cluster_area)
+        left = np.subtract.accumulate(np.concatenate([[room], area]))
+        last = [count + int(np.argmax(left <= 0.0))] if left[-1] <= 0.0 else []
+        last += [int(first_cluster.max()) + 1] if first_cluster.max() < never else []
+        centres.append(drawn)
         areas.append(area)
-        waiting -= len(reached_now)
-        room -= area
-        if waiting == 0 or room <= 0.0:
+        count, room = min([*last, count + len(drawn)]), float(left[-1])
+        if last:
             break
-    first_cluster[first_cluster < 0] = len(centres)
-    return np.reshape(centres, (-1, 2)), first_cluster, np.array(areas)
+    return np.concatenate(centres)[:count], np.minimum(first_cluster, count), np.concatenate(areas)[:count]
+
+
+def _sums_in_groups(values: Floats, group: Integers) -> Floats:
+    """Sums (K,) of the values (M,) of each of some groups, which follow one another, as `np.sum` makes them of each."""
+    sizes = np.bincount(group)
+    starts, sums = np.cumsum(sizes) - sizes, np.zeros(len(sizes))
+    for size in np.unique(sizes):
+        alike = np.flatnonzero(sizes == size)
+        sums[alike] = values[starts[alike, None] + np.arange(size)].sum(axis=1)
+    return sums
 
 
 def _circles(
     points: Floats, box: tuple[float, float], radius: float, generator: np.random.Generator
-) -> Iterator[tuple[Floats, Integers]]:
-    """Yield random centres in the box, each with the points (their increasing indices) that its circle holds.
+) -> Iterator[tuple[Floats, Integers, Integers]]:
+    """Yield blocks of random centres in the box, and the points in their circles: circle and point of each, increasing.
 
     Circles that hold none are skipped; after `_MOST_CENTRES` centres there are no more.
     """
@@ -362,10 +378,8 @@ def _circles(
         found = np.fromiter(chain.from_iterable(near), dtype=np.int64)
         circle = np.repeat(np.arange(len(centres)), [len(indices) for indices in near])
         inside = length(*(points[found] - centres[circle]).T) <= radius
-        ends = np.cumsum(np.bincount(circle[inside], minlength=len(centres)))
-        for centre, contacts in zip(centres, np.split(found[inside], ends[:-1]), strict=True):
-            if len(contacts):
-                yield centre, contacts
+        held, number = np.unique(circle[inside], return_inverse=True)
+        yield centres[held], number, found[inside]
 
 
 def _running_sum(values: Floats) -> Floats:

@@ -130,9 +130,9 @@ class PackingReport:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Packing:
-    """Disks at rest in a box, with the shear forces of their contacts.
+    """Disks at rest in a box, with the shear forces of their contacts; equal to itself alone.
 
     Attributes
     ----------

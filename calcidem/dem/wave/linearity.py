@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.kernels.layout import (
@@ -83,20 +82,22 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
 class _StrainedContacts(NamedTuple):
     """Contacts of listed pairs of disks in some lanes, with what Hertz's and Coulomb's laws say of them; SI.
 
+    Lanes come first, as everywhere in this module: what all lanes share meets a row of contacts, not a row of lanes.
+
     Attributes
     ----------
     approach, slide, twist
-        (M, L) m, m and rad, as `_relative_displacements`.
+        (L, M) m, m and rad, as `_relative_displacements`.
     overlap
-        (M, 1) before the wave, m.
+        (M,) before the wave, m.
     stiffness, shear_stiffness
-        (M, 1) N/m, constant.
+        (M,) N/m, constant.
     before, normal
-        (M, 1) and (M, L) normal force before the wave and now, N.
+        (M,) and (L, M) normal force before the wave and now, N.
     installed, held
-        (M, L) shear force before the wave, N: as the packing left it, and no more than friction bears.
+        (L, M) shear force before the wave, N: as the packing left it, and no more than friction bears.
     limit
-        (M, L) what friction bears now, N.
+        (L, M) what friction bears now, N.
     """
 
     approach: Floats
@@ -116,12 +117,12 @@ def _strained_contacts(state: State, lanes: Integers | slice) -> _StrainedContac
     """Contacts at the present displacements."""
     pairs = state.assembly.pairs
     approach, slide, twist = _relative_displacements(state, lanes)
-    overlap = pairs.geometry[:, OVERLAP, None].astype(float)
-    hertz, rubbing = (values[:, None].astype(float) for values in (pairs.hertz, pairs.friction))
-    stiffness, shear_stiffness = (pairs.tangent[:, column, None].astype(float) for column in (NORMAL, SHEAR))
+    overlap = pairs.geometry[:, OVERLAP].astype(float)
+    hertz, rubbing = (values.astype(float) for values in (pairs.hertz, pairs.friction))
+    stiffness, shear_stiffness = (pairs.tangent[:, column].astype(float) for column in (NORMAL, SHEAR))
     before = hertz * three_halves(np.maximum(overlap, 0.0))
     normal = hertz * three_halves(np.maximum(overlap + approach, 0.0))
-    installed = pairs.shear[:, lanes].astype(float)
+    installed = np.ascontiguousarray(pairs.shear[:, lanes].T.astype(float))
     held = np.clip(installed, -rubbing * before, rubbing * before)
     limit = rubbing * normal
     return _StrainedContacts(
@@ -130,49 +131,50 @@ def _strained_contacts(state: State, lanes: Integers | slice) -> _StrainedContac
 
 
 def _intact_bonds(state: State, lanes: Integers | slice) -> Flags:
-    """(M, L) which listed pairs are cemented."""
-    return np.asarray(lanes_of_bits(state.assembly.pairs.intact, state.features.lanes)[:, lanes])
+    """(L, M) which listed pairs are cemented."""
+    lane = np.arange(state.features.lanes, dtype=np.uint32)[lanes]
+    return np.asarray((state.assembly.pairs.intact >> lane[:, None]) & 1, dtype=bool)
 
 
 def _spring_work(state: State, contacts: _StrainedContacts, intact: Flags) -> Floats:
     """(L,) ``F du`` of constant stiffnesses over all contacts, positive: 1 where nothing moved."""
     pairs = state.assembly.pairs
-    springs = pairs.bond.astype(float)
+    springs = pairs.bond.T.astype(float)
     if state.features.linear_group:
-        springs[:, :MOMENT] += pairs.linear[:, :MOMENT]
+        springs[:MOMENT] += pairs.linear.T[:MOMENT]
     approach, slide, twist = contacts.approach, contacts.slide, contacts.twist
-    bound = springs[:, NORMAL, None] * approach * approach + springs[:, SHEAR, None] * slide * slide
-    bound = bound + springs[:, MOMENT, None] * twist * twist
+    bound = springs[NORMAL] * approach * approach + springs[SHEAR] * slide * slide
+    bound = bound + springs[MOMENT] * twist * twist
     bare = contacts.stiffness * approach * approach + contacts.shear_stiffness * slide * slide
     total = _lane_sums(np.where(intact, bound, bare))
     return np.where(total > 0.0, total, 1.0)
 
 
 def _rescaled_part(contacts: _StrainedContacts) -> Floats:
-    """(M, L) part of the shear force that shear rescaling takes from a contact that a wave unloads."""
+    """(L, M) part of the shear force that shear rescaling takes from a contact that a wave unloads."""
     overlap, approach = contacts.overlap, contacts.approach
     change = np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0)
     return np.asarray(1.0 - np.sqrt(np.clip(1.0 + change, 0.0, 1.0)))
 
 
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
-    """(L,) 1 - degrees of freedom / components of contact forces; ``intact`` and ``slipping`` are (M, L).
+    """(L,) 1 - degrees of freedom / components of contact forces; ``intact`` and ``slipping`` are (L, M).
 
     A contact has a normal and a shear force, one that slips a normal force alone, a bond a moment, too. Disks that
     lean on one thing at most bear nothing.
     """
     pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
-    touching, leaning = pairs.geometry[:, OVERLAP, None] > 0.0, wall_pairs.overlap > 0.0
-    sticking = (pairs.tangent[:, SHEAR, None] > 0.0) & ~slipping
-    components = np.where(intact, 3, np.where(touching, 1 + sticking, 0)).sum(axis=0)
+    touching, leaning = pairs.geometry[:, OVERLAP] > 0.0, wall_pairs.overlap > 0.0
+    sticking = (pairs.tangent[:, SHEAR] > 0.0) & ~slipping
+    components = np.where(intact, 3, np.where(touching, 1 + sticking, 0)).sum(axis=1)
     components = components + (1 + (wall_pairs.tangent[leaning, SHEAR] > 0.0)).sum()
-    across = np.flatnonzero((intact & ~touching).any(axis=1))  # few bonds span a gap: the rest is the same in all lanes
-    disks = [pairs.first[touching[:, 0]], pairs.second[touching[:, 0]], wall_pairs.disk[leaning]]
+    across = np.flatnonzero((intact & ~touching).any(axis=0))  # few bonds span a gap: the rest is the same in all lanes
+    disks = [pairs.first[touching], pairs.second[touching], wall_pairs.disk[leaning]]
     alike = np.bincount(np.concatenate(disks), minlength=len(grains.radius))
-    neighbours = np.repeat(alike[:, None], intact.shape[1], axis=1)
+    neighbours = np.repeat(alike[None], len(intact), axis=0)
     for disk in (pairs.first[across], pairs.second[across]):
-        np.add.at(neighbours, disk, intact[across])
-    moving = np.count_nonzero((grains.inverse_mass > 0.0)[:, None] & (neighbours > 1), axis=0)
+        np.add.at(neighbours.T, disk, intact[:, across].T)
+    moving = np.count_nonzero((grains.inverse_mass > 0.0) & (neighbours > 1), axis=1)
     return np.asarray(1.0 - 3.0 * moving / np.maximum(components, 1))
 
 
@@ -180,35 +182,36 @@ def slipped_force(state: State, transmitter: int) -> Floats:
     """(L,) part of the force of a wall that its contacts cannot pass on, since they would slip; linear regime alone."""
     if not state.features.linear:
         return np.zeros(state.features.lanes)
-    assembly, moved = state.assembly, state.motion.displacement.astype(float)
+    assembly, moved = state.assembly, state.motion.displacement
     pairs = assembly.wall_pairs
     here = np.flatnonzero((pairs.wall == transmitter) & (pairs.overlap > 0.0))
-    disk, overlap = pairs.disk[here], pairs.overlap[here, None].astype(float)
-    hertz, shear_stiff = pairs.hertz[here, None].astype(float), pairs.tangent[here, SHEAR, None].astype(float)
+    disk, overlap = pairs.disk[here], pairs.overlap[here].astype(float)
+    hertz, shear_stiff = pairs.hertz[here].astype(float), pairs.tangent[here, SHEAR].astype(float)
     normal_x, normal_y = assembly.walls.normal[transmitter].astype(float)
-    path = assembly.walls.motion[transmitter].astype(float)
-    away = normal_x * moved[disk, X] + normal_y * moved[disk, Y]
-    along = normal_x * moved[disk, Y] - normal_y * moved[disk, X]
-    arm = assembly.grains.radius[disk, None].astype(float) - 0.5 * overlap
-    shear = np.abs(shear_stiff * (along - path[TANGENT_PATH] - arm * moved[disk, ROTATION]))
-    rubbing = np.minimum(assembly.walls.friction[transmitter], assembly.grains.friction[disk])[:, None].astype(float)
+    path = assembly.walls.motion[transmitter, :, :, None].astype(float)
+    x, y, turned = moved[disk].transpose(1, 2, 0)
+    away, along = normal_x * x + normal_y * y, normal_x * y - normal_y * x
+    arm = assembly.grains.radius[disk].astype(float) - 0.5 * overlap
+    shear = np.abs(shear_stiff * (along - path[TANGENT_PATH] - arm * turned))
+    rubbing = np.minimum(assembly.walls.friction[transmitter], assembly.grains.friction[disk]).astype(float)
     limit = rubbing * hertz * three_halves(np.maximum(overlap + path[NORMAL_PATH] - away, 0.0))
     total = _lane_sums(shear)
     return np.asarray(_lane_sums(np.maximum(shear - limit, 0.0)) / np.where(total > 0.0, total, 1.0))
 
 
 def _lane_sums(values: Floats) -> Floats:
-    """Sums (L,) over all pairs, in an order that does not hang on the number of lanes."""
-    return np.asarray(np.ascontiguousarray(values.T).sum(axis=1))
+    """Sums (L,) over all pairs (L, M), in an order that does not hang on the number of lanes."""
+    return np.asarray(np.ascontiguousarray(values).sum(axis=1))
 
 
 def _relative_displacements(state: State, lanes: Integers | slice) -> tuple[Floats, Floats, Floats]:
-    """Approach, slide (m) and twist (rad) of the listed pairs since the start, second disk less first, each (M, L)."""
+    """Approach, slide (m) and twist (rad) of the listed pairs since the start, second disk less first, each (L, M)."""
     pairs, moved = state.assembly.pairs, state.motion.displacement[..., lanes].astype(float)
-    first, second = moved[pairs.first], moved[pairs.second]
+    moved = np.ascontiguousarray(moved.transpose(1, 2, 0))
+    first, second = np.take(moved, pairs.first, axis=2), np.take(moved, pairs.second, axis=2)
     n_x, n_y, first_arm, second_arm = (
-        pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, FIRST_ARM, SECOND_ARM)
+        pairs.geometry[:, column].astype(float) for column in (NORMAL_X, NORMAL_Y, FIRST_ARM, SECOND_ARM)
     )
     apart = second - first
-    slide = n_x * apart[:, Y] - n_y * apart[:, X] - first_arm * first[:, ROTATION] - second_arm * second[:, ROTATION]
-    return -(n_x * apart[:, X] + n_y * apart[:, Y]), slide, apart[:, ROTATION]
+    slide = n_x * apart[Y] - n_y * apart[X] - first_arm * first[ROTATION] - second_arm * second[ROTATION]
+    return -(n_x * apart[X] + n_y * apart[Y]), slide, apart[ROTATION]

@@ -1,6 +1,6 @@
 """Recording a wave under way: the signals of each sample of a batch, until they are long enough or a guard steps in."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -164,23 +164,24 @@ class Recorder:
         while len(records) < self.samples:
             check()
             self.record_chunk()
-            self._look_at_contacts()
+            running = [lane for lane in range(self.samples) if lane not in records]
+            self._look_at_contacts(running)
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             remaining = self._remaining_speeds()
-            for lane in sorted(set(range(self.samples)) - set(records)):
+            for lane in running:
                 record = self.record_of(lane, problems[lane], float(remaining[lane]))
                 if record.problem or record.duration >= self.longest or stop_when(record):
                     records[lane] = record
         return [records[lane] for lane in sorted(records)]
 
-    def _look_at_contacts(self) -> None:
+    def _look_at_contacts(self, running: Sequence[int]) -> None:
         """Find what the contact laws would change at the transmitter, and in the samples whose next look is due."""
-        sending = [not looks for looks in self.nonlinear] + [False] * (len(self.slipped) - self.samples)
-        if any(sending):
+        sending = [lane for lane in running if not self.nonlinear[lane]]
+        if sending:
             now = slipped_force(self.state, TRANSMITTER)
-            self.slipped = np.where(sending, np.maximum(self.slipped, now), self.slipped)
+            self.slipped[sending] = np.maximum(self.slipped, now)[sending]
         periods = self.state.steps * self.state.time_step / self.pulse.duration
-        due = [lane for lane, looks in enumerate(self.nonlinear) if periods[lane] >= 1.0 + LOOKS_APART * len(looks)]
+        due = [lane for lane in running if periods[lane] >= 1.0 + LOOKS_APART * len(self.nonlinear[lane])]
         if due:
             found = np.array(nonlinearity(self.state, np.array(due)))
             for lane, values in zip(due, found.T.tolist(), strict=True):
