@@ -119,7 +119,7 @@ def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> 
 
 def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
     """Types and compression; coordinates have no fill value, since CF allows them no gaps."""
-    compressed = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
+    compressed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
     checked = {"_FillValue": None, "fletcher32": True}
     encoding: dict[str, Mapping[str, Any]] = dict.fromkeys(("seed", "content"), checked)
     for quantity in QUANTITIES:

@@ -25,6 +25,9 @@ _Column = tuple[str, str, NDArray[Any]]
 
 _COUNT = "_count"
 
+_COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
+_CHUNK = 8192  # elements, about two cells' contacts; the library's own are so small that each costs more than its bytes
+
 SAMPLE_GROUPS = ("paths", "signals", "cement")
 """Groups of arrays of single cells, which make up nearly all of a file."""
 
@@ -63,7 +66,7 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
     for name, (unit, long_name, values) in columns.items():
         if name not in group.variables:
             is_text = values.dtype.kind == "O"
-            options = {} if is_text else {"compression": "zlib", "complevel": 4, "shuffle": True, "fletcher32": True}
+            options = {} if is_text else _COMPRESSED | {"chunksizes": (min(max(1, len(values)), _CHUNK),)}
             variable = group.createVariable(name, str if is_text else values.dtype, (dimension,), **options)
             variable.long_name = long_name
             if unit:
