@@ -7,11 +7,10 @@ from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from calcidem.analysis.connectivity import ContactWeights
-from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
@@ -41,10 +40,6 @@ _SEEDS_REMEMBERED = 64
 
 _AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
-
-_ALMOST_NOTHING = ContactWeights(hertz=1.0, bond=1e-7)
-"""Cemented contacts count so little that no number of them outweighs an uncemented one."""
-
 
 def cell_computation(
     configuration: Configuration, packing: Packing, alongside: Callable[[], None] = lambda: None
@@ -177,25 +172,40 @@ def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSu
     first, second = graph.pairs[bonded].T
     count = graph.grain_count
     cement = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
-    _, component = connected_components(cement, directed=False)
-    grains = np.bincount(component)
-    pieces = grains[grains > 1]
+    pieces, component = connected_components(cement, directed=False)
+    grains = np.bincount(component, minlength=pieces)
+    larger = grains[grains > 1]
     return GraphSummary(
         contacts=graph.contact_count,
         bonded_contacts=int(np.count_nonzero(bonded)),
         coordination_number=graph.coordination_number,
-        components=len(pieces),
-        largest_component=int(pieces.max(initial=0)),
-        gap_contacts=_fewest_uncemented_contacts(graph, bonded),
+        components=len(larger),
+        largest_component=int(larger.max(initial=0)),
+        gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
     )
 
 
-def _fewest_uncemented_contacts(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> int | None:
-    """Return how many uncemented contacts the best way from transmitter to receiver has; None without any way."""
-    try:
-        return preferential_path(graph, bonded, _ALMOST_NOTHING).hertz_contacts
-    except ValueError:
+def _fewest_uncemented_contacts(
+    graph: ContactGraph, bonded: npt.NDArray[np.bool_], piece: npt.NDArray[np.integer]
+) -> int | None:
+    """Return how many uncemented contacts the best way from transmitter to receiver has; None without any way.
+
+    ``piece`` (N,) says which grains cement joins: steps within a piece are free, so the way leads from piece to piece.
+    It begins at a piece of its own, which leads to those of the transmitter alone.
+    """
+    begin = int(piece.max()) + 1
+    first, second = piece[graph.pairs[~bonded]].T
+    sent = piece[graph.transmitter]
+    rows, columns = np.concatenate([first, second, np.full(len(sent), begin)]), np.concatenate([second, first, sent])
+    ways = csr_array((np.ones(len(rows)), (rows, columns)), shape=(begin + 1, begin + 1))
+    order, before = breadth_first_order(ways, begin)
+    heard = order[np.isin(order, piece[graph.receiver])]
+    if not len(heard):
         return None
+    place, contacts = int(before[heard[0]]), 0
+    while place != begin:
+        place, contacts = int(before[place]), contacts + 1
+    return contacts
 
 
 def expected_effort(configuration: Configuration, content: float) -> float:

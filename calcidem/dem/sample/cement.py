@@ -331,8 +331,9 @@ def _draw_clusters(
     ``points`` (M, 2) and ``contact_area`` (M,) are the contact points, m, and their calcite, m^2. Returns the
     centres (K, 2), the first cluster of each contact (M,), and the calcite of each cluster (K,).
     """
-    centres, areas, count, room = [np.zeros((0, 2))], [np.zeros(0)], 0, pore_area
-    never = np.iinfo(np.int64).max
+    centres: list[Floats] = [np.zeros((0, 2))]
+    areas: list[Floats] = [np.zeros(0)]
+    count, room, never = 0, pore_area, np.iinfo(np.int64).max
     first_cluster = np.full(len(points), never)
     for drawn, circle, contacts in _circles(points, box, rule.cluster_diameter / 2.0, generator):
         np.minimum.at(first_cluster, contacts, count + circle)
