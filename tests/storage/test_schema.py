@@ -18,8 +18,7 @@ from calcidem.storage.errors import ReadOnlyStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
-from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
+from calcidem.storage.sql.migrations.new_columns import BROKEN_BONDS, NEW_COLUMNS
 from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.schema import VERSION_TABLE, head_revision
 from calcidem.storage.sql.store import SqlStore, open_store

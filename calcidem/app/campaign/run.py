@@ -17,7 +17,6 @@ from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
 from calcidem.app.campaign.task import cell_computation, expected_effort, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
-from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
@@ -25,7 +24,6 @@ from calcidem.storage.errors import LeaseHeldError, StoreError
 from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Store
 from calcidem.sweep import (
     StopRequest,
@@ -85,6 +83,9 @@ def run(
     >>> with calcidem.run("quick.toml", db="quick.db") as campaign:  # doctest: +SKIP
     ...     print(campaign.vs().mean("seed"))
     """
+    from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
+    from calcidem.app.config.changed import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
+
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}
     values |= {"run.output": os.fspath(output)} if output is not None else {}
@@ -107,8 +108,6 @@ def run(
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
             )
             work.store.renew_lease()  # what was stored is still there
-    from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
-
     return open_campaign(configuration.database, configuration.campaign.name)
 
 
@@ -180,6 +179,8 @@ class CampaignRun:
         path = parse_address(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
+        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+
         store = open_store(configuration.database)
         try:
             for namesake in (found for found in store.campaigns() if found.name == configuration.campaign.name):

@@ -41,6 +41,7 @@ _SEEDS_REMEMBERED = 64
 _AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
 
+
 def cell_computation(
     configuration: Configuration, packing: Packing, alongside: Callable[[], None] = lambda: None
 ) -> Compute[Cell, PackedResult]:

@@ -28,8 +28,7 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
-from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
-from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
+from calcidem.storage.sql.migrations.new_columns import BROKEN_BONDS, NEW_COLUMNS
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does

@@ -11,9 +11,8 @@ from sqlalchemy import Connection, func, inspect, select
 from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
 from calcidem.storage.sql.checksums import UNCHECKED, seal_former_rows
 from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.migrations.new_columns import BROKEN_BONDS, NEW_COLUMNS
 from calcidem.storage.sql.migrations.versions.v0004_sample_times import START_TIME
-from calcidem.storage.sql.migrations.versions.v0006_meaning_of_vs import NEW_COLUMNS
-from calcidem.storage.sql.migrations.versions.v0007_broken_bonds import BROKEN_BONDS
 
 VERSION_TABLE = "calcidem_schema"
 """Table that holds the revision, and the mark by which a database is recognised as calcidem's."""

@@ -8,17 +8,11 @@ Rows have checksums; those of rows stored before are computed after all migratio
 import sqlalchemy as sa
 from alembic import op
 
+from calcidem.storage.sql.migrations.new_columns import NEW_COLUMNS
+
 revision = "0006"
 down_revision = "0005"
 
-NEW_COLUMNS = {
-    "distance": "positive",
-    "wavelengths_on_path": "positive",
-    "wavelength_over_d50": "positive",
-    "expected_error": "not_negative",
-    "content_of_contacts": "not_negative",
-    "static_speed": "positive",
-}
 _CHECKS_OF = {"positive": "{0} > 0 AND {0} < 1e+300", "not_negative": "{0} >= 0 AND {0} < 1e+300"}
 
 

@@ -3,10 +3,10 @@
 import sqlalchemy as sa
 from alembic import op
 
+from calcidem.storage.sql.migrations.new_columns import BROKEN_BONDS
+
 revision = "0007"
 down_revision = "0006"
-
-BROKEN_BONDS = "broken_bonds"
 
 
 def upgrade() -> None:
