@@ -16,13 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 sys.path.insert(0, {folder!r})
-from scenes import ACCOUNT, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
+from scenes import ACCOUNT, BONDED, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine.state import advance, start
 
 results = []
 weak = replace(SOFT_CEMENT, tensile_strength=4e5, cohesion=3e5)
-cases = (ACCOUNT, 0.0), (GROUPED, 0.6), (replace(GROUPED, finite=False, search=False), 0.6), (LINEAR, 0.6)
+small, bundled = replace(GROUPED, finite=False, search=False), replace(BONDED, bundles=True)
+cases = (ACCOUNT, 0.0), (GROUPED, 0.6), (small, 0.6), (LINEAR, 0.6), (bundled, 0.6)
 for features, bonded in cases:
     scene = jumble(5, 5, damping=0.3, share_bonded=bonded, **({{"cement": weak}} if bonded else {{}}))
     velocity, spin = throw(scene, 5)

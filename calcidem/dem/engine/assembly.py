@@ -1,6 +1,8 @@
 """Turns a scene into the arrays of the kernel: order, neighbours, stiffnesses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -58,17 +60,22 @@ class Assembly:
 
 def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Array of zeros that starts on a cache line, so that no lane vector straddles two."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + _ALIGNMENT, dtype=np.uint8)
-    start = -raw.ctypes.data % _ALIGNMENT
-    return raw[start : start + size].view(dtype).reshape(shape)
+    return _aligned(np.zeros, shape, dtype)
 
 
 def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Copy that starts on a cache line."""
-    copy = aligned_zeros(array.shape, array.dtype)
+    copy = _aligned(np.empty, array.shape, array.dtype)
     copy[...] = array
     return copy
+
+
+def _aligned(make: Callable[..., npt.NDArray[Any]], shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Array that starts on a cache line, in memory that ``make`` provides."""
+    size = prod(shape) * np.dtype(dtype).itemsize
+    raw = make(size + _ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % _ALIGNMENT
+    return raw[start : start + size].view(dtype).reshape(shape)
 
 
 def _memory_order(scene: Scene) -> Integers:
@@ -242,6 +249,7 @@ def _assemble_pairs(
         shear=aligned_zeros((count, lanes), dtype),
         root=overlap_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
+        radii=np.zeros((0, 2, 0), dtype),
     )
 
 

@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 
 from calcidem.dem.engine.assembly import Assembly, aligned_copy, aligned_zeros
+from calcidem.dem.engine.bundles import bundle, plan_bundles, unbundle
 from calcidem.dem.engine.histories import renew_assembly
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.layout import (
     CONTACT_LOSS,
     NORMAL_PATH,
@@ -23,6 +24,7 @@ from calcidem.dem.kernels.layout import (
     System,
     Watch,
 )
+from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
 
 Precision = Literal["float64", "float32"]
@@ -152,15 +154,18 @@ def make_front(state: State) -> Front:
     """Empty scratch for the steps in flight, see `layout.Front`."""
     assembly, together = state.assembly, _steps_together(state.features)
     block = max(SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
+    if state.features.bundled:
+        block += -block % ABREAST
     slot_bits = (2 * block - 1).bit_length()
     walls, lanes, dtype = len(state.scene.walls), state.features.lanes, state.motion.velocity.dtype
     return Front(
         levels=together,
         block=block,
         slot_bits=slot_bits,
-        force=aligned_zeros((3 * together << slot_bits, lanes), dtype),
+        force=aligned_zeros(((RECORD if state.features.bundled else 3) * together << slot_bits, lanes), dtype),
         wall_motion=aligned_zeros((together + 1, walls, 4, lanes), dtype),
         reaction=aligned_zeros((together, walls, 3, lanes), dtype),
+        parts=aligned_zeros((2 * RECORD * ABREAST, 1), dtype),
     )
 
 
@@ -206,7 +211,13 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
         watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=_reach(state), account=state.account),
     )
     time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
-    return advance_steps(state.features, steps, time_step, system)
+    if not state.features.bundled:
+        return advance_steps(state.features, steps, time_step, system)
+    bundles = plan_bundles(assembly.pairs, system.front.block, state.scene.count)
+    bundled = bundle(system, bundles, state.features)
+    done = advance_steps(state.features, steps, time_step, bundled)
+    unbundle(bundled, bundles, system, state.features)
+    return done
 
 
 def _rows(array: Floats) -> Floats:

@@ -62,7 +62,7 @@ def scalar(array: Vector, index: tuple[Vector, ...]) -> Vector:
 
 
 def fill_lanes(value: Vector, width: int) -> Vector:
-    """Lane vector with ``value`` in every lane."""
+    """Lane vector with ``value`` in every lane; a lane vector stays what it is."""
     return np.full(width, value)
 
 

@@ -87,6 +87,12 @@ class Motion(NamedTuple):
 class Pairs(NamedTuple):
     """Pairs of disks that touch or may touch, sorted by (first, second) with first < second.
 
+    Of one sample the kernel may get *bundles* instead, eight pairs for a vector (`engine.bundles`): (B, 8) in the place
+    of (M,), (B, K, 8) of (M, K), bit l for the pair in place l, in ``start`` the first bundle at the first disk of each
+    block, and for a disk the row where its record begins. Records are four numbers a disk (`records`). Displacements,
+    velocities, origins and sums of forces are then records, (4 N, 1), as are three constants of `Grains`: inverse mass
+    with inverse inertia, damping and load.
+
     Attributes
     ----------
     start
@@ -121,6 +127,8 @@ class Pairs(NamedTuple):
         (M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling only.
     bond_force
         (3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond.
+    radii
+        Bundles only: (B, 2, 8) of the two disks, m.
     """
 
     start: Integers
@@ -139,6 +147,7 @@ class Pairs(NamedTuple):
     shear: Floats
     root: Floats
     bond_force: Floats
+    radii: Floats
 
 
 class WallPairs(NamedTuple):
@@ -208,6 +217,8 @@ class Front(NamedTuple):
         (T + 1, W, 4, L) as in `Walls`, at the start of each step and after the last.
     reaction
         (T, W, 3, L) as in `Walls`, of each step.
+    parts
+        (64, 1) bundles only: records of the forces on the first disks of the pairs of a bundle, then on the second.
     """
 
     levels: int
@@ -216,6 +227,7 @@ class Front(NamedTuple):
     force: Floats
     wall_motion: Floats
     reaction: Floats
+    parts: Floats
 
 
 class Recording(NamedTuple):

@@ -1,10 +1,25 @@
 """Motion of one disk: local damping and the leapfrog, on lane vectors."""
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import Vector, load, row, scalar, store, without_dust, zero_like
 from calcidem.dem.kernels.laws import damp_force
 from calcidem.dem.kernels.layout import DAMPING_LOSS, LOAD_WORK, ROTATION, WALL_WORK, Front, System, Watch, X, Y
+from calcidem.dem.kernels.records import RECORD, load_run, records_to_columns, store_run
+
+
+@inline
+def of_disk(features: Features, field: Vector, disk: int, component: int) -> Vector:
+    """One component of a disk in a field."""
+    return load(field, (_disk_row(features, disk, component),), features.lanes)
+
+
+@inline
+def _disk_row(features: Features, disk: int, component: int) -> Vector:
+    """Row of a component in the arrays of what moves, and of the slots of forces."""
+    if features.bundled:
+        return RECORD * disk + component
+    return row(disk, component)
 
 
 @inline
@@ -19,10 +34,10 @@ def drive_disks(features: Features, grains: range, level: int, step: int, dt: Ve
             speed = load(recording.drive, (step,), features.lanes)
             if features.account:
                 # Forces do work from half step to half step; `integrate` will see the later velocity only.
-                force = load(system.front.force, (row(_slot(disk, level, system.front), Y),), features.lanes)
-                gained = speed - load(velocity, (row(disk, Y),), features.lanes)
+                force = of_disk(features, system.front.force, _slot(disk, level, system.front), Y)
+                gained = speed - of_disk(features, velocity, disk, Y)
                 add_energy(features, WALL_WORK, 0.5 * dt * force * gained, system.watch)
-            store(velocity, (row(disk, Y),), speed)
+            store(velocity, (_disk_row(features, disk, Y),), speed)
 
 
 @inline
@@ -48,19 +63,15 @@ def _kick(
     features: Features, grain: int, component: int, level: int, inverse: float, dt: Vector, system: System
 ) -> Vector:
     """Leapfrog update of one degree of freedom; return the new displacement."""
-    lanes = features.lanes
     grains, motion, watch = system.grains, system.motion, system.watch
     force = _take_force(features, grain, component, level, system.front)
     if features.loads:
         force = force + scalar(grains.load, (grain, component))
-    velocity = load(motion.velocity, (row(grain, component),), lanes)
-    driving = force
-    if features.damping:
-        driving = damp_force(force, velocity, scalar(grains.damping, (grain,)))
-    faster = without_dust(velocity + (dt * inverse) * driving)
-    store(motion.velocity, (row(grain, component),), faster)
-    moved = without_dust(load(motion.displacement, (row(grain, component),), lanes) + dt * faster)
-    store(motion.displacement, (row(grain, component),), moved)
+    velocity = of_disk(features, motion.velocity, grain, component)
+    driving, faster = _accelerate(features, force, velocity, scalar(grains.damping, (grain,)), inverse, dt)
+    store(motion.velocity, (_disk_row(features, grain, component),), faster)
+    moved = without_dust(of_disk(features, motion.displacement, grain, component) + dt * faster)
+    store(motion.displacement, (_disk_row(features, grain, component),), moved)
     if features.account:
         path = 0.5 * dt * (velocity + faster)
         if inverse > 0.0:
@@ -69,6 +80,55 @@ def _kick(
             # Whoever holds a disk that moves opposes every force on it.
             add_energy(features, WALL_WORK, -force * path, watch)
         add_energy(features, LOAD_WORK, scalar(grains.load, (grain, component)) * path, watch)
+    return moved
+
+
+@inline
+def _accelerate(
+    features: Features, force: Vector, velocity: Vector, damping: Vector, inverse: Vector, dt: Vector
+) -> tuple[Vector, Vector]:
+    """Return the force after damping, and the velocity a step later."""
+    driving = force
+    if features.damping:
+        driving = damp_force(force, velocity, damping)
+    return driving, without_dust(velocity + (dt * inverse) * driving)
+
+
+@inline
+def integrate_records(features: Features, grain: int, level: int, dt: Vector, system: System) -> Vector:
+    """Kick and drift the `ABREAST` disks of one sample from ``grain`` on; return which left the reach of the list.
+
+    `integrate` does the same for one disk of many samples.
+    """
+    watch, begin = system.watch, RECORD * grain
+    slot = RECORD * _slot(grain, level, system.front)
+    a = _kick_records(features, begin, slot, dt, system)
+    b = _kick_records(features, begin + ABREAST, slot + ABREAST, dt, system)
+    c = _kick_records(features, begin + 2 * ABREAST, slot + 2 * ABREAST, dt, system)
+    d = _kick_records(features, begin + 3 * ABREAST, slot + 3 * ABREAST, dt, system)
+    square = zero_like(dt)
+    if features.search:
+        moved = records_to_columns(a, b, c, d)
+        square = moved[X] * moved[X] + moved[Y] * moved[Y]
+    return square > watch.reach * watch.reach
+
+
+@inline
+def _kick_records(features: Features, begin: int, slot: int, dt: Vector, system: System) -> Vector:
+    """Leapfrog update of the two records from row ``begin`` on; return how far they are from where lists were made."""
+    grains, motion, front, watch = system.grains, system.motion, system.front, system.watch
+    force = load_run(front.force, slot, ABREAST)
+    store_run(front.force, slot, zero_like(force))
+    if features.loads:
+        force = force + load_run(grains.load, begin, ABREAST)
+    velocity, inverse = load_run(motion.velocity, begin, ABREAST), load_run(grains.inverse_mass, begin, ABREAST)
+    damping = load_run(grains.damping, begin, ABREAST)
+    _, faster = _accelerate(features, force, velocity, damping, inverse, dt)
+    store_run(motion.velocity, begin, faster)
+    moved = without_dust(load_run(motion.displacement, begin, ABREAST) + dt * faster)
+    store_run(motion.displacement, begin, moved)
+    if features.search:
+        moved = moved - load_run(watch.origin, begin, ABREAST)
     return moved
 
 
@@ -82,8 +142,8 @@ def _slot(grain: int, level: int, front: Front) -> int:
 def _take_force(features: Features, grain: int, component: int, level: int, front: Front) -> Vector:
     """Return the sum of the contact forces on a disk; clear its slot for a later disk."""
     slot = _slot(grain, level, front)
-    force = load(front.force, (row(slot, component),), features.lanes)
-    store(front.force, (row(slot, component),), zero_like(force))
+    force = of_disk(features, front.force, slot, component)
+    store(front.force, (_disk_row(features, slot, component),), zero_like(force))
     return force
 
 
@@ -91,8 +151,8 @@ def _take_force(features: Features, grain: int, component: int, level: int, fron
 def add_force(features: Features, grain: int, component: int, level: int, part: Vector, front: Front) -> None:
     """Add to the sum of the contact forces on a disk."""
     slot = _slot(grain, level, front)
-    total = load(front.force, (row(slot, component),), features.lanes) + part
-    store(front.force, (row(slot, component),), total)
+    total = of_disk(features, front.force, slot, component) + part
+    store(front.force, (_disk_row(features, slot, component),), total)
 
 
 @inline

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from calcidem.dem.kernels.compiling import inline
+from calcidem.dem.kernels.ends import components, constant, push_apart, radii
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
@@ -52,7 +53,7 @@ from calcidem.dem.kernels.layout import (
     X,
     Y,
 )
-from calcidem.dem.kernels.motion import add_energy, add_force
+from calcidem.dem.kernels.motion import add_energy
 
 
 class _Geometry(NamedTuple):
@@ -117,22 +118,14 @@ def add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Ve
 @inline
 def _add_linear_forces(features: Features, pair: int, level: int, system: System) -> None:
     """Add the force of one pair of constant stiffness to its two disks."""
-    pairs, front = system.pairs, system.front
-    first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
     geometry = _pair_geometry(features, pair, system)
-    pull, drag, moment = _linear_law(features, first, second, pair, geometry, system.motion, pairs)
+    pull, drag, moment = _linear_law(features, pair, geometry, system.motion, system.pairs)
     along_x = pull * geometry.normal_x - drag * geometry.normal_y
     along_y = pull * geometry.normal_y + drag * geometry.normal_x
-    add_force(features, first, X, level, along_x, front)
-    add_force(features, first, Y, level, along_y, front)
-    add_force(features, second, X, level, -along_x, front)
-    add_force(features, second, Y, level, -along_y, front)
-    if features.rotation and features.bonds:
-        add_force(features, first, ROTATION, level, moment + drag * geometry.first_arm, front)
-        add_force(features, second, ROTATION, level, drag * geometry.second_arm - moment, front)
-    elif features.rotation:
-        add_force(features, first, ROTATION, level, drag * geometry.first_arm, front)
-        add_force(features, second, ROTATION, level, drag * geometry.second_arm, front)
+    first_moment, second_moment = drag * geometry.first_arm, drag * geometry.second_arm
+    if features.bonds:
+        first_moment, second_moment = moment + first_moment, second_moment - moment
+    push_apart(features, pair, level, (-along_x, -along_y), (first_moment, second_moment), system)
 
 
 @inline
@@ -140,21 +133,15 @@ def _add_general_forces(
     features: Features, pair: int, geometry: _Geometry, level: int, dt: Vector, system: System
 ) -> None:
     """Add the force of one pair to its two disks."""
-    pairs, front = system.pairs, system.front
-    first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
-    normal, shear, moment = _general_law(features, first, second, pair, dt, geometry, system)
+    normal, shear, moment = _general_law(features, pair, dt, geometry, system)
     along_x = normal * geometry.normal_x - shear * geometry.normal_y
     along_y = normal * geometry.normal_y + shear * geometry.normal_x
-    add_force(features, first, X, level, -along_x, front)
-    add_force(features, first, Y, level, -along_y, front)
-    add_force(features, second, X, level, along_x, front)
-    add_force(features, second, Y, level, along_y, front)
-    if features.rotation and features.bonds:
-        add_force(features, first, ROTATION, level, -(moment + shear * geometry.first_arm), front)
-        add_force(features, second, ROTATION, level, moment - shear * geometry.second_arm, front)
-    elif features.rotation:
-        add_force(features, first, ROTATION, level, -(shear * geometry.first_arm), front)
-        add_force(features, second, ROTATION, level, -(shear * geometry.second_arm), front)
+    first_moment, second_moment = shear * geometry.first_arm, shear * geometry.second_arm
+    if features.bonds:  # noqa: SIM108 - known to the compiler
+        moments = -(moment + first_moment), moment - second_moment
+    else:
+        moments = -first_moment, -second_moment
+    push_apart(features, pair, level, (along_x, along_y), moments, system)
 
 
 @inline
@@ -165,105 +152,102 @@ def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
     accurate: overlaps are a ten-thousandth of a radius, and their changes far less. The contact lies in
     the middle of the overlap, so the arms add up to the distance and angular momentum is conserved.
     """
-    table, radius = system.pairs.geometry, system.grains.radius
-    first, second = scalar(system.pairs.first, (pair,)), scalar(system.pairs.second, (pair,))
-    overlap = scalar(table, (pair, OVERLAP))
-    apart_x, apart_y = _relative_translation(features, first, second, system.motion.displacement)
+    table = system.pairs.geometry
+    overlap = constant(features, table, (pair, OVERLAP))
+    apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.displacement)
     if features.finite:
-        distance_before = scalar(table, (pair, DISTANCE))
-        before_x, before_y = scalar(table, (pair, APART_X)), scalar(table, (pair, APART_Y))
+        distance_before = constant(features, table, (pair, DISTANCE))
+        before_x, before_y = constant(features, table, (pair, APART_X)), constant(features, table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
         # By how much the distance grew, free of cancellation: ``longer (distance + before) = x^2 - before^2``.
         grown = (x + before_x) * apart_x + (y + before_y) * apart_y
         distance = square_root(x * x + y * y)
         both = distance + distance_before
         # One division, the slowest operation, makes three inverses.
-        root = load(system.pairs.root, (pair,), features.lanes)
+        root = load(system.pairs.root, (pair,), features.width)
         distance_root = distance * root
         share = 1.0 / (both * distance_root)
         inverse = share * (both * root)
         depth = overlap - grown * (share * distance_root)
-        first_arm = scalar(radius, (first,)) - 0.5 * depth
-        second_arm = scalar(radius, (second,)) - 0.5 * depth
+        first_radius, second_radius = radii(features, pair, system.grains, system.pairs)
+        first_arm, second_arm = first_radius - 0.5 * depth, second_radius - 0.5 * depth
         return _Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
-    normal_x = fill_lanes(scalar(table, (pair, NORMAL_X)), features.lanes)
-    normal_y = fill_lanes(scalar(table, (pair, NORMAL_Y)), features.lanes)
+    normal_x = fill_lanes(constant(features, table, (pair, NORMAL_X)), features.width)
+    normal_y = fill_lanes(constant(features, table, (pair, NORMAL_Y)), features.width)
     along = normal_x * apart_x + normal_y * apart_y
-    first_arm = fill_lanes(scalar(table, (pair, FIRST_ARM)), features.lanes)
-    second_arm = fill_lanes(scalar(table, (pair, SECOND_ARM)), features.lanes)
+    first_arm = fill_lanes(constant(features, table, (pair, FIRST_ARM)), features.width)
+    second_arm = fill_lanes(constant(features, table, (pair, SECOND_ARM)), features.width)
     flat = zero_like(along)
     if features.linear:
         return _Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
-    inverse_root = 1.0 / load(system.pairs.root, (pair,), features.lanes) if features.rescaling else flat
+    inverse_root = 1.0 / load(system.pairs.root, (pair,), features.width) if features.rescaling else flat
     return _Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
 
 
 @inline
-def _relative_translation(features: Features, first: int, second: int, field: Vector) -> tuple[Vector, Vector]:
+def _relative_translation(features: Features, pair: int, pairs: Pairs, field: Vector) -> tuple[Vector, Vector]:
     """Components of the second disk's translation less the first's."""
-    lanes = features.lanes
-    return (
-        load(field, (row(second, X),), lanes) - load(field, (row(first, X),), lanes),
-        load(field, (row(second, Y),), lanes) - load(field, (row(first, Y),), lanes),
-    )
+    first = components(features, pair, pairs.first, field)
+    second = components(features, pair, pairs.second, field)
+    return second[X] - first[X], second[Y] - first[Y]
 
 
 @inline
 def _slide_and_twist(
-    features: Features, first: int, second: int, geometry: _Geometry, field: Vector
+    features: Features, pair: int, pairs: Pairs, geometry: _Geometry, field: Vector
 ) -> tuple[Vector, Vector]:
     """Tangential displacement (or velocity) at the contact and relative rotation, second less first."""
-    lanes = features.lanes
-    apart_x, apart_y = _relative_translation(features, first, second, field)
-    slide = geometry.normal_x * apart_y - geometry.normal_y * apart_x
+    first = components(features, pair, pairs.first, field)
+    second = components(features, pair, pairs.second, field)
+    slide = geometry.normal_x * (second[Y] - first[Y]) - geometry.normal_y * (second[X] - first[X])
     if features.rotation:
-        first_turn = load(field, (row(first, ROTATION),), lanes)
-        second_turn = load(field, (row(second, ROTATION),), lanes)
-        slide = slide - geometry.first_arm * first_turn - geometry.second_arm * second_turn
-        return slide, second_turn - first_turn
+        slide = slide - geometry.first_arm * first[ROTATION] - geometry.second_arm * second[ROTATION]
+        return slide, second[ROTATION] - first[ROTATION]
     return slide, zero_like(slide)
 
 
 @inline
 def _linear_law(
-    features: Features, first: int, second: int, pair: int, geometry: _Geometry, motion: Motion, pairs: Pairs
+    features: Features, pair: int, geometry: _Geometry, motion: Motion, pairs: Pairs
 ) -> tuple[Vector, Vector, Vector]:
     """Return tension, shear force and moment that constant stiffnesses add to the reference state.
 
     Unlike those of the other laws they are the ones on the first disk, which saves three changes of sign.
     """
-    lanes = features.lanes
-    slide, twist = _slide_and_twist(features, first, second, geometry, motion.displacement)
+    lanes = features.width
+    slide, twist = _slide_and_twist(features, pair, pairs, geometry, motion.displacement)
     apart = geometry.overlap
-    sand_normal, sand_shear = scalar(pairs.tangent, (pair, NORMAL)), scalar(pairs.tangent, (pair, SHEAR))
+    sand_normal = constant(features, pairs.tangent, (pair, NORMAL))
+    sand_shear = constant(features, pairs.tangent, (pair, SHEAR))
     if features.bonds:
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
-        cement_normal, cement_shear = scalar(pairs.bond, (pair, NORMAL)), scalar(pairs.bond, (pair, SHEAR))
+        cement_normal = constant(features, pairs.bond, (pair, NORMAL))
+        cement_shear = constant(features, pairs.bond, (pair, SHEAR))
         if features.linear_group:
-            cement_normal = cement_normal + scalar(pairs.linear, (pair, NORMAL))
-            cement_shear = cement_shear + scalar(pairs.linear, (pair, SHEAR))
+            cement_normal = cement_normal + constant(features, pairs.linear, (pair, NORMAL))
+            cement_shear = cement_shear + constant(features, pairs.linear, (pair, SHEAR))
         normal = select(intact, fill_lanes(cement_normal, lanes), sand_normal)
         shear = select(intact, fill_lanes(cement_shear, lanes), sand_shear)
-        bending = select(intact, fill_lanes(scalar(pairs.bond, (pair, MOMENT)), lanes), 0.0)
+        bending = select(intact, fill_lanes(constant(features, pairs.bond, (pair, MOMENT)), lanes), 0.0)
         return normal * apart, shear * slide, bending * twist
     return apart * sand_normal, slide * sand_shear, zero_like(slide)
 
 
 @inline
 def _general_law(
-    features: Features, first: int, second: int, pair: int, dt: Vector, geometry: _Geometry, system: System
+    features: Features, pair: int, dt: Vector, geometry: _Geometry, system: System
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment from overlap, histories and the increments of the last step."""
     pairs, motion, watch = system.pairs, system.motion, system.watch
-    speed, spin = _slide_and_twist(features, first, second, geometry, motion.velocity)
+    speed, spin = _slide_and_twist(features, pair, pairs, geometry, motion.velocity)
     slide = speed * dt
     if not features.bonds:
         normal, shear = _frictional_law(features, pair, geometry, slide, pairs, watch)
         return normal, shear, zero_like(slide)
-    approach = _relative_approach(features, first, second, geometry, dt, motion)
+    approach = _relative_approach(features, pair, geometry, dt, system)
     moved = _Increment(approach, slide, spin * dt)
     normal, shear, moment = _bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
-    if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.lanes) - 1:
+    if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.width) - 1:
         # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
         friction = _frictional_law(features, pair, geometry, slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
@@ -278,9 +262,9 @@ def _frictional_law(
 
     Without a linear group an intact bond takes the place of the sand's contact; a broken one gives it back.
     """
-    lanes, overlap = features.lanes, geometry.overlap
-    normal, root = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
-    stiffness = root * scalar(pairs.mindlin, (pair,))
+    lanes, overlap = features.width, geometry.overlap
+    normal, root = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
+    stiffness = root * constant(features, pairs.mindlin, (pair,))
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
@@ -288,29 +272,36 @@ def _frictional_law(
         carried = rescale_shear(old, root, load(pairs.root, (pair,), lanes), geometry.inverse_root)
     if features.linear_group:
         cemented = mask_of_bits(scalar(pairs.cemented, (pair,)), lanes)
-        depth = overlap - scalar(pairs.linear, (pair, REFERENCE_OVERLAP))
+        depth = overlap - constant(features, pairs.linear, (pair, REFERENCE_OVERLAP))
         pressed = select(depth > 0.0, depth, 0.0)
-        normal = select(cemented, pressed * scalar(pairs.linear, (pair, NORMAL)), normal)
-        stiffness = select(cemented, fill_lanes(scalar(pairs.linear, (pair, SHEAR)), lanes), stiffness)
+        normal = select(cemented, pressed * constant(features, pairs.linear, (pair, NORMAL)), normal)
+        stiffness = select(cemented, fill_lanes(constant(features, pairs.linear, (pair, SHEAR)), lanes), stiffness)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
     shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)
     if features.slip:
-        shear = coulomb_limit(shear, normal * scalar(pairs.friction, (pair,)))
-    elif scalar(pairs.friction, (pair,)) <= 0.0:
-        shear = zero_like(shear)
+        shear = coulomb_limit(shear, normal * constant(features, pairs.friction, (pair,)))
+    else:
+        shear = select(fill_lanes(constant(features, pairs.friction, (pair,)), lanes) > 0.0, shear, 0.0)
+    kept_root = larger(root, SMALLEST_ROOT)
+    kept_shear = shear
     if features.bonds and not features.linear_group:
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
         normal = select(intact, 0.0, normal)
         shear = select(intact, 0.0, shear)
-    store(pairs.shear, (pair,), shear)
+        kept_shear = shear
+        if features.bundled:
+            # A pair of one sample keeps, while it is cemented, what its sand had.
+            kept_root = select(intact, load(pairs.root, (pair,), lanes), kept_root)
+            kept_shear = select(intact, old, shear)
+    store(pairs.shear, (pair,), kept_shear)
     if features.account:
-        before = scalar(pairs.mindlin, (pair,)) * load(pairs.root, (pair,), lanes)
+        before = constant(features, pairs.mindlin, (pair,)) * load(pairs.root, (pair,), lanes)
         if features.linear_group:
             before = select(mask_of_bits(scalar(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)
     if features.rescaling or features.account:
-        store(pairs.root, (pair,), larger(root, SMALLEST_ROOT))
+        store(pairs.root, (pair,), kept_root)
     return normal, shear
 
 
@@ -330,15 +321,13 @@ def add_shear_loss(
 
 
 @inline
-def _relative_approach(
-    features: Features, first: int, second: int, geometry: _Geometry, dt: Vector, motion: Motion
-) -> Vector:
+def _relative_approach(features: Features, pair: int, geometry: _Geometry, dt: Vector, system: System) -> Vector:
     """Return by how much the distance of two disks shrank during the last step, m.
 
     The normal belongs to the end of the step. ``across^2 / (2 distance)`` corrects for its turning: without it a bonded
     pair that only rotates would stretch its bond a little in every step.
     """
-    apart_x, apart_y = _relative_translation(features, first, second, motion.velocity)
+    apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.velocity)
     along = (geometry.normal_x * apart_x + geometry.normal_y * apart_y) * dt
     if features.finite:
         across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
@@ -354,21 +343,21 @@ def _bond_forces(
 
     Forces and moment grow with the relative motion of the two disks, see `material.Cement.bond_stiffness`.
     """
-    lanes = features.lanes
+    lanes = features.width
     intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
     force = pairs.bond_force
-    normal = load(force, (row(pair, NORMAL),), lanes) + moved.approach * scalar(pairs.bond, (pair, NORMAL))
-    shear = load(force, (row(pair, SHEAR),), lanes) - moved.slide * scalar(pairs.bond, (pair, SHEAR))
-    moment = load(force, (row(pair, MOMENT),), lanes) - moved.twist * scalar(pairs.bond, (pair, MOMENT))
+    normal = load(force, (row(pair, NORMAL),), lanes) + moved.approach * constant(features, pairs.bond, (pair, NORMAL))
+    shear = load(force, (row(pair, SHEAR),), lanes) - moved.slide * constant(features, pairs.bond, (pair, SHEAR))
+    moment = load(force, (row(pair, MOMENT),), lanes) - moved.twist * constant(features, pairs.bond, (pair, MOMENT))
     if features.breakage:
         broken = bond_fails(
             normal,
             shear,
             moment,
-            tension_limit=scalar(pairs.strength, (pair, TENSION_LIMIT)),
-            shear_limit=scalar(pairs.strength, (pair, SHEAR_LIMIT)),
-            friction_slope=scalar(pairs.strength, (pair, FRICTION_SLOPE)),
-            bending=scalar(pairs.strength, (pair, BENDING)),
+            tension_limit=constant(features, pairs.strength, (pair, TENSION_LIMIT)),
+            shear_limit=constant(features, pairs.strength, (pair, SHEAR_LIMIT)),
+            friction_slope=constant(features, pairs.strength, (pair, FRICTION_SLOPE)),
+            bending=constant(features, pairs.strength, (pair, BENDING)),
         )
         if features.account:
             _add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
@@ -394,10 +383,10 @@ def _add_breakage_loss(
     watch: Watch,
 ) -> None:
     """Add the energy of a breaking bond to the account, less that of the sand's contact which takes over."""
-    lost = bond[0] * bond[0] / scalar(pairs.bond, (pair, NORMAL))
-    lost = lost + bond[1] * bond[1] / scalar(pairs.bond, (pair, SHEAR))
-    lost = 0.5 * (lost + bond[2] * bond[2] / scalar(pairs.bond, (pair, MOMENT)))
+    lost = bond[0] * bond[0] / constant(features, pairs.bond, (pair, NORMAL))
+    lost = lost + bond[1] * bond[1] / constant(features, pairs.bond, (pair, SHEAR))
+    lost = 0.5 * (lost + bond[2] * bond[2] / constant(features, pairs.bond, (pair, MOMENT)))
     if not features.linear_group:
-        normal, _ = hertz_normal(overlap, scalar(pairs.hertz, (pair,)))
+        normal, _ = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
         lost = lost - 0.4 * normal * overlap
     add_energy(features, CONTACT_LOSS, select(broken, lost, 0.0), watch)

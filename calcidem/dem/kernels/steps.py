@@ -21,17 +21,17 @@ by the displacement between the two last positions, ``dt v(n - 1/2)``, so they b
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.compiling import compile_function, inline
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
+    fill_lanes,
     load,
-    row,
     scalar,
     store,
 )
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System, Y
-from calcidem.dem.kernels.motion import drive_disks, integrate
+from calcidem.dem.kernels.motion import drive_disks, integrate, integrate_records, of_disk
 from calcidem.dem.kernels.pair import add_pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
 
@@ -62,12 +62,16 @@ def advance_steps(features: Features, steps: int, time_step: Floats, system: Sys
 def _take_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
     """Do the steps of `advance_steps`, some at a time."""
     dt = load(time_step, (0,), features.lanes)
+    if features.bundled:  # noqa: SIM108 - known to the compiler; both sides have a type of their own
+        pair_dt = fill_lanes(scalar(time_step, (0, 0)), features.width)
+    else:
+        pair_dt = dt
     walls, recording = system.walls, system.recording
     step = 0
     while step < steps:
         together = _steps_in_flight(features, steps, step, system.front, recording)
         start_walls(features, together, recording.offset + step, dt, system)
-        far = _step_together(features, together, recording.offset + step, dt, system)
+        far = _step_together(features, together, recording.offset + step, (dt, pair_dt), system)
         step += together
         finish_walls(features, together, recording.offset + step - 1, dt, system)
         if features.recording:  # noqa: SIM102 - known to the compiler, unlike the condition within
@@ -75,8 +79,8 @@ def _take_steps(features: Features, steps: int, time_step: Floats, system: Syste
                 _record_sample(features, (recording.offset + step) // recording.stride - 1, system)
         if features.search:
             for wall in range(walls.normal.shape[0]):
-                far = far | wall_is_far(features, wall, walls, system.watch)
-            if bits_of_mask(far) != 0:
+                far = far | bits_of_mask(wall_is_far(features, wall, walls, system.watch))
+            if far != 0:
                 return step
     return steps
 
@@ -91,13 +95,16 @@ def _steps_in_flight(features: Features, steps: int, step: int, front: Front, re
 
 
 @inline
-def _step_together(features: Features, together: int, step: int, dt: Vector, system: System) -> Vector:
-    """Lead ``together`` steps, from ``step`` on, through all blocks; return the lanes in which a disk went far.
+def _step_together(
+    features: Features, together: int, step: int, time_steps: tuple[Vector, Vector], system: System
+) -> Vector:
+    """Lead ``together`` steps, from ``step`` on, through all blocks; return zero if no disk went far.
 
-    Far is out of the reach of the pair list.
+    Far is out of the reach of the pair list. ``time_steps`` are as wide as samples and as pairs.
     """
+    dt, pair_dt = time_steps
     pair_start, wall_start = system.pairs.start, system.wall_pairs.start
-    far = dt < 0.0
+    far = pair_dt < 0.0
     count, block = system.grains.radius.shape[0], system.front.block
     blocks = (count + block - 1) // block
     for leading in range(blocks + together - 1):
@@ -105,14 +112,18 @@ def _step_together(features: Features, together: int, step: int, dt: Vector, sys
             begin = (leading - level) * block
             end = min(count, begin + block)
             first, last = scalar(pair_start, (begin,)), scalar(pair_start, (end,))
-            add_pair_forces(features, first, last, level, dt, system)
+            add_pair_forces(features, first, last, level, pair_dt, system)
             for pair in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
                 wall_forces(features, pair, level, dt, system)
             if features.driven:
                 drive_disks(features, range(begin, end), level, step + level, dt, system)
-            for grain in range(begin, end):
-                far = far | integrate(features, grain, level, dt, system)
-    return far
+            if features.bundled:
+                for grain in range(begin, end, ABREAST):
+                    far = far | integrate_records(features, grain, level, pair_dt, system)
+            else:
+                for grain in range(begin, end):
+                    far = far | integrate(features, grain, level, dt, system)
+    return bits_of_mask(far)
 
 
 @inline
@@ -124,6 +135,6 @@ def _record_sample(features: Features, sample: int, system: System) -> None:
     store(recording.samples, (sample, RECEIVED), received)
     total = received * 0.0
     for listener in recording.listeners:
-        total = total + load(system.motion.velocity, (row(listener, Y),), lanes)
+        total = total + of_disk(features, system.motion.velocity, listener, Y)
     count = max(1, recording.listeners.shape[0])
     store(recording.samples, (sample, LISTENED), total * (1.0 / count))

@@ -22,7 +22,7 @@ from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
 
-class _LaneType(types.Type):
+class LaneType(types.Type):
     """Numba type of ``width`` floating-point numbers in one vector."""
 
     def __init__(self, dtype: Any, width: int) -> None:
@@ -54,11 +54,11 @@ class _MaskType(types.Type):
         return self.width
 
 
-@register_model(_LaneType)
+@register_model(LaneType)
 class _LaneModel(models.PrimitiveModel):
     """A lane vector is an LLVM vector of floats."""
 
-    def __init__(self, manager: Any, lane: _LaneType) -> None:
+    def __init__(self, manager: Any, lane: LaneType) -> None:
         element = manager.lookup(lane.dtype).get_value_type()
         super().__init__(manager, lane, ir.VectorType(element, lane.width))
 
@@ -80,15 +80,15 @@ def _splat(builder: Any, scalar: Any, width: int) -> Any:
     return builder.shuffle_vector(single, single, zeros)
 
 
-@lower_cast(types.Number, _LaneType)
-def _cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: _LaneType, value: Any) -> Any:
+@lower_cast(types.Number, LaneType)
+def _cast_number_to_lane(context: Any, builder: Any, from_type: Any, to_type: LaneType, value: Any) -> Any:
     """Spread a number over the lanes, in the precision of the lanes."""
     return _splat(builder, context.cast(builder, value, from_type, to_type.dtype), to_type.width)
 
 
-def _widest_lane(args: tuple[Any, ...]) -> _LaneType | None:
+def _widest_lane(args: tuple[Any, ...]) -> LaneType | None:
     """Lane type among the arguments, if one of them is a lane vector and the others fit it."""
-    lanes = [arg for arg in args if isinstance(arg, _LaneType)]
+    lanes = [arg for arg in args if isinstance(arg, LaneType)]
     if not lanes or not all(arg == lanes[0] or isinstance(arg, types.Number) for arg in args):
         return None
     return lanes[0]
@@ -104,7 +104,7 @@ def _register_arithmetic(function: Any, instruction: str) -> None:
             lane = _widest_lane(args)
             return None if lane is None else signature(lane, *[lane] * len(args))
 
-    @lower_builtin(function, *[_LaneType] * (1 if instruction == "fneg" else 2))
+    @lower_builtin(function, *[LaneType] * (1 if instruction == "fneg" else 2))
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         return getattr(builder, instruction)(*args)
@@ -120,7 +120,7 @@ def _register_comparison(function: Any, symbol: str) -> None:
             lane = _widest_lane(args)
             return None if lane is None else signature(_MaskType(lane.width), lane, lane)
 
-    @lower_builtin(function, _LaneType, _LaneType)
+    @lower_builtin(function, LaneType, LaneType)
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         return builder.fcmp_ordered(symbol, *args)
@@ -197,7 +197,7 @@ def _row_pointer(
 def load_vector(typingctx: Any, array: Any, index: Any, width: Any) -> Any:
     """Compiled side of `load`."""
     del typingctx
-    lane = _LaneType(array.dtype, width.literal_value)
+    lane = LaneType(array.dtype, width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         vector = context.get_value_type(lane)
@@ -237,7 +237,9 @@ def load_scalar(typingctx: Any, array: Any, index: Any) -> Any:
 def fill_with_scalar(typingctx: Any, number: Any, width: Any) -> Any:
     """Compiled side of `fill_lanes`."""
     del typingctx
-    lane = _LaneType(number, width.literal_value)
+    if isinstance(number, LaneType):
+        return number(number, width), lambda *generation: generation[-1][0]
+    lane = LaneType(number, width.literal_value)
 
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
@@ -328,7 +330,7 @@ def copy_sign(typingctx: Any, value: Any, sign: Any) -> Any:
     return value(value, sign), codegen
 
 
-def _call_vector_function(builder: Any, name: str, lane: _LaneType, args: tuple[Any, ...]) -> Any:
+def _call_vector_function(builder: Any, name: str, lane: LaneType, args: tuple[Any, ...]) -> Any:
     """Call the form of an LLVM function that takes and returns lane vectors."""
     vector = args[0].type
     # llvmlite names intrinsics of scalars only, so the name of the vector form is spelt out.

@@ -12,7 +12,6 @@ from calcidem.dem.kernels.lanes import (
     larger,
     load,
     magnitude,
-    row,
     scalar,
     select,
     smaller,
@@ -40,7 +39,7 @@ from calcidem.dem.kernels.layout import (
     X,
     Y,
 )
-from calcidem.dem.kernels.motion import add_energy, add_force
+from calcidem.dem.kernels.motion import add_energy, add_force, of_disk
 from calcidem.dem.kernels.pair import add_shear_loss
 
 
@@ -54,7 +53,7 @@ def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: S
     overlap = scalar(wall_pairs.overlap, (pair,))
     normal_x, normal_y = scalar(walls.normal, (wall, X)), scalar(walls.normal, (wall, Y))
     field = motion.displacement
-    away = normal_x * load(field, (row(grain, X),), lanes) + normal_y * load(field, (row(grain, Y),), lanes)
+    away = normal_x * of_disk(features, field, grain, X) + normal_y * of_disk(features, field, grain, Y)
     closer = load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) - away
     depth = overlap + closer
     arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
@@ -83,12 +82,11 @@ def _wall_slide(
     features: Features, grain: int, wall: int, arm: Vector, wall_path: Vector, field: Vector, walls: Walls
 ) -> Vector:
     """Tangential displacement (or velocity) of a disk's rim relative to a wall."""
-    lanes = features.lanes
     normal_x, normal_y = scalar(walls.normal, (wall, X)), scalar(walls.normal, (wall, Y))
-    along = normal_x * load(field, (row(grain, Y),), lanes) - normal_y * load(field, (row(grain, X),), lanes)
+    along = normal_x * of_disk(features, field, grain, Y) - normal_y * of_disk(features, field, grain, X)
     slide = along - wall_path
     if features.rotation:
-        slide = slide - arm * load(field, (row(grain, ROTATION),), lanes)
+        slide = slide - arm * of_disk(features, field, grain, ROTATION)
     return slide
 
 

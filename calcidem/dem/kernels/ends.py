@@ -1,0 +1,89 @@
+"""What a pair knows of itself and of its two disks, and what it does to them: of many samples, or of one sample.
+
+Of many samples a vector holds one pair in all of them, so constants are shared and a disk is a row of lanes. Of one
+sample it holds `ABREAST` pairs, a *bundle* (see `layout.Pairs`): constants are vectors, disks are records here and
+there, and forces are added to the disks one pair after the other, in the order of the list: sums have the same bits.
+"""
+
+from calcidem.dem.kernels.compiling import inline
+from calcidem.dem.kernels.features import ABREAST, Features
+from calcidem.dem.kernels.lanes import Vector, load, row, scalar
+from calcidem.dem.kernels.layout import ROTATION, Front, Grains, Pairs, System, X, Y
+from calcidem.dem.kernels.motion import add_force
+from calcidem.dem.kernels.records import RECORD, columns_to_records, gather_records, load_run, store_run
+
+
+@inline
+def constant(features: Features, array: Vector, index: tuple[Vector, ...]) -> Vector:
+    """Constant of a pair: one number for all samples, or a vector of the pairs of a bundle."""
+    if features.bundled:
+        return load(array, index, features.width)
+    return scalar(array, index)
+
+
+@inline
+def radii(features: Features, pair: int, grains: Grains, pairs: Pairs) -> tuple[Vector, Vector]:
+    """Radii of the two disks."""
+    if features.bundled:
+        return load(pairs.radii, (pair, 0), features.width), load(pairs.radii, (pair, 1), features.width)
+    first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
+    return scalar(grains.radius, (first,)), scalar(grains.radius, (second,))
+
+
+@inline
+def components(features: Features, pair: int, table: Vector, field: Vector) -> tuple[Vector, Vector, Vector]:
+    """X, y and rotation, in a field, of the first or the second disk of a pair, as ``table`` lists them."""
+    if features.bundled:
+        return gather_records(field, table, (pair,))
+    disk, lanes = scalar(table, (pair,)), features.lanes
+    return (
+        load(field, (row(disk, X),), lanes),
+        load(field, (row(disk, Y),), lanes),
+        load(field, (row(disk, ROTATION),), lanes),
+    )
+
+
+@inline
+def push_apart(
+    features: Features,
+    pair: int,
+    level: int,
+    force: tuple[Vector, Vector],
+    moments: tuple[Vector, Vector],
+    system: System,
+) -> None:
+    """Add a force (x, y) to the second disk and its opposite to the first, and moments to the first and the second."""
+    pairs, front = system.pairs, system.front
+    if features.bundled:
+        _store_records(front, 0, (-force[X], -force[Y], moments[0]))
+        _store_records(front, ABREAST, (force[X], force[Y], moments[1]))
+        for lane in range(ABREAST):
+            _add_record(front, level, scalar(pairs.first, (pair, lane)), lane)
+            _add_record(front, level, scalar(pairs.second, (pair, lane)), ABREAST + lane)
+    else:
+        first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
+        add_force(features, first, X, level, -force[X], front)
+        add_force(features, first, Y, level, -force[Y], front)
+        add_force(features, second, X, level, force[X], front)
+        add_force(features, second, Y, level, force[Y], front)
+        if features.rotation:
+            add_force(features, first, ROTATION, level, moments[0], front)
+            add_force(features, second, ROTATION, level, moments[1], front)
+
+
+@inline
+def _store_records(front: Front, begin: int, columns: tuple[Vector, Vector, Vector]) -> None:
+    """Write the forces of the pairs of a bundle on their first or second disks down as records."""
+    a, b, c, d = columns_to_records(columns[0], columns[1], columns[2])
+    place = RECORD * begin
+    store_run(front.parts, place, a)
+    store_run(front.parts, place + 2 * RECORD, b)
+    store_run(front.parts, place + 4 * RECORD, c)
+    store_run(front.parts, place + 6 * RECORD, d)
+
+
+@inline
+def _add_record(front: Front, level: int, begin: int, place: int) -> None:
+    """Add one of those records to the sum of the forces on the disk whose records begin at ``begin``."""
+    slot = ((level << front.slot_bits) * RECORD) + (begin & ((RECORD << front.slot_bits) - 1))
+    store_run(front.force, slot, load_run(front.force, slot, RECORD) + load_run(front.parts, RECORD * place, RECORD))
