@@ -52,6 +52,28 @@ def measured(given: Experiment) -> list[Measurement]:
     return [measure(given, CONTENT, [seed], lanes=1)[0] for seed in SEEDS]
 
 
+def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
+    """Samples of a batch share them, so neither cement nor time step of one may round them."""
+    given = experiment()
+    loads = [
+        prepare_recorder(given, [given.ordering(seed).at(CONTENT).bonded], FREQUENCY, 1, lambda: None).state.scene.load
+        for seed in SEEDS
+    ]
+    assert loads[0] is not None
+    assert np.any(loads[0])
+    assert all(np.array_equal(load, loads[0]) for load in loads[1:])
+
+
+@pytest.mark.full
+def test_a_loud_sample_gives_the_same_bits_alone_and_among_others() -> None:
+    """In a batch of eight lanes, wherever in it."""
+    given = experiment()
+    batch = measure(given, CONTENT, SEEDS[::-1], lanes=8)
+    for one, another in zip(measured(given), batch[::-1], strict=True):
+        assert one.vs == another.vs
+        np.testing.assert_array_equal(one.record.velocity, another.record.velocity)
+
+
 def recorded(given: Experiment, step_of_limit: float) -> WaveRecord:
     """Send the pulse with a step over its limit at the start, for as long as it takes to cross the sample."""
     recorder = prepare_recorder(given, [given.ordering(1).at(CONTENT).bonded], FREQUENCY, 1, lambda: None)

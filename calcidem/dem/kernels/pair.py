@@ -289,11 +289,9 @@ def _frictional_law(
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
         normal = select(intact, 0.0, normal)
         shear = select(intact, 0.0, shear)
-        kept_shear = shear
-        if features.bundled:
-            # A pair of one sample keeps, while it is cemented, what its sand had.
-            kept_root = select(intact, load(pairs.root, (pair,), lanes), kept_root)
-            kept_shear = select(intact, old, shear)
+        # A pair keeps what its sand had while it is cemented, whether or not it is so in the other lanes.
+        kept_root = select(intact, load(pairs.root, (pair,), lanes), kept_root)
+        kept_shear = select(intact, old, shear)
     store(pairs.shear, (pair,), kept_shear)
     if features.account:
         before = constant(features, pairs.mindlin, (pair,)) * load(pairs.root, (pair,), lanes)

@@ -29,6 +29,7 @@ from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refus
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
+_EXACT_STEP = 2.0**-30  # s; multiplying by a power of two rounds nothing
 
 
 def send_waves(
@@ -105,8 +106,10 @@ def prepare_recorder(
     )
     state = begin(scene)
     if rule.regime != "linear" and installation == "preserve":
-        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it.
-        loaded = replace(scene, load=-net_forces(state))
+        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
+        # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
+        bare = begin(replace(scene, bonds=None))
+        loaded = replace(scene, load=-net_forces(replace(bare, time_step=np.full(lanes, _EXACT_STEP))))
         state = begin(loaded, features=_wave_features(loaded, rule, skin, lanes))
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
