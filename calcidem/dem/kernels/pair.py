@@ -284,15 +284,13 @@ def _frictional_law(
     else:
         shear = select(fill_lanes(constant(features, pairs.friction, (pair,)), lanes) > 0.0, shear, 0.0)
     kept_root = larger(root, SMALLEST_ROOT)
-    kept_shear = shear
     if features.bonds and not features.linear_group:
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
         normal = select(intact, 0.0, normal)
         shear = select(intact, 0.0, shear)
-        # A pair keeps what its sand had while it is cemented, whether or not it is so in the other lanes.
+        # While it is cemented a pair keeps its root, as it does where all lanes are and none of this is computed.
         kept_root = select(intact, load(pairs.root, (pair,), lanes), kept_root)
-        kept_shear = select(intact, old, shear)
-    store(pairs.shear, (pair,), kept_shear)
+    store(pairs.shear, (pair,), shear)
     if features.account:
         before = constant(features, pairs.mindlin, (pair,)) * load(pairs.root, (pair,), lanes)
         if features.linear_group:

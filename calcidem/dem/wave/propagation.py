@@ -97,20 +97,18 @@ def prepare_recorder(
     skin = _wave_skin(packing, pulse)
     begin = partial(
         start,
-        features=_wave_features(scene, rule, skin, lanes),
         precision=rule.precision,
         preload=packing.preload,
         step_fraction=rule.step_fraction,
         skin_fraction=skin,
         steps_per_contact=0.0,
     )
-    state = begin(scene)
     if rule.regime != "linear" and installation == "preserve":
         # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
         # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
-        bare = begin(replace(scene, bonds=None))
-        loaded = replace(scene, load=-net_forces(replace(bare, time_step=np.full(lanes, _EXACT_STEP))))
-        state = begin(loaded, features=_wave_features(loaded, rule, skin, lanes))
+        bare = begin(replace(scene, bonds=None), features=_wave_features(scene, rule, skin, lanes))
+        scene = replace(scene, load=-net_forces(replace(bare, time_step=np.full(lanes, _EXACT_STEP))))
+    state = begin(scene, features=_wave_features(scene, rule, skin, lanes))
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
