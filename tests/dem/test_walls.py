@@ -83,7 +83,8 @@ def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> 
     done = 0
     for steps in calls:
         nobody, listeners = np.zeros(0, dtype=np.int64), np.array([0])
-        recording = Recording(drive, 0, nobody, done, stride, receiver=1, listeners=listeners, samples=samples)
+        groups = np.array([0, 1])
+        recording = Recording(drive, 0, nobody, done, stride, 1, listeners, groups, samples)
         state = run_in_place(state, steps, recording)
         done += steps
     return state, samples

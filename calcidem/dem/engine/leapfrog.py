@@ -236,6 +236,7 @@ def no_recording(state: State) -> Recording:
         stride=np.iinfo(np.int64).max,  # never write: there is no room for samples
         receiver=0,
         listeners=np.zeros(0, dtype=np.int64),
+        groups=np.zeros(2, dtype=np.int64),
         samples=np.zeros((0, 2, lanes), dtype),
     )
 

@@ -249,9 +249,11 @@ class Recording(NamedTuple):
     receiver
         Index of the wall whose shear force is recorded.
     listeners
-        Disks whose mean velocity along y is recorded.
+        Disks whose mean velocities along y are recorded, group by group.
+    groups
+        (G + 1,) the disks of group g are ``listeners[groups[g] : groups[g + 1]]``.
     samples
-        (S // stride, 2, L) shear force on the receiving wall (N/m), mean velocity (m/s).
+        (S // stride, 1 + G, L) shear force on the receiving wall (N/m), mean velocity of each group (m/s).
     """
 
     drive: Floats
@@ -261,6 +263,7 @@ class Recording(NamedTuple):
     stride: int
     receiver: int
     listeners: Integers
+    groups: Integers
     samples: Floats
 
 

@@ -128,13 +128,14 @@ def _step_together(
 
 @inline
 def _record_sample(features: Features, sample: int, system: System) -> None:
-    """Record the shear force on the receiving wall and the mean velocity of the listening disks."""
+    """Record the shear force on the receiving wall and the mean velocities of the groups of listening disks."""
     lanes = features.lanes
     recording = system.recording
     received = load(system.walls.reaction, (recording.receiver, SHEAR), lanes)
     store(recording.samples, (sample, RECEIVED), received)
-    total = received * 0.0
-    for listener in recording.listeners:
-        total = total + of_disk(features, system.motion.velocity, listener, Y)
-    count = max(1, recording.listeners.shape[0])
-    store(recording.samples, (sample, LISTENED), total * (1.0 / count))
+    for group in range(recording.groups.shape[0] - 1):
+        begin, end = scalar(recording.groups, (group,)), scalar(recording.groups, (group + 1,))
+        total = received * 0.0
+        for place in range(begin, end):
+            total = total + of_disk(features, system.motion.velocity, scalar(recording.listeners, (place,)), Y)
+        store(recording.samples, (sample, LISTENED + group), total * (1.0 / max(1, end - begin)))

@@ -6,6 +6,7 @@ time. So do disks without a contact, as long as no contact can form.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -95,6 +96,19 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
     cure = "holds no disk at the receiver: make it or receiver_half_width larger"
     require(len(found) > 0, "listening_depth", depth, cure)
     return found
+
+
+def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
+    """Disks of each station, from the transmitter on: slices of one thickness before the disks that listen.
+
+    The first eighth of the way is left out: there P and S wave are one.
+    """
+    ends = np.linspace(0.125 * packing.width, packing.width - rule.listening_depth, rule.stations + 1)
+    in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
+    found = [np.flatnonzero(in_band & (a <= packing.x) & (packing.x < b)) for a, b in pairwise(ends)]
+    empty = sum(not len(disks) for disks in found)
+    require(not empty, "stations", rule.stations, f"{empty} of them hold no disk: make them fewer")
+    return tuple(found) if rule.stations else ()
 
 
 def driven_disks(packing: Packing, rule: WaveRule) -> Integers:

@@ -11,7 +11,7 @@ from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import listening_disks
+from calcidem.dem.wave.domain import listening_disks, station_disks
 from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import excitation_frequency
 from calcidem.dem.wave.rule import WaveRule
@@ -100,6 +100,18 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
+
+    @property
+    def stations(self) -> tuple[float, ...]:
+        """Where the stations are, as parts of the way."""
+        return _places_of_stations(self)
+
+
+@lru_cache(maxsize=8)
+def _places_of_stations(experiment: Experiment) -> tuple[float, ...]:
+    """Mean x of the disks of each station, over the distance."""
+    packing, way = experiment.packing, _mean_place_of_listeners(experiment)
+    return tuple(float(np.mean(packing.x[disks])) / way for disks in station_disks(packing, experiment.wave))
 
 
 @lru_cache(maxsize=8)  # it is asked for at each look at each record

@@ -14,6 +14,7 @@ import numpy as np
 from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
+from calcidem.dem.wave.ridge import follow_ridge
 from calcidem.dem.wave.tops import find_tops, half_width, prominence
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
@@ -36,6 +37,9 @@ _FEWEST_PERIODS = 0.75  # on the way; with fewer, a faster wave need not begin m
 _SHIFT = 0.05  # of the travel time by which a P wave of opposite sign may have moved the peak
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
+_CUTTING_ON_RIDGE = 1.85  # the same where stations tell which top it is, and nothing else is asked of it
+_LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
+_LEAST_LEAD = 0.02  # of that score over that of the path to any other top
 
 PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
 """Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
@@ -63,6 +67,9 @@ class PreparedSignals:
         Travel times at the ends of the rule's window.
     reach
         Number of later samples on which a smoothed one depends.
+    section, places
+        (T, X + 1) smoothed signals of the stations and of the receiver, and (X + 1,) their places as parts of the
+        distance; None without stations.
     """
 
     signals: Signals
@@ -76,6 +83,8 @@ class PreparedSignals:
     earliest: float
     latest: float
     reach: int
+    section: Floats | None = None
+    places: Floats | None = None
 
     def reading(self, samples: float, quality: float) -> Reading:
         """Turn a travel time in samples into a reading."""
@@ -123,11 +132,22 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
     period = 2.0 * (ended - began)
     earliest = signals.distance / (rule.fastest * signals.sampling_interval)
     # No straight line is taken off: the short quiet part at the start cannot tell how it would go on.
-    received = np.asarray(received - _median(received[: max(1, int(earliest))]))
-    smooth, reach = received, int(rule.smoothing * period / 2.0)
-    # A cubic through fewer than five samples smooths nothing.
-    if reach > 1 and 2 * reach < len(received) and np.isfinite(received).all():
-        smooth = smooth_cubically(received, reach)
+    found = settled_peak(record)
+    if isinstance(found, MainPeak) or found is PickFailure.NOT_FINITE:
+        return found
+    return _why_no_peak(record, cut_off=found is not None)
+
+
+def settled_peak(record: PreparedSignals) -> MainPeak | PickFailure | None:
+    """Main peak; `PickFailure.TOO_SHORT` if only a longer record could tell, `NOT_FINITE`, or None without any."""
+    if not np.isfinite(record.received).all():
+        return PickFailure.NOT_FINITE
+    certain = (
+        verdict
+        for _, verdict in judge_tops(record)
+        if verdict is PickFailure.TOO_SHORT or isinstance(verdict, MainPeak)
+    )
+    return next(certain, None)
     return PreparedSignals(
         signals=signals,
         rule=rule,
@@ -140,6 +160,8 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
         earliest=earliest,
         latest=signals.distance / (rule.slowest * signals.sampling_interval),
         reach=reach,
+        section=section,
+        places=places,
     )
 
 
@@ -176,7 +198,8 @@ def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFa
     """
     for index in _find_high_tops(record.smooth, record.signals.floor):
         possible = record.earliest < index - record.sent_peak < record.latest
-        yield index, _judge_peak(record, index) if possible else PassedOver.OUTSIDE
+        judge = _judge_peak if record.section is None else _judge_on_ridge
+        yield index, judge(record, index) if possible else PassedOver.OUTSIDE
 
 
 def least_later_height(record: PreparedSignals) -> float:
@@ -184,12 +207,15 @@ def least_later_height(record: PreparedSignals) -> float:
 
     Each condition is one of `_judge_peak`, whose quiet part, largest value and trough only grow with the record.
     """
+    offset = abs(float(record.signals.received[0] - record.received[0]))
+    if record.section is not None:  # stations follow a top of any height
+        return record.signals.floor - offset
     known = record.smooth[: max(1, len(record.smooth) - record.reach)]
     travel, trough = len(known) - record.sent_peak, int(np.argmin(known))
     quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period)
     noise = float(np.abs(known[: max(1, int(max(quiet, record.earliest)))]).max())
     height = max(record.signals.floor, _ENOUGH * float(known.max()), record.rule.signal_to_noise * noise)
-    return height - abs(float(record.signals.received[0] - record.received[0]))
+    return height - offset
 
 
 def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
@@ -248,16 +274,50 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     )
 
 
+def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
+    """Weigh a top by what the stations saw on the way, against all tops up to its horizon."""
+    rule, smooth, sent, section, places = record.rule, record.smooth, record.sent_peak, record.section, record.places
+    assert section is not None and places is not None  # noqa: S101 - for the type checker
+    time, height = index + parabola_vertex(smooth, index), float(smooth[index])
+    travel = time - sent
+    horizon = int(np.ceil(sent + max(rule.horizon * travel, travel + record.period)))
+    if horizon + record.reach > len(smooth):
+        return PickFailure.TOO_SHORT
+    view = smooth[:horizon]
+    ends = np.array([top for top in _find_high_tops(view, record.signals.floor) if top - sent > record.earliest])
+    scores = follow_ridge(section[:horizon], places, ends, sent, record.period)
+    score = float(scores[ends == index][0])
+    other = float(scores[np.abs(ends - index) > _APART * travel].max(initial=-1.0))
+    if score < max(_LEAST_SCORE, other + _LEAST_LEAD):
+        return PassedOver.OFF_RIDGE
+    trough = int(np.argmin(view[: index + 1]))
+    behind_p = -float(view[trough]) > rule.precursor * height and trough > sent
+    without_p = _top_without_p(view, trough, index) if behind_p else time
+    before = view[: index + 1]
+    return MainPeak(
+        index=index,
+        time=time,
+        height=height,
+        noise=_noise_level(record, horizon, travel / _FASTEST_P),
+        precursor=max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height,
+        quality=score,
+        doubt=_doubt(record, view, index, without_p, behind_p=behind_p, ringing=False),
+        end=horizon + record.reach,
+    )
+
+
 def _doubt(
     record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool, ringing: bool
 ) -> PickFailure | None:
     """Tell why the time of a main peak would be chance."""
-    travel = index - record.sent_peak
-    if _may_be_another(record, view, index, behind_p=behind_p, ringing=ringing):
+    travel, alone = index - record.sent_peak, record.section is None
+    if alone and _may_be_another(record, view, index, behind_p=behind_p, ringing=ringing):
         return PickFailure.UNSURE
-    if travel < _BLURRED * record.period and _is_broad(record, view, index):
+    lean = _lean(view, index) / record.period
+    # On the ridge a peak that is longer before its top is one S wave that took several ways, and not cut by another.
+    if travel < _BLURRED * record.period and _is_broad(record, view, index) and (alone or lean > -_LEAN):
         return PickFailure.BROAD
-    cut = travel < _CUTTING * record.period and _lean(view, index) > _LEAN * record.period
+    cut = travel < (_CUTTING if alone else _CUTTING_ON_RIDGE) * record.period and lean > _LEAN
     if behind_p and (cut or index - time > _SHIFT * travel):
         return PickFailure.PRECURSOR
     return PickFailure.NEAR if travel < record.rule.fewest_periods * record.period else None
@@ -352,8 +412,10 @@ def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     noise = _noise_level(record, len(smooth), (int(np.argmax(smooth)) - record.sent_peak) / _FASTEST_P)
     if np.abs(smooth).max() <= max(record.signals.floor, record.rule.signal_to_noise * noise):
         return PickFailure.SILENT
-    rising = np.argmax(smooth) >= len(smooth) - record.period
-    return PickFailure.TOO_SHORT if cut_off or rising else PickFailure.NO_PEAK
+    if cut_off or np.argmax(smooth) >= len(smooth) - record.period:
+        return PickFailure.TOO_SHORT
+    followed = record.section is not None and any(why is PassedOver.OFF_RIDGE for _, why in judge_tops(record))
+    return PickFailure.LOST if followed else PickFailure.NO_PEAK
 
 
 def parabola_vertex(signal: Floats, index: int) -> float:

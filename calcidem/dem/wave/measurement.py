@@ -149,7 +149,8 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     wave = experiment.wave
     floor = (_MUTED if wave.damping > _MUTING else _SILENT) * wave.amplitude
     if experiment.signal == "velocity":
-        return Signals(record.sampling_interval, record.sent, record.velocity, experiment.distance, floor)
+        given = record.sampling_interval, record.sent, record.velocity, experiment.distance, floor
+        return Signals(*given, record.stations, experiment.stations)
     floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
     return Signals(record.sampling_interval, record.sent, record.force, experiment.distance, floor)
 

@@ -21,6 +21,7 @@ class PickFailure(StrEnum):
     BROAD = "the main peak is so broad that a faster wave may be part of it: send a higher frequency"
     NEAR = "on so short a way P and S wave are one peak: send a higher frequency, or over a longer way"
     UNSURE = "two tops are of nearly the same height, either may be the peak: send another frequency"
+    LOST = "the S wave cannot be followed to one top of the received signal: send a higher frequency"
     DISAGREEMENT = "differs by more than a tenth from the peak: read the peak, or send a higher frequency"
     NOISE = "noise hides the first arrival"
     OUTSIDE_WINDOW = "the velocity is outside the window of possible ones"
@@ -36,6 +37,7 @@ class PassedOver(StrEnum):
     NOT_PROMINENT = "it hardly stands out of what is around it"
     NARROW = "it is far narrower than the pulse that was sent"
     FAINT = "it is hardly above what was there before any wave could be"
+    OFF_RIDGE = "what the stations saw on the way leads to another top, or to another one as well"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,8 @@ class Signals:
         Peaks up to this value count as silence, in the unit of ``received``. Give what the receiver does
         without a pulse, or about a thousandth of what is sent: a ripple long before the pulse looks like an
         arrival until the pulse is there, and a simulation also passes on what no instrument would see.
+    stations, places
+        (T, X) signals on the way, and where, as parts of the distance: they tell which top is the S wave's.
     """
 
     sampling_interval: float
@@ -129,6 +133,8 @@ class Signals:
     received: Floats
     distance: float
     floor: float
+    stations: Floats | None = None
+    places: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse signals that do not match or hold no pulse."""

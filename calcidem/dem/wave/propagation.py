@@ -20,7 +20,7 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.arrival import record_duration
-from calcidem.dem.wave.domain import domain_of, driven_disks, listening_disks
+from calcidem.dem.wave.domain import domain_of, driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
@@ -118,7 +118,7 @@ def prepare_recorder(
         state,
         pulse,
         stride=_samples_stride(experiment, bonds is not None, frequency),
-        listeners=np.sort(rank[listening_disks(packing, rule)]),
+        listeners=tuple(np.sort(rank[disks]) for disks in (listening_disks(packing, rule), *station_disks(packing, rule))),
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),

@@ -37,6 +37,8 @@ class WaveRecord:
         Critical time step at the start, s.
     steps
         Time steps done for this sample.
+    stations
+        (S, X) mean velocity along y of the disks of each station, m/s; None without stations.
     unbalanced_speed
         See `guards.unbalanced_speed`.
     closing_gaps
@@ -64,6 +66,7 @@ class WaveRecord:
     velocity: Floats
     stability_limit: float
     steps: int
+    stations: Floats | None = None
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
@@ -114,8 +117,10 @@ class Recorder:
         What the transmitter does.
     stride
         Time steps between two samples of the signals.
-    listeners, driven_disks
-        Disks whose velocity is recorded, and those that the pulse drives, in memory order.
+    listeners
+        Disks whose mean velocity is recorded: those before the receiver, and those of each station; in memory order.
+    driven_disks
+        Disks that the pulse drives, in memory order.
     samples
         Number of samples; further lanes are not looked at.
     longest
@@ -127,7 +132,7 @@ class Recorder:
     breakable
         See `guards.problems_of`.
     signals
-        (L, 3, S) so far: sent, force and velocity of `WaveRecord`.
+        (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations.
     nonlinear, slipped
         See `WaveRecord`, for each sample and each lane.
     """
@@ -135,7 +140,7 @@ class Recorder:
     state: State
     pulse: Pulse
     stride: int
-    listeners: Integers
+    listeners: tuple[Integers, ...]
     driven_disks: Integers
     samples: int
     longest: float
@@ -149,7 +154,7 @@ class Recorder:
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
-        self.signals = np.zeros((self.state.features.lanes, 3, 0))
+        self.signals = np.zeros((self.state.features.lanes, 2 + len(self.listeners), 0))
         self.slipped = np.zeros(self.state.features.lanes)
 
     @property
@@ -199,15 +204,17 @@ class Recorder:
             offset=0,
             stride=self.stride,
             receiver=RECEIVER,
-            listeners=self.listeners,
-            samples=np.zeros((samples, 2, lanes), dtype),
+            listeners=np.concatenate(self.listeners),
+            groups=np.cumsum([0, *map(len, self.listeners)]),
+            samples=np.zeros((samples, 1 + len(self.listeners), lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
         times = _sample_times(begin, begin + samples, self.stride, self.state.time_step[:, None])
         received = recording.samples.astype(float)
         # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
-        chunk = self._sent_at(times), -received[:, RECEIVED].T, received[:, LISTENED].T
-        self.signals = np.concatenate([self.signals, np.stack(chunk, axis=1)], axis=2)
+        velocities = received[:, LISTENED:].transpose(2, 1, 0)
+        chunk = self._sent_at(times)[:, None], -received[:, RECEIVED].T[:, None], velocities
+        self.signals = np.concatenate([self.signals, np.concatenate(chunk, axis=1)], axis=2)
 
     def _sent_at(self, times: Floats) -> Floats:
         """Velocities of the transmitter at times, m/s; all at once where it is at rest again."""
@@ -228,7 +235,7 @@ class Recorder:
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
-        sent, force, velocity = self.signals[lane]
+        sent, force, velocity, *stations = self.signals[lane]
         return WaveRecord(
             time_step=float(self.state.time_step[lane]),
             stride=self.stride,
@@ -237,6 +244,7 @@ class Recorder:
             velocity=velocity,
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
+            stations=np.array(stations).T if stations else None,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),

@@ -52,6 +52,9 @@ class WaveRule:
         Slowest velocity that is waited for, m/s.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
+    stations
+        Slices of the sample between transmitter and receiver whose mean velocities are recorded, too, to follow the S
+        wave on its way (see `ridge`); 0 for none.
     most_broken_bonds
         Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
     unbalanced_force_ratio
@@ -77,6 +80,7 @@ class WaveRule:
     samples_per_period: int = 100
     slowest: float = 60.0
     listening_depth: float = 0.01
+    stations: int = 0
     most_broken_bonds: float = 0.0
     unbalanced_force_ratio: float = 1.0e-6
     most_settling_steps: int = 2_000_000
@@ -101,6 +105,7 @@ class WaveRule:
                 f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
+            ("stations", self.stations == 0 or self.stations >= 4, "give 0, or 4 and more: fewer tell no line from a bend"),
             ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),

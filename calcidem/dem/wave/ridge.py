@@ -1,0 +1,66 @@
+"""Following the S wave through the sample: which top of the received signal does it lead to?
+
+Behind a large P wave of opposite sign two tops may be of like height, and no shape tells which is the S wave. What the
+disks on the way did tells: their S tops lie on one line through distance and time, from the transmitter on, and tops that
+belong to the P wave, or to what swings at the receiver, do not. The line need not be straight: of all paths whose
+slowness changes little from station to station, the one with the highest signals under it is sought by dynamic
+programming (Bellman 1957).
+"""
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats, Integers
+
+_PER_PERIOD = 24  # samples of a period that are enough to follow a top
+_RATIO = 1.04  # between one slowness and the next
+_BEND = 2  # slownesses by which a path may bend at a station
+_SILENT = 1e-9  # of the largest value; a station with less has not heard anything yet
+_STIFFNESS = 20.0  # score that a bend costs, over the square of the change of log slowness
+
+
+def follow_ridge(stations: Floats, places: Floats, ends: Integers, sent: float, period: float) -> Floats:
+    """Score of the best path from the transmitter through all stations to each of some samples of the last one.
+
+    Parameters
+    ----------
+    stations
+        (T, X) signals on the way, the last of them the receiver's, in any units, as far as may be looked.
+    places
+        (X,) their distances from the transmitter over that of the last.
+    ends
+        (E,) samples of the last station, behind the sent peak.
+    sent, period
+        Time of the sent peak and duration of the sent pulse, in samples.
+
+    Returns
+    -------
+    (E,) mean of the signals under the path, each over its station's largest value, less what its bends cost: 1 for a
+    path along the highest tops at one slowness.
+    """
+    step = max(1, int(period / _PER_PERIOD))
+    begin = int(sent)
+    heights = stations[begin:].max(axis=0)
+    heights = np.maximum(heights, max(_SILENT * float(heights.max()), np.finfo(float).tiny))
+    signals = np.maximum(stations[begin::step] / heights, -1.0)
+    count = len(signals)
+    travels = [max(1.0, 0.1 * period / step)]  # to the receiver, in samples of these: one for each slowness
+    while travels[-1] < count:
+        travels.append(travels[-1] * _RATIO)
+    late = np.rint(np.outer(places, travels)).astype(int)
+    cost = _STIFFNESS * np.log(_RATIO) ** 2 * np.arange(_BEND + 1) ** 2
+    score = np.full((len(travels), count), -np.inf)
+    for path, sample in enumerate(late[0]):
+        if sample < count:
+            score[path, sample] = signals[sample, 0]
+    for station in range(1, len(places)):
+        best = score.copy()
+        for bend in range(1, _BEND + 1):
+            best[:-bend] = np.maximum(best[:-bend], score[bend:] - cost[bend])
+            best[bend:] = np.maximum(best[bend:], score[:-bend] - cost[bend])
+        before = np.arange(count) - (late[station] - late[station - 1])[:, None]
+        came = np.take_along_axis(best, np.maximum(before, 0), axis=1)
+        score = np.where(before >= 0, came, -np.inf) + signals[:, station]
+    along = score.max(axis=0) / len(places)
+    # A path may end a sample beside a top: slownesses and samples are few.
+    near = np.minimum(np.rint((np.asarray(ends) - begin) / step).astype(int)[:, None] + np.arange(-1, 2), count - 1)
+    return np.asarray(along[np.maximum(near, 0)].max(axis=1))
