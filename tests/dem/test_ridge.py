@@ -41,7 +41,9 @@ def test_units_of_a_station_do_not_matter() -> None:
 
 def test_a_bent_line_is_followed_at_a_cost() -> None:
     """A wave that slows down on its way is the same wave."""
-    bent, straight = (follow_ridge(bumps(100.0, shape=shape), PLACES, np.array([120]), SENT, PERIOD)[0] for shape in (1.2, 1.0))
+    bent, straight = (
+        follow_ridge(bumps(100.0, shape=shape), PLACES, np.array([120]), SENT, PERIOD)[0] for shape in (1.2, 1.0)
+    )
     assert 0.8 < bent < straight
 
 
@@ -107,7 +109,15 @@ def test_a_longer_record_changes_no_bit() -> None:
     whole = read_travel_times(signals).peak
     settled = []
     for count in range(300, len(signals.received), 50):
-        cut = Signals(INTERVAL, signals.sent[:count], signals.received[:count], WAY, 1e-3, signals.stations[:count], signals.places)  # type: ignore[index]
+        cut = Signals(
+            INTERVAL,
+            signals.sent[:count],
+            signals.received[:count],
+            WAY,
+            1e-3,
+            signals.stations[:count],
+            signals.places,
+        )  # type: ignore[index]
         if has_arrived(cut):
             settled.append(read_travel_times(cut).peak)
     assert len(settled) > 2

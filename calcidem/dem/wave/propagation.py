@@ -118,7 +118,9 @@ def prepare_recorder(
         state,
         pulse,
         stride=_samples_stride(experiment, bonds is not None, frequency),
-        listeners=tuple(np.sort(rank[disks]) for disks in (listening_disks(packing, rule), *station_disks(packing, rule))),
+        listeners=tuple(
+            np.sort(rank[disks]) for disks in (listening_disks(packing, rule), *station_disks(packing, rule))
+        ),
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),

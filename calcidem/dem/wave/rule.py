@@ -105,7 +105,11 @@ class WaveRule:
                 f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
-            ("stations", self.stations == 0 or self.stations >= 4, "give 0, or 4 and more: fewer tell no line from a bend"),
+            (
+                "stations",
+                self.stations == 0 or self.stations >= 4,
+                "give 0, or 4 and more: fewer tell no line from a bend",
+            ),
             ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
