@@ -132,6 +132,43 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
     period = 2.0 * (ended - began)
     earliest = signals.distance / (rule.fastest * signals.sampling_interval)
     # No straight line is taken off: the short quiet part at the start cannot tell how it would go on.
+    received = np.asarray(received - _median(received[: max(1, int(earliest))]))
+    reach = int(rule.smoothing * period / 2.0)
+
+    def smoothed(signal: Floats) -> Floats:
+        # A cubic through fewer than five samples smooths nothing.
+        possible = reach > 1 and 2 * reach < len(signal) and bool(np.isfinite(signal).all())
+        return smooth_cubically(signal, reach) if possible else signal
+
+    smooth, section, places = smoothed(received), None, None
+    if signals.stations is not None:
+        section = np.column_stack([*(smoothed(np.ascontiguousarray(one, float)) for one in signals.stations.T), smooth])
+        places = np.append(signals.places, 1.0)
+    return PreparedSignals(
+        signals=signals,
+        rule=rule,
+        sent=sent,
+        received=received,
+        smooth=smooth,
+        sent_top=top,
+        sent_peak=top + parabola_vertex(sent, top),
+        period=period,
+        earliest=earliest,
+        latest=signals.distance / (rule.slowest * signals.sampling_interval),
+        reach=reach,
+        section=section,
+        places=places,
+    )
+
+
+def _median(values: Floats) -> float:
+    """Median of some values, as NumPy's, which takes five times as long for few."""
+    ordered, count = np.sort(values), len(values)
+    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
+
+
+def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
+    """Find the first top that can be the S wave's, looking no further than its horizon."""
     found = settled_peak(record)
     if isinstance(found, MainPeak) or found is PickFailure.NOT_FINITE:
         return found
