@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calcidem.dem.wave.arrival import has_arrived, read_travel_times
+from calcidem.dem.wave.arrival import is_settled, read_travel_times
 from calcidem.dem.wave.pick import PickFailure, PickRule, Signals
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.ridge import _BEND, _RATIO, _STIFFNESS, follow_ridge
@@ -79,7 +79,7 @@ def test_it_finds_the_best_of_all_paths() -> None:
 
 
 def loud_record(duration: float = 2.2e-3) -> Signals:
-    """S wave at 230 m/s behind a P wave of opposite sign that is four times as high; a swing of the receiver between."""
+    """S wave at 230 m/s behind a P wave of opposite sign, four times as high; a swing of the receiver between."""
     time, pulse = np.arange(0.0, duration, INTERVAL), Pulse(0.5, FREQUENCY)
     places = np.linspace(0.15, 0.9, 9)
 
@@ -109,16 +109,9 @@ def test_a_longer_record_changes_no_bit() -> None:
     whole = read_travel_times(signals).peak
     settled = []
     for count in range(300, len(signals.received), 50):
-        cut = Signals(
-            INTERVAL,
-            signals.sent[:count],
-            signals.received[:count],
-            WAY,
-            1e-3,
-            signals.stations[:count],
-            signals.places,
-        )  # type: ignore[index]
-        if has_arrived(cut):
+        sent, received, stations = signals.sent[:count], signals.received[:count], signals.stations[:count]  # type: ignore[index]
+        cut = Signals(INTERVAL, sent, received, WAY, 1e-3, stations, signals.places)
+        if is_settled(cut):
             settled.append(read_travel_times(cut).peak)
     assert len(settled) > 2
     assert all(one == whole for one in settled)

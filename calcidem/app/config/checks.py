@@ -11,7 +11,7 @@ import numpy as np
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
+from calcidem.dem.wave.domain import DEEPEST_LISTENING, NEAR_TRANSMITTER, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse
 from calcidem.dem.wave.pulse import cutoff_frequency
@@ -102,6 +102,12 @@ def _check_bands(configuration: Configuration) -> Iterator[Problem]:
             f"wave.listening_depth = {depth}: has to hold disks that do not touch the receiver; give more than the "
             f"largest diameter, {largest} m, and at most {DEEPEST_LISTENING:g} of packing.width, {deepest:.4g} m",
             ("wave.listening_depth", "packing.width", "packing.diameter"),
+        )
+    elif (1.0 - NEAR_TRANSMITTER) * width - depth < configuration.wave.stations * largest:
+        most = int(((1.0 - NEAR_TRANSMITTER) * width - depth) / largest)
+        yield Problem(
+            f"wave.stations = {configuration.wave.stations}: slices thinner than the largest disk; give at most {most}",
+            ("wave.stations", "packing.width", "packing.diameter", "wave.listening_depth"),
         )
 
 

@@ -185,47 +185,6 @@ def settled_peak(record: PreparedSignals) -> MainPeak | PickFailure | None:
         if verdict is PickFailure.TOO_SHORT or isinstance(verdict, MainPeak)
     )
     return next(certain, None)
-    return PreparedSignals(
-        signals=signals,
-        rule=rule,
-        sent=sent,
-        received=received,
-        smooth=smooth,
-        sent_top=top,
-        sent_peak=top + parabola_vertex(sent, top),
-        period=period,
-        earliest=earliest,
-        latest=signals.distance / (rule.slowest * signals.sampling_interval),
-        reach=reach,
-        section=section,
-        places=places,
-    )
-
-
-def _median(values: Floats) -> float:
-    """Median of some values, as NumPy's, which takes five times as long for few."""
-    ordered, count = np.sort(values), len(values)
-    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
-
-
-def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
-    """Find the first top that can be the S wave's, looking no further than its horizon."""
-    found = settled_peak(record)
-    if isinstance(found, MainPeak) or found is PickFailure.NOT_FINITE:
-        return found
-    return _why_no_peak(record, cut_off=found is not None)
-
-
-def settled_peak(record: PreparedSignals) -> MainPeak | PickFailure | None:
-    """Main peak; `PickFailure.TOO_SHORT` if only a longer record could tell, `NOT_FINITE`, or None without any."""
-    if not np.isfinite(record.received).all():
-        return PickFailure.NOT_FINITE
-    certain = (
-        verdict
-        for _, verdict in judge_tops(record)
-        if verdict is PickFailure.TOO_SHORT or isinstance(verdict, MainPeak)
-    )
-    return next(certain, None)
 
 
 def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFailure | PassedOver]]:
@@ -314,7 +273,8 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
 def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
     """Weigh a top by what the stations saw on the way, against all tops up to its horizon."""
     rule, smooth, sent, section, places = record.rule, record.smooth, record.sent_peak, record.section, record.places
-    assert section is not None and places is not None  # noqa: S101 - for the type checker
+    assert section is not None  # noqa: S101 - for the type checker
+    assert places is not None  # noqa: S101 - for the type checker
     time, height = index + parabola_vertex(smooth, index), float(smooth[index])
     travel = time - sent
     horizon = int(np.ceil(sent + max(rule.horizon * travel, travel + record.period)))

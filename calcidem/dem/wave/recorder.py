@@ -231,7 +231,7 @@ class Recorder:
         mass = self.state.scene.mass[self.state.assembly.order]
         velocity = self.state.motion.velocity[:, XY].astype(float)
         moving = (mass[:, None, None] * (velocity * velocity)).sum(axis=0).sum(axis=0)
-        return np.asarray(np.sqrt(moving / (len(self.listeners) * mass[self.listeners].min())))
+        return np.asarray(np.sqrt(moving / (len(self.listeners[0]) * mass[self.listeners[0]].min())))
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""

@@ -1,10 +1,10 @@
-"""Following the S wave through the sample: which top of the received signal does it lead to?
+"""Following the S wave through the sample.
 
-Behind a large P wave of opposite sign two tops may be of like height, and no shape tells which is the S wave. What the
-disks on the way did tells: their S tops lie on one line through distance and time, from the transmitter on, and tops that
-belong to the P wave, or to what swings at the receiver, do not. The line need not be straight: of all paths whose
-slowness changes little from station to station, the one with the highest signals under it is sought by dynamic
-programming (Bellman 1957).
+Which top of the received signal does it lead to? Behind a large P wave of opposite sign two tops may be of like height,
+and no shape tells which is the S wave. What the disks on the way did tells: their S tops lie on one line through
+distance and time, from the transmitter on, and tops that belong to the P wave, or to what swings at the receiver, do
+not. The line need not be straight: of all paths whose slowness changes little from station to station, the one with the
+highest signals under it is sought by dynamic programming (Bellman 1957).
 """
 
 import numpy as np
