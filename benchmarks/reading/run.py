@@ -22,7 +22,7 @@ from calcidem.dem.wave.pick import Signals
 from calcidem.dem.wave.pulse import Pulse
 
 RANGES = tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
-KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name != "common")
+KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name not in {"common", "stations"})
 METHODS = ("peak", "first_arrival", "cross_correlation")
 
 
@@ -48,44 +48,102 @@ class Known:
     readable: bool
 
 
-def draw_signal(seed: int, index: int) -> Known:
-    """Draw one signal; it depends on seed and index alone."""
+@dataclass(frozen=True)
+class Drawn:
+    """What a signal is made of.
+
+    Attributes
+    ----------
+    kind
+        Table of ranges.toml.
+    parts
+        Its numbers.
+    delay, frequency, interval
+        Travel time of the S pulse (s), frequency of the sent one (Hz), time between two samples (s).
+    count
+        Number of samples.
+    coda
+        How much later than the S pulse (s) and how high each scattered arrival is.
+    generator
+        For the noise, which is drawn last.
+    """
+
+    kind: str
+    parts: dict[str, float]
+    delay: float
+    frequency: float
+    interval: float
+    count: int
+    coda: tuple[tuple[float, float], ...]
+    generator: np.random.Generator
+
+    def noise(self, generator: np.random.Generator, length: int) -> Floats:
+        """Noise of the drawn rms and band; ``length`` numbers are drawn for it."""
+        x = np.fft.rfftfreq(length, self.interval) / self.frequency
+        spectrum = np.fft.rfft(generator.standard_normal(length)) * np.exp(-((x / self.parts["noise_band"]) ** 2))
+        noise = np.fft.irfft(spectrum, length)[: self.count]
+        return np.asarray(self.parts["noise"] * noise / noise.std())
+
+
+class Medium:
+    """The chain of grains that carries the sent pulse.
+
+    Parameters
+    ----------
+    drawn
+        What the signal is made of.
+    length
+        Samples of its spectra.
+    """
+
+    def __init__(self, drawn: Drawn, length: int) -> None:
+        self.drawn, self.length = drawn, length
+        self.sent = Pulse(1.0, drawn.frequency).velocity(np.arange(length) * drawn.interval)
+        self._spectrum, self._f = np.fft.rfft(self.sent), np.fft.rfftfreq(length, drawn.interval)
+        shape = (drawn.parts[name] for name in ("ringing", "resonance", "sharpness"))
+        self._ring = _ringing(self._f / drawn.frequency, self.sent, *shape)
+
+    def pulse(self, late: float, width: float, tail: float, part: float = 1.0, rung: float = 1.0) -> Floats:
+        """Pulse of height 1 that a wave of this travel time brings, after this part of the grains and of the ringing."""
+        grains = part * self.drawn.parts["grains"]
+        passed = _chain(self._f, late, grains) * _widening(self._f, self.drawn.frequency, width)
+        passed = passed * _tail(self._f, self.drawn.frequency, tail) * (1.0 + rung * (self._ring - 1.0))
+        received = np.fft.irfft(self._spectrum * passed, self.length)[: self.drawn.count]
+        return np.asarray(received / np.abs(received).max())
+
+
+def draw_parts(seed: int, index: int) -> Drawn:
+    """Draw what a signal is made of; it depends on seed and index alone."""
     generator = np.random.default_rng([seed, index])
     kind = KINDS[index % len(KINDS)]
     ranges = RANGES["common"] | RANGES[kind]
     drawn = {name: float(generator.uniform(*value)) for name, value in ranges.items() if isinstance(value, list)}
     low, high = ranges["velocity"]
-    velocity, distance = float(np.exp(generator.uniform(np.log(low), np.log(high)))), RANGES["distance"]
-    delay = distance / velocity
+    delay = RANGES["distance"] / float(np.exp(generator.uniform(np.log(low), np.log(high))))
     frequency = drawn["wavelengths"] / delay
     interval = 1.0 / (frequency * RANGES["samples_per_period"])
-    count = int((3.0 * delay + 4.0 / frequency) / interval)
-    sent = Pulse(1.0, frequency).velocity(np.arange(16 * count) * interval)
-    spectrum = np.fft.rfft(sent)
-    f = np.fft.rfftfreq(16 * count, interval)
-
-    ring = _ringing(f / frequency, sent, drawn["ringing"], drawn["resonance"], drawn["sharpness"])
-
-    def pulse(late: float, width: float, tail: float) -> Floats:
-        """Pulse of height 1 that a wave of this travel time brings."""
-        passed = _chain(f, late, drawn["grains"]) * _widening(f, frequency, width) * _tail(f, frequency, tail) * ring
-        received = np.fft.irfft(spectrum * passed, 16 * count)[:count]
-        return np.asarray(received / np.abs(received).max())
-
-    shear = pulse(delay, drawn["width"], drawn["tail"])
-    clean = shear + drawn["p_height"] * pulse(delay / drawn["p_ratio"], drawn["width"] * drawn["p_width"], 0.0)
-    clean += drawn["round_trip"] * pulse(3.0 * delay, drawn["width"], drawn["tail"])
+    coda = []
     for _ in range(int(drawn["coda_arrivals"])):
         later = ranges["coda_first"] + float(generator.exponential(ranges["coda_spread"]))
         height = drawn["coda"] * generator.uniform(-1.0, 1.0) * np.exp(-later / ranges["coda_decay"])
-        clean += height * pulse(delay + later / frequency, drawn["width"], 0.0)
-    noise = np.fft.irfft(
-        np.fft.rfft(generator.standard_normal(16 * count)) * np.exp(-((f / (drawn["noise_band"] * frequency)) ** 2)),
-        16 * count,
-    )[:count]
-    received = clean + drawn["noise"] * noise / noise.std()
-    signals = Signals(interval, sent[:count], received, distance, floor=1e-3)
-    return Known(kind, signals, delay, _is_readable(clean, signals, delay, drawn["noise"]))
+        coda.append((later / frequency, height))
+    count = int((3.0 * delay + 4.0 / frequency) / interval)
+    return Drawn(kind, drawn, delay, frequency, interval, count, tuple(coda), generator)
+
+
+def draw_signal(seed: int, index: int) -> Known:
+    """Draw one signal; it depends on seed and index alone."""
+    drawn = draw_parts(seed, index)
+    parts, delay, count = drawn.parts, drawn.delay, drawn.count
+    medium = Medium(drawn, 16 * count)
+    shear = medium.pulse(delay, parts["width"], parts["tail"])
+    clean = shear + parts["p_height"] * medium.pulse(delay / parts["p_ratio"], parts["width"] * parts["p_width"], 0.0)
+    clean += parts["round_trip"] * medium.pulse(3.0 * delay, parts["width"], parts["tail"])
+    for later, height in drawn.coda:
+        clean += height * medium.pulse(delay + later, parts["width"], 0.0)
+    received = clean + drawn.noise(drawn.generator, 16 * count)
+    signals = Signals(drawn.interval, medium.sent[:count], received, RANGES["distance"], floor=1e-3)
+    return Known(drawn.kind, signals, delay, _is_readable(clean, signals, delay, parts["noise"]))
 
 
 def _chain(f: Floats, delay: float, grains: float) -> Floats:

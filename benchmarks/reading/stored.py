@@ -6,6 +6,7 @@ For each content: share of cells with a velocity, mean (m/s), sd and IQR / 1.349
 velocities on which peak and cross-correlation disagree: they differ by more than 5 %, or the correlation was refused for
 differing by more than 10 %. With ``--again`` stored signals are read anew by the present rule; velocities that changed by
 more than 0.1 %, appeared or went are listed. A record that ended early may then be too short, which is counted as refused.
+What stations recorded is not stored: a campaign with `wave.stations` cannot be read again.
 """
 
 import argparse
@@ -36,6 +37,10 @@ def main() -> None:
     chosen = parser.parse_args()
     rows, changed = defaultdict(list), []
     with calcidem.open_campaign(chosen.database) as campaign:
+        if chosen.again and (stations := campaign.experiment().wave.stations):
+            parser.error(
+                f"wave.stations = {stations}: their signals are not stored; leave out --again, or run the campaign anew"
+            )
         for cell in campaign.select():
             peak, correlation = cell.vs, cell.vs_cross_correlation
             if chosen.again and cell.distance is not None:

@@ -149,6 +149,19 @@ WRONG = {
         "[wave]\nlistening_depth = 1e-3\n",
         ("wave.listening_depth = 0.001", "more than the largest diameter"),
     ),
+    "stations too few for a line": ("[wave]\nstations = 2\n", ("wave.stations = 2", "give 0, or 4 and more")),
+    "stations in a narrow box": (
+        "[wave]\nstations = 4\nlistening_depth = 0.004\n[packing]\nwidth = 0.015\n",
+        ("wave.stations = 4", "give 0, or a wider box"),
+    ),
+    "stations before a force": (
+        '[wave]\nstations = 8\n[pick]\nsignal = "force"\n',
+        ("wave.stations = 8", 'give 0, or pick.signal = "velocity"'),
+    ),
+    "stations thinner than a disk": (
+        "[wave]\nstations = 26\n",
+        ("wave.stations = 26", "thinner than the largest disk", "give at most 25"),
+    ),
     "unknown regime": ('[wave]\nregime = "big"\n', ('wave.regime = "big"', 'choose "finite", "small" or "linear"')),
     "amplitude of zero": ("[wave]\namplitude = 0.0\n", ("wave.amplitude = 0.0", "give a positive number")),
     "window upside down": (

@@ -13,6 +13,7 @@ from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.wave.domain import domain_of, station_disks
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
@@ -106,3 +107,18 @@ def test_stations_hear_the_mean_of_their_disks_and_leave_the_receiver_as_it_is(p
     np.testing.assert_allclose(accompanied.stations[-1], means, rtol=1e-12)  # type: ignore[index]
     assert (np.diff(experiment.stations) > 0.0).all()
     assert 0.1 < experiment.stations[0] < experiment.stations[-1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("lanes", "early_stop"), [(1, False), *(pytest.param(lanes, True, marks=pytest.mark.full) for lanes in (8, 16))]
+)
+def test_a_cell_with_stations_has_one_reading(packing: Packing, lanes: int, early_stop: bool) -> None:
+    """In any batch, and if the record ends when the reading is settled, which changes none of its bits."""
+    experiment = Experiment(packing, sand=SAND, wave=replace(RULE, stations=4), frequencies=((0.0, 5.0), (5e4, 5e4)))
+    alone = measure(experiment, 5.0, [3], lanes=1)[0]
+    seeds = (3, 1, 2)[: min(lanes, 3)]
+    cell = measure(replace(experiment, early_stop=early_stop), 5.0, seeds, lanes=lanes)[0]
+    assert cell.outcome is Outcome.DONE
+    assert cell.record.stations is not None
+    assert (cell.picks, cell.vs) == (alone.picks, alone.vs)
+    assert early_stop or len(cell.record.sent) > len(alone.record.sent)

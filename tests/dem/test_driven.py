@@ -200,13 +200,14 @@ def test_driven_disks_are_those_that_overlap_the_left_wall_in_the_band(small_pac
         driven_disks(moved, rule)
 
 
-def test_campaigns_whose_wall_is_the_transmitter_keep_their_identity() -> None:
-    """A configuration that does not drive disks is stored, and hashed, without the key; one that does comes back."""
-    wall, driven = Configuration(), Configuration(wave=WaveRule(transmitter="driven"))
-    assert "transmitter" not in wall.physics["wave"]
-    assert driven.physics["wave"]["transmitter"] == "driven"
-    assert wall.hash != driven.hash
-    for configuration in (wall, driven):
+@pytest.mark.parametrize(("key", "value"), [("transmitter", "driven"), ("stations", 8)])
+def test_campaigns_without_a_later_key_keep_their_identity(key: str, value: object) -> None:
+    """A configuration with its default is stored, and hashed, without the key; one with another value comes back."""
+    usual, other = Configuration(), Configuration(wave=replace(WaveRule(), **{key: value}))  # type: ignore[arg-type]
+    assert key not in usual.physics["wave"]
+    assert other.physics["wave"][key] == value
+    assert usual.hash != other.hash
+    for configuration in (usual, other):
         assert Configuration.from_physics(configuration.physics).wave == configuration.wave
 
 

@@ -8,7 +8,7 @@ import pytest
 from calcidem.dem.wave.arrival import is_settled, read_travel_times
 from calcidem.dem.wave.pick import PickFailure, PickRule, Signals
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.ridge import _BEND, _RATIO, _STIFFNESS, follow_ridge
+from calcidem.dem.wave.ridge import BEND, BEND_COST, SLOWER, follow_ridge
 
 PLACES = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
 PERIOD, SENT, COUNT = 24.0, 20.0, 240
@@ -53,12 +53,12 @@ def test_it_finds_the_best_of_all_paths() -> None:
     section, places, period, count = generator.uniform(-0.5, 1.0, (40, 3)), np.array([0.3, 0.6, 1.0]), 24.0, 40
     travels = [2.4]
     while travels[-1] < count:
-        travels.append(travels[-1] * _RATIO)
+        travels.append(travels[-1] * SLOWER)
     late = np.rint(np.outer(places, travels)).astype(int)
     signals = section / section.max(axis=0)
     best = np.full(count, -np.inf)
     for first in range(len(travels)):
-        for bends in product(range(-_BEND, _BEND + 1), repeat=2):
+        for bends in product(range(-BEND, BEND + 1), repeat=2):
             sample, path = late[0, first], first
             if sample >= count:
                 continue
@@ -70,7 +70,7 @@ def test_it_finds_the_best_of_all_paths() -> None:
                 sample += late[station, path] - late[station - 1, path]
                 if sample >= count:
                     break
-                score += signals[sample, station] - _STIFFNESS * (bend * np.log(_RATIO)) ** 2
+                score += signals[sample, station] - BEND_COST * (bend * np.log(SLOWER)) ** 2
             else:
                 best[sample] = max(best[sample], score / 3.0)
     ends = np.arange(10, 38)

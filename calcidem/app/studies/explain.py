@@ -14,10 +14,12 @@ from calcidem.app.studies.accuracy.findings import MeasuredErrors
 from calcidem.app.studies.accuracy.reference import measure_and_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.accuracy.study import ROUNDS
-from calcidem.dem.wave.domain import domain_of
+from calcidem.dem.wave.domain import domain_of, most_stations
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.dem.wave.rule import FEWEST_STATIONS, WHOLE_DOMAIN
+
+_STATIONS, _THICKNESS = 10, 2.0  # at most so many, in slices at least so many disks thick
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
     found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
-    return [*found, _local_damping(experiment), _wall_or_disks(experiment)]
+    return [*found, _local_damping(experiment), _wall_or_disks(experiment), _stations(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -185,6 +187,19 @@ def _wall_or_disks(experiment: Experiment) -> Alternative:
     wall = experiment.wave.transmitter == "wall"
     why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
     return Alternative("driven disks", not wall, why, with_wave(experiment, transmitter="driven" if wall else "wall"))
+
+
+def _stations(experiment: Experiment) -> Alternative:
+    """Slices of the sample that are recorded, and in which the S wave is followed."""
+    wave, packing = experiment.wave, experiment.packing
+    if wave.stations:
+        why = "the S wave is followed from slice to slice to its top (docs/reading.md)"
+        return Alternative("stations", needed=True, why=why, opposite=with_wave(experiment, stations=0))
+    possible = most_stations(packing.width, wave.listening_depth, _THICKNESS * 2.0 * float(packing.radius.max()))
+    fits = possible >= FEWEST_STATIONS and experiment.signal == "velocity"
+    other = with_wave(experiment, stations=min(possible, _STATIONS)) if fits else None
+    why = "the receiver alone tells which top is the S wave's"
+    return Alternative("stations", needed=False, why=why, opposite=other)
 
 
 def _early_stop(experiment: Experiment) -> Alternative:

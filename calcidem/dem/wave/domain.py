@@ -19,7 +19,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 DEEPEST_LISTENING = 0.3
 """Listening depth over the width of the box; beyond, a lattice is read more than 10 % too fast (docs/reading.md)."""
 
-NEAR_TRANSMITTER = 0.125  # of the width: no station is nearer
+_NEAR_TRANSMITTER = 0.125  # of the width: no station is nearer
 
 _DEPTH = 6.0  # mean diameters of a damping layer that are kept
 
@@ -100,12 +100,17 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
     return found
 
 
+def most_stations(width: float, listening_depth: float, diameter: float) -> int:
+    """Slices before the disks that listen that are as thick as a disk of this diameter; m."""
+    return max(0, int(((1.0 - _NEAR_TRANSMITTER) * width - listening_depth) / diameter))
+
+
 def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
     """Disks of each station, from the transmitter on: slices of one thickness before the disks that listen.
 
     The first part of the way is left out: there P and S wave are one.
     """
-    ends = np.linspace(NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth, rule.stations + 1)
+    ends = np.linspace(_NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth, rule.stations + 1)
     in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
     found = [np.flatnonzero(in_band & (a <= packing.x) & (packing.x < b)) for a, b in pairwise(ends)]
     empty = sum(not len(disks) for disks in found)

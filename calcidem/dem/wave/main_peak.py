@@ -38,6 +38,9 @@ _SHIFT = 0.05  # of the travel time by which a P wave of opposite sign may have 
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
 _CUTTING_ON_RIDGE = 1.85  # the same where stations tell which top it is, and nothing else is asked of it
+_EARLY = 0.15  # of a peak on the ridge that may be there before any wave, on less than _BLURRED periods
+_SWING = 0.2  # of it that may come before it with the other sign ...
+_NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
 _LEAST_LEAD = 0.02  # of that score over that of the path to any other top
 
@@ -290,15 +293,16 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     trough = int(np.argmin(view[: index + 1]))
     behind_p = -float(view[trough]) > rule.precursor * height and trough > sent
     without_p = _top_without_p(view, trough, index) if behind_p else time
-    before = view[: index + 1]
+    before, noise = view[: index + 1], _noise_level(record, horizon, travel / _FASTEST_P)
+    doubt = _doubt(record, view, index, without_p, behind_p=behind_p, ringing=False)
     return MainPeak(
         index=index,
         time=time,
         height=height,
-        noise=_noise_level(record, horizon, travel / _FASTEST_P),
+        noise=noise,
         precursor=max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height,
         quality=score,
-        doubt=_doubt(record, view, index, without_p, behind_p=behind_p, ringing=False),
+        doubt=doubt or _doubt_on_short_way(record, view, index, noise),
         end=horizon + record.reach,
     )
 
@@ -318,6 +322,18 @@ def _doubt(
     if behind_p and (cut or index - time > _SHIFT * travel):
         return PickFailure.PRECURSOR
     return PickFailure.NEAR if travel < record.rule.fewest_periods * record.period else None
+
+
+def _doubt_on_short_way(record: PreparedSignals, view: Floats, index: int, noise: float) -> PickFailure | None:
+    """Tell why a main peak on the ridge may be only what another wave left of it."""
+    travel, height = index - record.sent_peak, float(view[index])
+    if travel >= _BLURRED * record.period:
+        return None
+    if noise > _EARLY * height:
+        return PickFailure.BROAD
+    began, ended = half_width(view, index)
+    narrow = ended - began - record.period / 2.0 < _NARROW * travel
+    return PickFailure.PRECURSOR if narrow and -float(view[: index + 1].min()) > _SWING * height else None
 
 
 def _may_be_another(record: PreparedSignals, view: Floats, index: int, *, behind_p: bool, ringing: bool) -> bool:

@@ -12,10 +12,10 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats, Integers
 
 _PER_PERIOD = 24  # samples of a period that are enough to follow a top
-_RATIO = 1.04  # between one slowness and the next
-_BEND = 2  # slownesses by which a path may bend at a station
-_SILENT = 1e-9  # of the largest value; a station with less has not heard anything yet
-_STIFFNESS = 20.0  # score that a bend costs, over the square of the change of log slowness
+SLOWER = 1.04  # between one slowness and the next
+BEND = 2  # slownesses by which a path may bend at a station
+_UNHEARD = 1e-9  # of the largest value; a station with less has not heard anything yet
+BEND_COST = 20.0  # score that a bend costs, over the square of the change of log slowness
 
 
 def follow_ridge(stations: Floats, places: Floats, ends: Integers, sent: float, period: float) -> Floats:
@@ -40,21 +40,21 @@ def follow_ridge(stations: Floats, places: Floats, ends: Integers, sent: float, 
     step = max(1, int(period / _PER_PERIOD))
     begin = int(sent)
     heights = stations[begin:].max(axis=0)
-    heights = np.maximum(heights, max(_SILENT * float(heights.max()), np.finfo(float).tiny))
+    heights = np.maximum(heights, max(_UNHEARD * float(heights.max()), np.finfo(float).tiny))
     signals = np.maximum(stations[begin::step] / heights, -1.0)
     count = len(signals)
     travels = [max(1.0, 0.1 * period / step)]  # to the receiver, in samples of these: one for each slowness
     while travels[-1] < count:
-        travels.append(travels[-1] * _RATIO)
+        travels.append(travels[-1] * SLOWER)
     late = np.rint(np.outer(places, travels)).astype(int)
-    cost = _STIFFNESS * np.log(_RATIO) ** 2 * np.arange(_BEND + 1) ** 2
+    cost = BEND_COST * np.log(SLOWER) ** 2 * np.arange(BEND + 1) ** 2
     score = np.full((len(travels), count), -np.inf)
     for path, sample in enumerate(late[0]):
         if sample < count:
             score[path, sample] = signals[sample, 0]
     for station in range(1, len(places)):
         best = score.copy()
-        for bend in range(1, _BEND + 1):
+        for bend in range(1, BEND + 1):
             best[:-bend] = np.maximum(best[:-bend], score[bend:] - cost[bend])
             best[bend:] = np.maximum(best[bend:], score[:-bend] - cost[bend])
         before = np.arange(count) - (late[station] - late[station - 1])[:, None]

@@ -12,7 +12,7 @@ from calcidem.dem.wave.pulse import Pulse
 Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
-_FEWEST_STATIONS = 4
+FEWEST_STATIONS = 4
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
 _STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
 _LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
@@ -99,7 +99,7 @@ class WaveRule:
         deaf = "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
         smooth = "a smooth transmitter moves nothing; give a positive coefficient"
         coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
-        few = f"give 0, or {_FEWEST_STATIONS} and more: fewer tell no line from a bend"
+        few = f"give 0, or {FEWEST_STATIONS} and more: fewer tell no line from a bend"
         for name, possible, cure in (
             (
                 "damping",
@@ -107,7 +107,7 @@ class WaveRule:
                 f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
-            ("stations", self.stations == 0 or self.stations >= _FEWEST_STATIONS, few),
+            ("stations", self.stations == 0 or self.stations >= FEWEST_STATIONS, few),
             ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),

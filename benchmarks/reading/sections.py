@@ -1,0 +1,126 @@
+"""How often travel times are read wrong in silence, and how often not at all, if stations on the way are read, too.
+
+    python benchmarks/reading/sections.py [--seed 43] [--signals 3500]
+
+The signals are those of run.py, with the same meaning of *wrong*, *refused* and *readable*. Stations on the way record the
+same waves: each at its own time, as far as it has come, with what swings at the receiver only near it, and scattered arrivals
+that come the same way, from elsewhere or back; ranges.toml says how much. Each is read with stations and from the receiver alone.
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from run import KINDS, RANGES, Known, Medium, draw_parts, draw_signal
+
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.arrival import read_travel_times
+from calcidem.dem.wave.pick import PickRule
+
+_RULES = RANGES["stations"]
+_RULE = PickRule(smoothing=_RULES["smoothing"])
+
+
+def draw_section(seed: int, index: int) -> Known:
+    """Draw one signal, and what the stations record of its waves."""
+    known, drawn = draw_signal(seed, index), draw_parts(seed, index)
+    generator = np.random.default_rng([seed, index, 1])
+    medium, count = Medium(drawn, 4 * drawn.count), _RULES["count"]
+    places = np.linspace(*_RULES["places"], count)
+    growth = float(generator.uniform(*_RULES["p_growth"]))
+    origins = [_draw_origin(generator) for _ in drawn.coda]
+    near_ends = places * np.minimum(1.0, 5.0 * (1.0 - places))
+    late = _RULES["lateness"] * drawn.delay * near_ends * generator.standard_normal(count)
+    loud = np.exp(_RULES["loudness"] * generator.standard_normal(count))
+    columns = []
+    for place, lateness, loudness in zip(places.tolist(), late.tolist(), loud.tolist(), strict=True):
+        waves = _first_waves(medium, place, lateness, growth) + _echoes(medium, place)
+        for (later, height), origin in zip(drawn.coda, origins, strict=True):
+            waves += height * _scattered(medium, place, later, origin)
+        columns.append(loudness * (waves + drawn.noise(generator, drawn.count)))
+    signals = replace(known.signals, stations=np.column_stack(columns), places=tuple(places.tolist()))
+    return replace(known, signals=signals)
+
+
+def _draw_origin(generator: np.random.Generator) -> tuple[int, float, float]:
+    """Which of the four a scattered arrival is, where it begins, and its slowness over the S wave's."""
+    return int(generator.integers(4)), *(float(generator.uniform(*_RULES[name])) for name in ("begins", "slowness"))
+
+
+def _first_waves(medium: Medium, place: float, lateness: float, growth: float) -> Floats:
+    """S and P wave, each as wide as it has become."""
+    drawn = medium.drawn
+    parts, delay, part = drawn.parts, place * drawn.delay, max(place, 0.08)
+    swing = float(np.exp((place - 1.0) / _RULES["swing_reach"]))
+
+    def width(whole: float) -> float:
+        return float(np.sqrt(1.0 + max(0.0, whole**2 - 1.0) * place))
+
+    shear = medium.pulse(delay + lateness, width(parts["width"]), parts["tail"], part, swing)
+    p_width = width(parts["width"] * parts["p_width"])
+    pressure = medium.pulse(delay / parts["p_ratio"], p_width, 0.0, part, swing)
+    return np.asarray(shear + parts["p_height"] * place**growth * pressure)
+
+
+def _echoes(medium: Medium, place: float) -> Floats:
+    """What comes back from the receiver, and what crosses the sample a third time."""
+    drawn = medium.drawn
+    parts, trip = drawn.parts, drawn.parts["round_trip"]
+    back = np.copysign(_RULES["reflected"] * np.sqrt(abs(trip)), trip)
+    back *= np.exp((place - 1.0) / _RULES["reflected_reach"])
+    first, second = (
+        medium.pulse(ways * drawn.delay, parts["width"], parts["tail"]) for ways in (2.0 - place, 2.0 + place)
+    )
+    return np.asarray(back * first + trip * second)
+
+
+def _scattered(medium: Medium, place: float, later: float, origin: tuple[int, float, float]) -> Floats:
+    """One scattered arrival, of height 1 at the receiver."""
+    (kind, begins, slowness), delay = origin, medium.drawn.delay
+    away = 1.0 - place
+    there = 1.0 if place > begins else 0.0
+    lead = (0.0, -away, away * slowness, -away * slowness)[kind] * delay
+    height = (
+        np.exp(-away / _RULES["near_reach"]),
+        there,
+        np.exp(-away / _RULES["back_reach"]),
+        max(there, _RULES["across_before"]),
+    )[kind]
+    if height < _RULES["least"]:
+        return np.zeros(medium.drawn.count)
+    return np.asarray(height * medium.pulse(delay + later + lead, medium.drawn.parts["width"], 0.0))
+
+
+def read_sections(known: list[Known]) -> Floats:
+    """(N, 2) relative errors of the travel times, with stations and from the receiver alone; NaN where there is none."""
+    errors = np.full((len(known), 2), np.nan)
+    for index, one in enumerate(known):
+        for column, signals in enumerate((one.signals, replace(one.signals, stations=None, places=()))):
+            found = read_travel_times(signals, _RULE).peak.travel_time
+            if found is not None:
+                errors[index, column] = found / one.delay - 1.0
+    return errors
+
+
+def main() -> None:
+    """Print a table: kind by reading."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=_RULES["judged_seeds"][0])
+    parser.add_argument("--signals", type=int, default=RANGES["signals"])
+    chosen = parser.parse_args()
+    known = [draw_section(chosen.seed, index) for index in range(chosen.signals)]
+    errors = read_sections(known)
+    kinds, readable = np.array([one.kind for one in known]), np.array([one.readable for one in known])
+    print(f"{len(known)} sections of seed {chosen.seed}, {readable.sum()} of them readable\n")
+    print("| kind | with stations: wrong % | refused % | receiver alone: wrong % | refused % |\n|---|---|---|---|---|")
+    for kind in (*KINDS, "all"):
+        some = kinds == kind if kind != "all" else np.ones(len(known), dtype=bool)
+        cells = []
+        for error in errors.T:
+            wrong, refused = np.abs(error[some]) > RANGES["wrong"], np.isnan(error[some & readable])  # NaN is not wrong
+            cells += [f"{100.0 * wrong.mean():.1f}", f"{100.0 * refused.mean():.1f}"]
+        print(f"| {kind} | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()
