@@ -1,6 +1,6 @@
 """How often travel times are read wrong in silence, and how often not at all, if stations on the way are read, too.
 
-    python benchmarks/reading/sections.py [--seed 43] [--signals 3500]
+    python benchmarks/reading/sections.py [--seed 47] [--signals 1400]
 
 The signals are those of run.py, with the same meaning of *wrong*, *refused* and *readable*. Stations on the way record the
 same waves: each at its own time, as far as it has come, with what swings at the receiver only near it, and scattered arrivals
@@ -106,7 +106,7 @@ def main() -> None:
     """Print a table: kind by reading."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=_RULES["judged_seeds"][0])
-    parser.add_argument("--signals", type=int, default=RANGES["signals"])
+    parser.add_argument("--signals", type=int, default=_RULES["signals"])
     chosen = parser.parse_args()
     known = [draw_section(chosen.seed, index) for index in range(chosen.signals)]
     errors = read_sections(known)

@@ -38,7 +38,9 @@ _SHIFT = 0.05  # of the travel time by which a P wave of opposite sign may have 
 _LEAN = 0.05  # periods by which a peak may be steeper before its top, or a P wave has cut it ...
 _CUTTING = 1.6  # ... in records with fewer periods on the way
 _CUTTING_ON_RIDGE = 1.85  # the same where stations tell which top it is, and nothing else is asked of it
-_EARLY = 0.15  # of a peak on the ridge that may be there before any wave, on less than _BLURRED periods
+_EARLY = 0.15  # of a peak on the ridge that may be there before any wave, on less than _BLURRED periods ...
+_EARLIEST = 0.05  # ... and on less than one
+_LEAN_ON_RIDGE = 0.15  # periods by which a broad peak on the ridge is longer before its top, if it is one wave
 _SWING = 0.2  # of it that may come before it with the other sign ...
 _NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
@@ -316,7 +318,7 @@ def _doubt(
         return PickFailure.UNSURE
     lean = _lean(view, index) / record.period
     # On the ridge a peak that is longer before its top is one S wave that took several ways, and not cut by another.
-    if travel < _BLURRED * record.period and _is_broad(record, view, index) and (alone or lean > -_LEAN):
+    if travel < _BLURRED * record.period and _is_broad(record, view, index) and (alone or lean > -_LEAN_ON_RIDGE):
         return PickFailure.BROAD
     cut = travel < (_CUTTING if alone else _CUTTING_ON_RIDGE) * record.period and lean > _LEAN
     if behind_p and (cut or index - time > _SHIFT * travel):
@@ -329,7 +331,7 @@ def _doubt_on_short_way(record: PreparedSignals, view: Floats, index: int, noise
     travel, height = index - record.sent_peak, float(view[index])
     if travel >= _BLURRED * record.period:
         return None
-    if noise > _EARLY * height:
+    if noise > (_EARLIEST if travel < record.period else _EARLY) * height:
         return PickFailure.BROAD
     began, ended = half_width(view, index)
     narrow = ended - began - record.period / 2.0 < _NARROW * travel
