@@ -16,6 +16,7 @@ from marked_processes import MarkedProcesses
 from places import CHECKOUT, SMALL_PACKING
 from typer.testing import CliRunner
 
+from calcidem.app.campaign.packing import cached_name
 from calcidem.app.cli.main import build_application
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.campaign import open_stored_campaign
@@ -169,7 +170,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     configuration = folder / "c.toml"
     configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave=""), encoding="utf-8")
     packing_hash = load_configuration(configuration).packing_hash
-    shutil.copy(SMALL_PACKING, folder / f"packing-{packing_hash[:32]}.npz")
+    shutil.copy(SMALL_PACKING, folder / cached_name(packing_hash))
     return folder
 
 

@@ -16,6 +16,7 @@ from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import (
     DamagedPackingError,
     cache_folder,
+    cached_name,
     identify_packing,
     packing_from_bytes,
     packing_record,
@@ -153,7 +154,7 @@ def store(packing: Packing, tmp_path: Path) -> Iterator[SqlStore]:
 def put_into_cache(packing: Packing) -> None:
     """Put a packing where the tiny one would be."""
     cache_folder().mkdir()
-    (cache_folder() / f"packing-{TINY.packing_hash[:32]}.npz").write_bytes(packing_to_bytes(packing))
+    (cache_folder() / cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing))
 
 
 def test_the_database_comes_before_the_cache(store: SqlStore, told: list[str], packing: Packing) -> None:

@@ -6,15 +6,25 @@ from scenes import HERTZ
 
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.readout import contact_forces, net_forces, unbalanced_ratio, wall_reactions
+from calcidem.dem.engine.readout import (
+    contact_forces,
+    net_forces,
+    overlaps,
+    unbalanced_ratio,
+    wall_overlaps,
+    wall_reactions,
+)
 from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import start
+from calcidem.dem.engine.statics import contact_springs
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import (
     FLOOR,
     LEFT,
     LID,
     RIGHT,
+    Cost,
     Packing,
     PackingError,
     PackingRule,
@@ -23,6 +33,7 @@ from calcidem.dem.sample.packing import (
     draw_radii,
     make_packing,
     place_apart,
+    relax,
 )
 
 pytestmark = pytest.mark.slow
@@ -109,6 +120,37 @@ def test_shear_forces_of_a_packing_obey_the_friction_of_its_preparation(small: P
     """No contact carries more than the preparation friction times its normal force."""
     contacts = contact_forces(rebuilt(small, SMALL))
     assert np.all(np.abs(contacts.shear) <= SMALL.friction_preparation * contacts.normal * (1.0 + 1e-9))
+
+
+def test_a_stack_of_disks_under_the_lid_is_pressed_as_hertz_says() -> None:
+    """Heavier disks and rings come to rest where plain ones do: each contact carries the lid's force, F = h d^1.5."""
+    radius = np.array([1.2e-3, 1.0e-3, 1.1e-3, 1.3e-3])
+    rule = PackingRule(width=0.01, height=float(2.0 * radius.sum()) + 1e-7, diameter=(2e-3, 2.2e-3))
+    height = np.cumsum(2.0 * radius) - radius
+    walls = box_walls(rule.width, rule.height, rule.stress * rule.width)
+    scene = Scene(np.full(4, 0.005), height, radius, SAND, walls, damping=rule.damping)
+    state = relax(scene, None, rule, Cost(expansion_step=1), lambda: None)
+    expected = (rule.stress * rule.width / SAND.hertz_coefficient(radius[:-1], radius[1:])) ** (2 / 3)
+    # The lid's force is good to 1e-3.
+    np.testing.assert_allclose(contact_forces(state).overlap, expected, rtol=1e-3)
+    np.testing.assert_array_equal(state.position()[:, 0], 0.005)
+
+
+def test_the_step_of_scaled_densities_is_stable_and_long(small: Packing) -> None:
+    """It is 0.5 to 1 of 2 / omega_max with the heavier disks, from eigenvalues, and 1.7 to 2.4 of what disks bear."""
+    state = rebuilt(small, SMALL)
+    depths = overlaps(state), wall_overlaps(state)
+    grains, (limit,) = scaled_densities(state.scene, state.assembly, state.features, *depths, 0.35)
+    springs, stiffness = contact_springs(state, 0)
+    inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia * grains.radius**2])
+    modes = np.sqrt(stiffness)[:, None] * springs.toarray() * np.sqrt(inverse.ravel())
+    assert 0.5 < limit * np.linalg.norm(modes, 2) / 2.0 <= 1.0
+    # sqrt(1 / 0.35), and up to sqrt(2) where turning sets the step.
+    assert 0.35**-0.5 <= limit / state.critical_time_step[0] <= (2.0 / 0.35) ** 0.5
+    assert np.all(grains.inverse_mass <= state.assembly.grains.inverse_mass)
+    heavier = replace(state.assembly, grains=grains)
+    bound = critical_time_step(state.scene, heavier, state.features, *depths, rings=True)
+    assert bound == pytest.approx(limit, rel=1e-9)
 
 
 def test_the_same_generator_makes_the_same_packing(small: Packing) -> None:

@@ -42,6 +42,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), friction=-0.1), "friction", "-0.1", "0 or more"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), span=(1.0, 1.0)), "span", "(1.0, 1.0)", "lower < upper"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=0.0), "servo_speed", "0.0", "positive"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_gain=1.5), "servo_gain", "1.5", "(0, 1]"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_force=NAN), "servo_force", "nan", "finite"),
     (lambda: Bonds(np.array([0, 1])), "bonds.pairs", "(2,)", "(B, 2)"),
     (lambda: Bonds(np.array([[1, 1]])), "bonds.pairs", "itself", "different"),

@@ -14,7 +14,14 @@ import numpy as np
 from calcidem.app.config.presets import preset_packing, preset_packings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
-from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport, PackingStage, make_packing
+from calcidem.dem.sample.packing import (
+    PACKING_METHOD,
+    WALL_NAMES,
+    Packing,
+    PackingReport,
+    PackingStage,
+    make_packing,
+)
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, UnknownCellError
@@ -125,7 +132,7 @@ def _find_packing(
     if packing is not None:
         return packing
     packing = new_packing(configuration, tell, check, watch)
-    _write_cache(_cached_file(configuration.packing_hash), packing, tell)
+    _write_cache(cache_folder() / cached_name(configuration.packing_hash), packing, tell)
     return packing
 
 
@@ -140,7 +147,7 @@ def new_packing(
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
         return _packing_of_own_disks(configuration, check, watch)
-    tell("Packing: being made; this is done once and takes about half a minute for 4,700 disks.")
+    tell("Packing: being made; this is done once and takes about a quarter of a minute for 4,700 disks.")
     generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
     return make_packing(configuration.packing, configuration.sand, generator, check, watch)
 
@@ -151,15 +158,16 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
     if archive is not None:
         tell("Packing: comes with calcidem.")
         return packing_from_bytes(archive)
-    path = _cached_file(packing_hash)
+    path = cache_folder() / cached_name(packing_hash)
     packing = _read_cache(path, tell)
     if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
     return packing
 
 
-def _cached_file(packing_hash: str) -> Path:
-    return cache_folder() / f"packing-{packing_hash[:32]}.npz"
+def cached_name(packing_hash: str) -> str:
+    """Name in the cache of the packing with this `Configuration.packing_hash`, as the present method makes it."""
+    return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
 
 def _read_cache(path: Path, tell: Tell) -> Packing | None:

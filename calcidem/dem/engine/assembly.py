@@ -35,7 +35,6 @@ from calcidem.dem.kernels.layout import (
 
 _ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
 _BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
-_SERVO_GAIN = 0.5  # part of the lacking force a servo corrects in one step; 1 is PFC's stability limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,7 +340,7 @@ def _assemble_walls(scene: Scene, lanes: int, dtype: npt.DTypeLike) -> Walls:
     for index, wall in enumerate(scene.walls):
         motion[index, SPEEDS] = np.reshape(wall.velocity, (2, 1))
         if wall.servo_force is not None:
-            servo[index] = _SERVO_GAIN, wall.servo_force, wall.servo_speed
+            servo[index] = wall.servo_gain, wall.servo_force, wall.servo_speed
     return Walls(
         normal=aligned_copy(np.array([wall.normal for wall in scene.walls], dtype=dtype).reshape(count, 2)),
         friction=aligned_copy(np.array([wall.friction for wall in scene.walls], dtype=dtype)),

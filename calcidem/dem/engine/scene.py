@@ -32,6 +32,9 @@ class Wall:
         Normal force per metre of thickness that a servo holds, N/m; None for a wall without servo.
     servo_speed
         Largest speed of the servo, m/s.
+    servo_gain
+        Part of the lacking force that the servo corrects in a step by the stiffness of the wall's own contacts; 1 is
+        PFC's stability limit.
     """
 
     point: tuple[float, float]
@@ -41,6 +44,7 @@ class Wall:
     span: tuple[float, float] = (-np.inf, np.inf)
     servo_force: float | None = None
     servo_speed: float = 0.1
+    servo_gain: float = 0.5
 
     def __post_init__(self) -> None:
         """Refuse walls without direction, roughness below zero and empty spans."""
@@ -53,6 +57,7 @@ class Wall:
         if self.servo_force is not None:
             require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
         require(self.servo_speed > 0.0, "servo_speed", self.servo_speed, "give a positive speed in m/s")
+        require(0.0 < self.servo_gain <= 1.0, "servo_gain", self.servo_gain, "give a part in (0, 1]")
 
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Distance of points from the wall, positive on the side of the disks, m."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from calcidem.dem.engine.assembly import Assembly, lanes_of_bits
+from calcidem.dem.engine.assembly import Assembly, aligned_copy, lanes_of_bits
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
@@ -17,6 +17,7 @@ from calcidem.dem.kernels.layout import (
     ROTATION,
     SHEAR,
     Floats,
+    Grains,
     Integers,
     X,
     Y,
@@ -26,6 +27,7 @@ _Entry = tuple[int, int]
 
 _UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
 
+_RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
 _SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
 
 
@@ -77,11 +79,14 @@ def critical_time_step(
     features: Features,
     overlap: Floats | None = None,
     wall_overlap: Floats | None = None,
+    *,
+    rings: bool = False,
 ) -> Floats:
     """Rigorous lower bound of the critical time step, (L,) s.
 
     ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
-    stiffness of Hertz contacts; those of the reference geometry by default.
+    stiffness of Hertz contacts; those of the reference geometry by default. ``rings``: the disks have the moments of
+    inertia of rings, see `scaled_densities`.
 
     Notes
     -----
@@ -100,15 +105,52 @@ def critical_time_step(
     contacts, and that rules of thumb overestimate it.
     """
     springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
-    factor = _inverse_masses(assembly)
-    # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
-    most = factor * _sum_over_disks(springs.disk, springs.trace, scene.count)
-    tops = np.unique(most.argmax(axis=0))
-    least = (factor[tops] * largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
-    near = np.flatnonzero((1.000001 * most >= least).any(axis=1))
-    squared = (factor[near] * largest_eigenvalue(_contact_matrices(springs, near, features))).max(axis=0, initial=0.0)
+    if rings:
+        springs = _at_rings(springs)
+    squared = _squares_of_stiffest(springs, assembly, features)[1].max(axis=0, initial=0.0)
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
+
+
+def scaled_densities(
+    scene: Scene, assembly: Assembly, features: Features, overlap: Floats, wall_overlap: Floats, highest: float
+) -> tuple[Grains, Floats]:
+    """Disks that come to rest in fewer steps, and the limit of the step with them, (L,) s.
+
+    Where only the state of rest counts, the stiffest disks need not set the step of all (density scaling, as PFC's
+    'timestep scale'). Disks get the moment of inertia of rings, since they are stiffest against turning. Those whose
+    part in the bound of `critical_time_step` is above ``highest``, a share of the largest, then get so heavy that it
+    is not. All lanes share their masses and the step. The other arguments are those of `critical_time_step`.
+    """
+    springs = _at_rings(_springs_at_disks(scene, assembly, features, overlap, wall_overlap))
+    disks, squares = _squares_of_stiffest(springs, assembly, features, highest)
+    allowed, grains = highest * float(squares.max(initial=0.0)), assembly.grains
+    if allowed == 0.0:
+        return grains, np.full(features.lanes, _no_contact_step(scene))
+    heavier = np.ones(scene.count)
+    heavier[disks] = np.maximum(1.0, squares.max(axis=1) / allowed)
+    inverse_mass = (grains.inverse_mass / heavier).astype(grains.inverse_mass.dtype)
+    inverse_inertia = (grains.inverse_inertia / (_RING_INERTIA * heavier)).astype(grains.inverse_inertia.dtype)
+    scaled = grains._replace(inverse_mass=aligned_copy(inverse_mass), inverse_inertia=aligned_copy(inverse_inertia))
+    return scaled, np.full(features.lanes, 2.0 / np.sqrt(allowed))
+
+
+def _at_rings(springs: _Springs) -> _Springs:
+    """The same contacts of disks that have the moments of inertia of rings."""
+    return springs._replace(arm=springs.arm / np.sqrt(_RING_INERTIA), twist=springs.twist / _RING_INERTIA)
+
+
+def _squares_of_stiffest(
+    springs: _Springs, assembly: Assembly, features: Features, share: float = 1.0
+) -> tuple[Integers, Floats]:
+    """Disks (K,), all those among them whose part in the bound reaches a share of the largest, and the parts (K, L)."""
+    factor = _inverse_masses(assembly)
+    # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
+    most = factor * _sum_over_disks(springs.disk, springs.trace, len(factor))
+    tops = np.unique(most.argmax(axis=0))
+    least = (factor[tops] * largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
+    near = np.flatnonzero((1.000001 * most >= share * least).any(axis=1))
+    return near, np.asarray(factor[near] * largest_eigenvalue(_contact_matrices(springs, near, features)))
 
 
 def squared_frequencies(

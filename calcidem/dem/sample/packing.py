@@ -13,23 +13,29 @@ from time import perf_counter
 
 import numpy as np
 
+from calcidem.dem.engine.assembly import Assembly
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand, require
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
+from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import SKIN, advance, choose_features, start
 from calcidem.dem.engine.step_control import UnstableRunError, step_limit
+from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
 LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
-_RELAXATION_CHUNK = 400  # steps between two looks at the step limit and the unbalanced-force ratio
-_STEP_FRACTION = 0.8  # of the limit at the present overlaps
-_IMPACT_STEPS = 4.0  # enough for impacts that damping is to end
-_FILLING_RATIO = 1e-2  # unbalanced-force ratio, and
-_FILLING_OVERLAP = 1e-3  # largest overlap over smallest radius, at which the next radius step may come
+PACKING_METHOD = 2
+"""Raised when the same rule and generator make other packings; those of campaigns stay."""
+_FILLING_RATIO = 1e-2  # unbalanced-force ratio at which a filled box may be pressed
 _NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
-_FILLING_SKIN, _PRESSING_SKIN = 0.7, 0.1  # skins of the pair list over the mean radius: a gas, and disks held in place
+_FREELY_PLACED = 0.547  # covered part below which disks can be placed at random anyway, see `_loosest_factor`
+_HIGHEST = 0.35  # squared frequency with scaled densities over that without; lower, the mean disk gets too heavy
+_TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
+_SHORTER = 0.8  # step over the one that proved too long
+_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest below which disks have their own masses, see `Manner`
+_SERVO_GAIN = 0.9  # of the lid
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
 
 
@@ -201,6 +207,47 @@ class PackingStage:
     fraction: float
 
 
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How disks are brought to rest.
+
+    Attributes
+    ----------
+    steps
+        Between two looks at the step limit and the unbalanced-force ratio.
+    fraction
+        Of the step's limit at the present overlaps.
+    skin
+        Pairs are listed up to this part of the mean radius apart: far where disks fly, near where they stay.
+    steps_per_contact
+        As in `start`: enough for impacts that damping is to end, or 0.
+    apart
+        Largest overlap over smallest radius at which the next radius step may come, since a loose gas of disks has no
+        balance to wait for; 0 while the lid presses.
+    halted
+        Disks are halted at every look.
+    scaled
+        Stiff disks get heavier, see `scaled_densities`; while the lid presses not in the last two decades of the
+        unbalanced-force ratio: there contacts stop sliding, and with other masses fewer of them do.
+    """
+
+    steps: int = 400
+    fraction: float = 0.95
+    skin: float = 0.1
+    steps_per_contact: float = 0.0
+    apart: float = 0.0
+    halted: bool = False
+    scaled: bool = False
+
+
+_HALTED = Manner(steps=100, fraction=0.9, skin=1.0, apart=1e-2, halted=True, scaled=True)
+_FLYING = Manner(steps=200, fraction=0.9, skin=1.0, apart=1e-3)
+_CRUSHED = replace(_FLYING, steps=400, skin=0.7)
+_PRESSED = Manner(scaled=True)
+OWN_DISKS = Manner(fraction=0.8, skin=SKIN, steps_per_contact=4.0)
+"""Of disks from elsewhere, which may hardly touch."""
+
+
 @dataclass(slots=True)
 class Cost:
     """Steps and wall time so far, and the radius step; whoever watches is told of it all after every chunk."""
@@ -248,7 +295,11 @@ def make_packing(
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         cost.expansion_step += 1
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
-        state = relax(scene, preload, rule, cost, check, filling=True)
+        covered = (1.0 - rule.porosity) * _square(float(factor))
+        manner = (
+            _HALTED if covered < _FREELY_PLACED else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
+        )
+        state = relax(scene, preload, rule, cost, check, manner)
         x, y = state.position().T
         preload = _preload_of(state)
     cost.expansion_step += 1
@@ -318,7 +369,7 @@ def box_walls(width: float, height: float, lid_force: float | None = None) -> tu
         Wall((0.0, 0.0), (1.0, 0.0)),
         Wall((width, 0.0), (-1.0, 0.0)),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=_SERVO_GAIN),
     )
 
 
@@ -328,15 +379,9 @@ def relax(
     rule: PackingRule,
     cost: Cost,
     check: Callable[[], None],
-    *,
-    filling: bool = False,
-    own: bool = False,
+    manner: Manner = _PRESSED,
 ) -> State:
     """Let a scene come to rest.
-
-    The step follows the stability limit at the present overlaps; for disks from elsewhere (``own``), which may hardly
-    touch, it also follows their impacts. While the box is being filled it is enough that the disks have moved apart
-    again: a loose gas of disks has no balance to wait for.
 
     Raises
     ------
@@ -348,29 +393,29 @@ def relax(
         # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.
         features=replace(choose_features(scene, "finite"), servo=True),
         preload=preload,
-        skin_fraction=SKIN if own else _FILLING_SKIN if filling else _PRESSING_SKIN,
-        steps_per_contact=_IMPACT_STEPS if own else 0.0,
+        skin_fraction=manner.skin,
+        steps_per_contact=manner.steps_per_contact,
     )
     ratios: list[float] = []
     cost.watch(_stage_of(cost, rule, ratios))
     while True:
         check()
         try:
-            state = advance(replace(state, time_step=_STEP_FRACTION * step_limit(state)), _RELAXATION_CHUNK)
+            state = _advance_to_look(state, manner, min(ratios, default=math.inf) / rule.unbalanced_force_ratio)
         except UnstableRunError as error:
             cure = "lower stress, raise damping, or move the disks apart if they are your own"
             raise PackingError(f"while the disks came to rest, {str(error).rsplit(': ', 1)[0]}: {cure}") from error
-        cost.steps += _RELAXATION_CHUNK
+        cost.steps += manner.steps
         ratio = unbalanced_ratio(state)
         ratios.append(ratio)
         cost.watch(_stage_of(cost, rule, ratios))
         if cost.steps > rule.most_steps:
-            cure = "raise most_steps, damping or porosity" if filling else _cure_of_unrest(state, rule, ratios)
+            cure = "raise most_steps, damping or porosity" if manner.apart else _cure_of_unrest(state, rule, ratios)
             raise PackingError(
                 f"the packing is not at rest after {cost.steps} steps (unbalanced-force ratio {ratio:.2g}): {cure}"
             )
-        if filling:
-            if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < _FILLING_OVERLAP * scene.radius.min():
+        if manner.apart:
+            if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < manner.apart * scene.radius.min():
                 return state
         elif (
             ratio < rule.unbalanced_force_ratio
@@ -379,11 +424,38 @@ def relax(
             return state
 
 
+def _advance_to_look(state: State, manner: Manner, unrest: float) -> State:
+    """State some steps later, with the step that its overlaps allow; ``unrest`` is the ratio over the one at rest.
+
+    Where disks are pressed together again meanwhile, so much that the step was too long, it is done again with a
+    shorter one.
+    """
+    grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
+    if scaled:
+        heavier, limit = scaled_densities(*_present_contacts(state), _HIGHEST)
+        state = replace(state, assembly=replace(state.assembly, grains=heavier))
+    else:
+        limit = step_limit(state)
+    step = manner.fraction * limit
+    later = advance(replace(state, time_step=step), manner.steps)
+    while manner is _PRESSED and (step > _TOO_LONG * critical_time_step(*_present_contacts(later), rings=scaled)).any():
+        step = _SHORTER * step
+        later = advance(replace(state, time_step=step), manner.steps)
+    if manner.halted:
+        later.motion.velocity[...] = 0.0
+    return replace(later, assembly=replace(later.assembly, grains=grains))
+
+
+def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
+    """What `critical_time_step` is told of a state."""
+    return state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
+
+
 def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
     """How far a packing is that had these unbalanced-force ratios in its present stage."""
     lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
     pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
-    expansion = 0.5 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
+    expansion = 0.3 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
     if cost.expansion_step <= cost.expansion_steps:
         fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
     else:

@@ -12,6 +12,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import (
+    OWN_DISKS,
     Cost,
     Packing,
     PackingError,
@@ -89,7 +90,7 @@ def packing_from_csv(
     walls = box_walls(rule.width, height, rule.stress * rule.width)
     cost = Cost(watch=watch, expansion_step=1)
     scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
-    return packing_at_rest(relax(scene, None, boxed, cost, check, own=True), boxed, cost)
+    return packing_at_rest(relax(scene, None, boxed, cost, check, OWN_DISKS), boxed, cost)
 
 
 def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:

@@ -13,6 +13,7 @@ from sqlalchemy import create_engine, text
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
@@ -75,7 +76,7 @@ def small(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compute the campaign of 280 disks and four cells, on the packing that is kept with the tests."""
     folder = tmp_path_factory.mktemp("small")
     configuration = load_configuration(toml)
-    shutil.copy(SMALL_PACKING, folder / f"packing-{configuration.packing_hash[:32]}.npz")
+    shutil.copy(SMALL_PACKING, folder / cached_name(configuration.packing_hash))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CALCIDEM_CACHE", str(folder))
         run(configuration, db=folder / "small.db").close()
