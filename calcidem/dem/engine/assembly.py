@@ -218,18 +218,7 @@ def _assemble_pairs(
     hertz = scene.sand.hertz_coefficient(radius[first], radius[second])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
     shear = scene.sand.shear_ratio * tangent if scene.sand.friction > 0.0 else 0.0 * tangent
-    bits = np.zeros(count, dtype=np.uint32)
-    bond: Floats = np.zeros((count, 3))
-    linear: Floats = np.zeros((count, 3))
-    strength: Floats = np.zeros((count, 4))
-    if scene.bonds is not None:
-        # A pair that is named twice is cemented in the lanes of both.
-        np.bitwise_or.at(bits, np.searchsorted(listed, cemented), scene.bonds.bits)
-        bond = scene.bonds.cement.bond_stiffness(radius[first], radius[second])
-        linear[:, :REFERENCE_OVERLAP] = scene.bonds.cement.linear_stiffness(radius[first], radius[second])
-        strength = _breaking_limits(scene.bonds.cement.strength(radius[first], radius[second]))
-    bits &= np.uint32(2**lanes - 1)
-    return Pairs(
+    bare = Pairs(
         start=np.searchsorted(first, np.arange(scene.count + 1)).astype(np.int64),
         first=aligned_copy(first.astype(np.int32)),
         second=aligned_copy(second.astype(np.int32)),
@@ -240,15 +229,67 @@ def _assemble_pairs(
         mindlin=aligned_copy((1.5 * scene.sand.shear_ratio * hertz).astype(dtype)),
         tangent=aligned_copy(np.column_stack([tangent, shear]).astype(dtype)),
         friction=aligned_copy(np.full(count, scene.sand.friction, dtype=dtype)),
-        bond=aligned_copy(bond.astype(dtype)),
-        linear=aligned_copy(linear.astype(dtype)),
-        strength=aligned_copy(strength.astype(dtype)),
-        cemented=bits,
-        intact=bits.copy(),
+        bond=aligned_zeros((count, 3), dtype),
+        linear=aligned_zeros((count, 3), dtype),
+        strength=aligned_zeros((count, 4), dtype),
+        cemented=np.zeros(count, dtype=np.uint32),
+        intact=np.zeros(count, dtype=np.uint32),
         shear=aligned_zeros((count, lanes), dtype),
         root=overlap_roots(np.zeros(count), lanes, dtype),
         bond_force=aligned_zeros((count, 3, lanes), dtype),
         radii=np.zeros((0, 2, 0), dtype),
+    )
+    return _cement_pairs(bare, scene, radius, np.searchsorted(listed, cemented), lanes)
+
+
+def _cement_pairs(bare: Pairs, scene: Scene, radius: Floats, places: Integers, lanes: int) -> Pairs:
+    """Pairs with the scene's bonds, each at its place (B,) in the list; ``radius`` (N,) is in memory order."""
+    if scene.bonds is None:
+        return bare
+    dtype, ends = bare.hertz.dtype, (radius[bare.first], radius[bare.second])
+    bits = np.zeros(len(bare.first), dtype=np.uint32)
+    # A pair that is named twice is cemented in the lanes of both.
+    np.bitwise_or.at(bits, places, scene.bonds.bits)
+    bits &= np.uint32(2**lanes - 1)
+    linear = np.zeros((len(bits), 3))
+    linear[:, :REFERENCE_OVERLAP] = scene.bonds.cement.linear_stiffness(*ends)
+    return bare._replace(
+        bond=aligned_copy(scene.bonds.cement.bond_stiffness(*ends).astype(dtype)),
+        linear=aligned_copy(linear.astype(dtype)),
+        strength=aligned_copy(_breaking_limits(scene.bonds.cement.strength(*ends)).astype(dtype)),
+        cemented=bits,
+        intact=bits.copy(),
+    )
+
+
+def share_assembly(single: Assembly, scene: Scene, lanes: int) -> Assembly | None:
+    """Assembly of samples of one scene from that of the scene without bonds and loads, in one lane.
+
+    Shear forces that it has are those of all lanes. None where cement spans a gap that is not listed.
+    """
+    pairs, wall_pairs, dtype = single.pairs, single.wall_pairs, single.pairs.hertz.dtype
+    places = np.zeros(0, dtype=np.int64)
+    if scene.bonds is not None:
+        cemented = pair_keys(np.argsort(single.order)[np.asarray(scene.bonds.pairs)], scene.count)
+        listed = pair_keys(np.column_stack([pairs.first, pairs.second]), scene.count)
+        places = np.searchsorted(listed, cemented)
+        if not np.array_equal(np.append(listed, -1)[places], cemented):
+            return None
+    spread = pairs._replace(
+        shear=aligned_copy(np.repeat(pairs.shear, lanes, axis=1)),
+        root=aligned_copy(np.repeat(pairs.root, lanes, axis=1)),
+        bond_force=aligned_zeros((len(pairs.first), 3, lanes), dtype),
+    )
+    radius = np.asarray(scene.radius, dtype=float)[single.order]
+    return Assembly(
+        order=single.order,
+        grains=single.grains._replace(load=aligned_copy(scene.total_load[single.order].astype(dtype))),
+        pairs=_cement_pairs(spread, scene, radius, places, lanes),
+        wall_pairs=wall_pairs._replace(
+            shear=aligned_zeros((len(wall_pairs.disk), lanes), dtype),
+            root=aligned_copy(np.repeat(wall_pairs.root, lanes, axis=1)),
+        ),
+        walls=_assemble_walls(scene, lanes, dtype),
     )
 
 

@@ -1,5 +1,6 @@
 """Largest stable time step of the explicit scheme."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -135,18 +136,19 @@ def scaled_densities(
     return scaled, np.full(features.lanes, 2.0 / np.sqrt(allowed))
 
 
-def _at_rings(springs: _Springs) -> _Springs:
+def _at_rings(springs: Sequence[_Springs]) -> tuple[_Springs, ...]:
     """The same contacts of disks that have the moments of inertia of rings."""
-    return springs._replace(arm=springs.arm / np.sqrt(_RING_INERTIA), twist=springs.twist / _RING_INERTIA)
+    root = np.sqrt(_RING_INERTIA)
+    return tuple(side._replace(arm=side.arm / root, twist=side.twist / _RING_INERTIA) for side in springs)
 
 
 def _squares_of_stiffest(
-    springs: _Springs, assembly: Assembly, features: Features, share: float = 1.0
+    springs: Sequence[_Springs], assembly: Assembly, features: Features, share: float = 1.0
 ) -> tuple[Integers, Floats]:
     """Disks (K,), all those among them whose part in the bound reaches a share of the largest, and the parts (K, L)."""
     factor = _inverse_masses(assembly)
     # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
-    most = factor * _sum_over_disks(springs.disk, springs.trace, len(factor))
+    most = factor * sum(_sum_over_disks(side.disk, side.trace, len(factor)) for side in springs)
     tops = np.unique(most.argmax(axis=0))
     least = (factor[tops] * largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
     near = np.flatnonzero((1.000001 * most >= share * least).any(axis=1))
@@ -175,12 +177,13 @@ def _sum_over_disks(disk: Integers, values: Floats, count: int) -> Floats:
     return sums.reshape(count, *values.shape[1:])
 
 
-def _contact_matrices(springs: _Springs, disks: Integers, features: Features) -> Floats:
+def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Features) -> Floats:
     """Matrices (K, L, 3, 3) of `critical_time_step` of some disks (K,), which increase."""
-    number = np.full(max(springs.disk.max(initial=-1), disks.max(initial=-1)) + 1, -1)
+    number = np.full(max(values.max(initial=-1) for values in (disks, *(side.disk for side in springs))) + 1, -1)
     number[disks] = np.arange(len(disks))
-    chosen = np.flatnonzero(number[springs.disk] >= 0)
-    part = _Springs(springs.disk[chosen], *(values[chosen] for values in springs[1:]))
+    chosen = [np.flatnonzero(number[side.disk] >= 0) for side in springs]
+    parts = [[values[rows] for values in side] for side, rows in zip(springs, chosen, strict=True)]
+    part = _Springs(*(np.concatenate(values) for values in zip(*parts, strict=True)))
     entries = _sum_over_disks(number[part.disk], part.entries, len(disks))
     matrices = np.zeros((*entries.shape[:2], 3, 3))
     for entry, (row, column) in enumerate(_UPPER):
@@ -228,8 +231,8 @@ def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _E
 
 def _springs_at_disks(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
-) -> _Springs:
-    """Both ends of the contacts between disks, and half of each contact with a wall."""
+) -> tuple[_Springs, ...]:
+    """First ends of the contacts between disks, second ends, and half of each contact with a wall."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, wall_pairs, walls = assembly.pairs, assembly.wall_pairs, assembly.walls
     radius = assembly.grains.radius.astype(float)
@@ -247,8 +250,7 @@ def _springs_at_disks(
     rubbing = scene.sand.shear_ratio * tangent * (walls.friction[wall_pairs.wall] > 0.0)[:, None]
     towards = walls.normal[wall_pairs.wall].astype(float)
     at_walls = _Springs(wall_pairs.disk, towards, tangent / 2.0, rubbing / 2.0, np.ones(shape), np.zeros(shape))
-    ends = one_side(pairs.first, -1.0), one_side(pairs.second, 1.0), at_walls
-    return _Springs(*(np.concatenate(parts) for parts in zip(*ends, strict=True)))
+    return one_side(pairs.first, -1.0), one_side(pairs.second, 1.0), at_walls
 
 
 def _no_contact_step(scene: Scene) -> float:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import aligned_zeros, assemble
+from calcidem.dem.engine.assembly import aligned_zeros, assemble, share_assembly
 from calcidem.dem.engine.histories import install_forces
 from calcidem.dem.engine.leapfrog import (
     Precision,
@@ -68,6 +68,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     preload: Preload | None = None,
     skin_fraction: float | None = None,
     steps_per_contact: float = _STEPS_PER_CONTACT,
+    single: State | None = None,
 ) -> State:
     """State of a scene at time zero.
 
@@ -96,6 +97,9 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     steps_per_contact
         Steps in the shortest impact at the default step. With 0 the step is that of the stability limit at the start,
         and nobody watches it but the caller: for waves in scenes at rest.
+    single
+        State of the same scene without bonds and loads, in one lane, with the same skin and preload: its neighbours and
+        constants are taken as they are, which saves half of the time.
 
     Raises
     ------
@@ -107,8 +111,12 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     if skin_fraction is None:
         skin_fraction = SKIN if chosen.search else 0.0
     skin = skin_fraction * float(np.mean(scene.radius)) if chosen.finite else 0.0
-    centres = np.column_stack([scene.x, scene.y])[:, :, None]
-    assembly = assemble(scene, centres, skin, chosen.lanes, dtype)
+    assembly = None if single is None else share_assembly(single.assembly, scene, chosen.lanes)
+    if assembly is None:
+        centres = np.column_stack([scene.x, scene.y])[:, :, None]
+        assembly = assemble(scene, centres, skin, chosen.lanes, dtype)
+    else:
+        preload = None  # it is there already
     install_forces(scene, assembly, chosen, preload)
     limit = critical_time_step(scene, assembly, chosen)
     state = State(

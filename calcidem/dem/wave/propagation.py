@@ -6,11 +6,12 @@ in their cement alone and are computed side by side.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
 from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -20,7 +21,7 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.arrival import record_duration
-from calcidem.dem.wave.domain import domain_of, driven_disks, listening_disks, station_disks
+from calcidem.dem.wave.domain import Domain, domain_of, driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
@@ -86,29 +87,14 @@ def prepare_recorder(
     """Prepare a batch to be sent, once and with one step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     rule, installation, pulse = experiment.wave, experiment.installation, Pulse(experiment.wave.amplitude, frequency)
-    whole, sand = experiment.stiffen()
-    domain = domain_of(whole, rule, installation)
-    packing = domain.packing
+    domain, bare = _bare_scene(experiment)
+    packing, driven = domain.packing, driven_disks(domain.packing, rule)
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
-    driven = driven_disks(packing, rule)
-    held = domain.held.copy()
-    held[driven] = True
-    scene = replace(wave_scene(packing, sand, rule, bonds), held=held)
-    skin = _wave_skin(packing, pulse)
-    begin = partial(
-        start,
-        precision=rule.precision,
-        preload=packing.preload,
-        step_fraction=rule.step_fraction,
-        skin_fraction=skin,
-        steps_per_contact=0.0,
-    )
-    if rule.regime != "linear" and installation == "preserve":
-        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
-        # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
-        bare = begin(replace(scene, bonds=None), features=_wave_features(scene, rule, skin, lanes))
-        scene = replace(scene, load=-net_forces(replace(bare, time_step=np.full(lanes, _EXACT_STEP))))
-    state = begin(scene, features=_wave_features(scene, rule, skin, lanes))
+    skin = _wave_skin(packing, pulse) if rule.regime == "finite" else 0.0
+    features = _wave_features(replace(bare, bonds=bonds), rule, skin, lanes)
+    single, scene = _bare_sample(experiment, features, skin)
+    scene = replace(scene, bonds=bonds)
+    state = _begin(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
@@ -127,6 +113,44 @@ def prepare_recorder(
         unbalanced_speed=speed,
         closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(experiment, pulse.stroke),
         breakable=rule.most_broken_bonds,
+    )
+
+
+@lru_cache(maxsize=2)
+def _bare_scene(experiment: Experiment) -> tuple[Domain, Scene]:
+    """Part of the packing that is computed, and its scene without cement."""
+    whole, sand = experiment.stiffen()
+    domain = domain_of(whole, experiment.wave, experiment.installation)
+    held = domain.held.copy()
+    held[driven_disks(domain.packing, experiment.wave)] = True
+    return domain, replace(wave_scene(domain.packing, sand, experiment.wave, None), held=held)
+
+
+@lru_cache(maxsize=4)  # for all batches of a campaign, cemented or not, unless its lists of pairs hang on the frequency
+def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tuple[State, Scene]:
+    """Sample without cement, in one lane, and its scene with the loads of samples that have these features."""
+    _, scene = _bare_scene(experiment)
+    bare = replace(features, lanes=1, bonds=False, linear_group=False, breakage=False)
+    single = _begin(experiment, scene, bare, skin)
+    if not features.linear and experiment.installation == "preserve":
+        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
+        # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
+        unloaded = _begin(experiment, scene, features, skin, single)
+        scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
+    return single, scene
+
+
+def _begin(experiment: Experiment, scene: Scene, features: Features, skin: float, single: State | None = None) -> State:
+    """State of a scene before its pulse; see `state.start`."""
+    return start(
+        scene,
+        features=features,
+        precision=experiment.wave.precision,
+        preload=_bare_scene(experiment)[0].packing.preload,
+        step_fraction=experiment.wave.step_fraction,
+        skin_fraction=skin,
+        steps_per_contact=0.0,
+        single=single,
     )
 
 
