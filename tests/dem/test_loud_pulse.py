@@ -8,8 +8,9 @@ import pytest
 from scenes import HERTZ, RADIUS, SOFT, pair_scene
 
 from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import start
-from calcidem.dem.kernels.layout import X
+from calcidem.dem.kernels.layout import X, Y
 from calcidem.dem.sample.packing import PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import problems_of
@@ -62,6 +63,16 @@ def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     assert loads[0] is not None
     assert np.any(loads[0])
     assert all(np.array_equal(load, loads[0]) for load in loads[1:])
+
+
+def test_a_sample_settles_before_its_disks_are_driven() -> None:
+    """Cement that sets without force leaves contacts out of balance: the disks come to rest, driven ones with them."""
+    given = replace(experiment(), installation="zero")
+    placed = given.ordering(1).at(CONTENT).bonded
+    state = prepare_recorder(given, [placed], FREQUENCY, 1, lambda: None).state
+    assert state.features.driven
+    assert unbalanced_ratio(state, 0) < given.wave.unbalanced_force_ratio
+    assert np.abs(state.motion.displacement[:, Y]).max() > 0.0
 
 
 @pytest.mark.full

@@ -45,7 +45,7 @@ def settle(
     open_lanes = np.ones(lanes, dtype=bool)
     grains = state.assembly.grains
     damped = grains._replace(damping=np.full_like(grains.damping, _SETTLING_DAMPING))
-    features = replace(state.features, servo=True, damping=True, recording=False)
+    features = replace(state.features, servo=True, damping=True, recording=False, driven=False)
     current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
     while open_lanes.any():
         check()

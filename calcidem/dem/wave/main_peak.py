@@ -40,8 +40,9 @@ _CUTTING = 1.6  # ... in records with fewer periods on the way
 _CUTTING_ON_RIDGE = 1.85  # the same where stations tell which top it is, and nothing else is asked of it
 _EARLY = 0.15  # of a peak on the ridge that may be there before any wave, on less than _BLURRED periods ...
 _EARLIEST = 0.05  # ... and on less than one
+_BLUR_ON_RIDGE = 0.22  # as _BLUR, where stations tell which top it is: it may be one wave that took several ways
 _LEAN_ON_RIDGE = 0.15  # periods by which a broad peak on the ridge is longer before its top, if it is one wave
-_SWING = 0.2  # of it that may come before it with the other sign ...
+_SWING = 0.3  # of it that may come before it with the other sign ...
 _NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
 _LEAST_LEAD = 0.02  # of that score over that of the path to any other top
@@ -363,7 +364,8 @@ def _is_broad(record: PreparedSignals, view: Floats, index: int) -> bool:
     began, ended = half_width(view, index)
     travel = index - record.sent_peak
     before = index - began - record.period / 4.0
-    wide = ended - began - record.period / 2.0 > _BLUR * travel
+    blur = _BLUR if record.section is None else _BLUR_ON_RIDGE
+    wide = ended - began - record.period / 2.0 > blur * travel
     return wide and (before > _BLUR_BEFORE * travel or travel < _FEWEST_PERIODS * record.period)
 
 
