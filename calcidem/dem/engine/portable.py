@@ -106,8 +106,10 @@ def sliding_products(signal: Floats, weights: Floats) -> Floats:
     """Sum of products of the weights and the part of a signal under them, at each place where they fit."""
     places = len(signal) - len(weights) + 1
     total: Floats = np.zeros(places)
+    product = np.empty(places)
     for shift, weight in enumerate(weights.tolist()):
-        total = total + weight * signal[shift : shift + places]
+        np.multiply(signal[shift : shift + places], weight, out=product)
+        total += product
     return total
 
 

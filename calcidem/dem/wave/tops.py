@@ -11,7 +11,7 @@ from calcidem.dem.kernels.layout import Floats, Integers
 
 def find_tops(signal: Floats) -> Integers:
     """Samples of the local maxima of a signal (T,), in order; of a level one the middle, or the one before it."""
-    changes = np.flatnonzero(signal[1:] != signal[:-1])
+    changes = (signal[1:] != signal[:-1]).nonzero()[0]
     begin, end = np.concatenate([[0], changes + 1]), np.concatenate([changes, [len(signal) - 1]])
     level = signal[begin]
     above = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:])
@@ -21,17 +21,20 @@ def find_tops(signal: Floats) -> Integers:
 def prominence(signal: Floats, top: int) -> float:
     """Height of a top over the higher of the deepest points on either side, as far as nothing there is higher."""
     height = signal[top]
-    before, behind = np.flatnonzero(signal[:top] > height), np.flatnonzero(signal[top:] > height)
-    left = signal[before[-1] + 1 if len(before) else 0 : top + 1].min()
-    right = signal[top : top + behind[0] if len(behind) else len(signal)].min()
+    higher = signal > height
+    # Distances to the nearest higher samples, 0 where there is none: the top is not higher than itself.
+    before, behind = int(higher[top::-1].argmax()), int(higher[top:].argmax())
+    left = signal[top + 1 - before if before else 0 : top + 1].min()
+    right = signal[top : top + behind if behind else len(signal)].min()
     return float(height - max(left, right))
 
 
 def half_width(signal: Floats, top: int) -> tuple[float, float]:
     """Where a signal falls through half of a top's prominence, before it and behind it, in samples."""
     level = float(signal[top] - 0.5 * prominence(signal, top))
-    left = int(top - np.argmax(signal[top::-1] <= level))
-    right = int(top + np.argmax(signal[top:] <= level))
+    low = signal <= level
+    left = top - int(low[top::-1].argmax())
+    right = top + int(low[top:].argmax())
     before, behind = float(left), float(right)
     if signal[left] < level:
         before += float((level - signal[left]) / (signal[left + 1] - signal[left]))
