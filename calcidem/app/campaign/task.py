@@ -30,6 +30,7 @@ from calcidem.storage.records import (
     CementPattern,
     GraphSummary,
     PackedResult,
+    PathFeatures,
     Signal,
 )
 from calcidem.storage.sql.rows import pack_result
@@ -73,23 +74,29 @@ def cell_computation(
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
         measurements = measure(experiment, content, seeds, lanes=lanes, check=check, ordering=ordering)
-        results = [cell_result(measurement, experiment, store_signals) for measurement in measurements]
+        results = [cell_result(measurement, experiment, store_signals, graph) for measurement in measurements]
         if configuration.run.static_speed:
             results = [
                 replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
-        return tuple(pack_result(with_graph(result, graph)) for result in results)
+        return tuple(map(pack_result, results))
 
     return compute
 
 
-def cell_result(measurement: Measurement, experiment: Experiment, store_signals: bool) -> CellResult:
-    """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it."""
+def cell_result(
+    measurement: Measurement, experiment: Experiment, store_signals: bool, graph: PackingGraph | None = None
+) -> CellResult:
+    """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it.
+
+    Path features and graph summary are left out where there is no ``graph`` of the packing.
+    """
     cement, record, picks = measurement.cement, measurement.record, measurement.picks
-    packing = experiment.packing
+    packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
+    features, summary = (None, None) if graph is None else describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
-        measurement.vs, measurement.frequency, measurement.distance, median_diameter_by_mass(packing.radius)
+        measurement.vs, measurement.frequency, measurement.distance, _median_diameter(packing)
     )
     readings = (Reading(),) * 3 if picks is None else (picks.peak, picks.first_arrival, picks.cross_correlation)
     peak, first_arrival, cross_correlation = readings
@@ -122,9 +129,16 @@ def cell_result(measurement: Measurement, experiment: Experiment, store_signals:
         broken_bonds=record.broken_bonds,
         retry=record.retry,
         seconds=measurement.seconds,
+        features=features,
+        graph=summary,
         signal=stored_signal(record) if store_signals else None,
-        cement=pattern_of(packing, cement),
+        cement=pattern,
     )
+
+
+@lru_cache(maxsize=4)  # it is asked for by every cell
+def _median_diameter(packing: Packing) -> float:
+    return median_diameter_by_mass(packing.radius)
 
 
 def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
@@ -146,18 +160,14 @@ def stored_signal(record: WaveRecord) -> Signal | None:
     )
 
 
-def with_graph(result: CellResult, packing: PackingGraph) -> CellResult:
-    """Return an outcome together with its path features and its graph summary.
+def describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
+    """Features of the path and summary of the graph of one sample.
 
-    One without cement pattern, whose cell was never made, is returned as it is. Where no chain of contacts joins
-    transmitter and receiver there is no path.
+    Where no chain of contacts joins transmitter and receiver there is no path.
     """
-    if result.cement is None:
-        return result
-    bonded = packing.bonded(result.cement)
+    bonded = packing.bonded(cement)
     summary = graph_summary(packing.graph, bonded)
-    features = None if summary.gap_contacts is None else packing.features(packing.path(bonded))
-    return replace(result, features=features, graph=summary)
+    return None if summary.gap_contacts is None else packing.features(packing.path(bonded)), summary
 
 
 def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
