@@ -65,6 +65,8 @@ class Session:
             refuse_ranks_off_linux()
             die_with_parent()
             tell_command("loaded")
+            # Open MPI's search for devices for one-sided messages takes a second, and nothing here sends such.
+            os.environ.setdefault("OMPI_MCA_btl", "^ofi")
             import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
 
             mpi4py.rc.thread_level = "funneled"  # only the main thread calls MPI
