@@ -89,7 +89,8 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
     centres += np.column_stack([scene.x, scene.y])[:, :, None]
     fresh = assemble(scene, centres, skin, lanes, displacement.dtype, old)
     keys = [pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old)]
-    _hand_down(fresh.pairs, old.pairs, keys, ("intact", "linear", "shear", "root", "bond_force"))
+    of_cement = () if scene.bonds is None else ("intact", "linear", "bond_force")
+    _hand_down(fresh.pairs, old.pairs, keys, ("shear", "root", *of_cement))
     keys = [_wall_keys(assembly) for assembly in (fresh, old)]
     _hand_down(fresh.wall_pairs, old.wall_pairs, keys, ("shear", "root"))
     return fresh
@@ -98,9 +99,10 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
 def _hand_down(fresh: NamedTuple, old: NamedTuple, keys: list[npt.NDArray[np.int64]], names: tuple[str, ...]) -> None:
     """Give a list, in place, what its pairs had in the old one; both have increasing keys."""
     place = np.searchsorted(keys[1], keys[0])
-    known = np.append(keys[1], -1)[place] == keys[0]
+    known = np.flatnonzero(np.append(keys[1], -1)[place] == keys[0])
+    place = place[known]
     for name in names:
-        getattr(fresh, name)[known] = getattr(old, name)[place[known]]
+        getattr(fresh, name)[known] = getattr(old, name)[place]
 
 
 def _wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:

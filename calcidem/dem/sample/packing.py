@@ -233,7 +233,7 @@ class Manner:
 
     steps: int = 400
     fraction: float = 0.95
-    skin: float = 0.1
+    skin: float = 0.25
     steps_per_contact: float = 0.0
     apart: float = 0.0
     halted: bool = False
@@ -335,9 +335,10 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
     cell = 2.0 * float(radius.max())
     columns, rows = int(rule.width / cell) + 1, int(rule.height / cell) + 1
     cells: dict[tuple[int, int], list[int]] = {}
-    x, y = np.empty_like(radius), np.empty_like(radius)
-    for disk in np.argsort(-radius, kind="stable"):
-        own = float(radius[disk])
+    radii: list[float] = radius.tolist()  # numbers of NumPy take three times as long
+    x, y = [0.0] * len(radii), [0.0] * len(radii)
+    for disk in np.argsort(-radius, kind="stable").tolist():
+        own = radii[disk]
         for _ in range(10_000):
             # Not `Generator.uniform`, which a compiler may contract.
             px = own + (rule.width - own - own) * generator.random()
@@ -349,13 +350,13 @@ def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generato
                 for b in range(max(0, row - 1), min(rows, row + 2))
                 for other in cells.get((a, b), ())
             ]
-            if all(_square(px - x[o]) + _square(py - y[o]) >= _square(own + radius[o]) for o in near):
+            if all(_square(px - x[o]) + _square(py - y[o]) >= _square(own + radii[o]) for o in near):
                 break
         else:
             raise PackingError(f"no room for disk {disk}: raise the porosity or enlarge the box")
         x[disk], y[disk] = px, py
-        cells.setdefault((column, row), []).append(int(disk))
-    return x, y
+        cells.setdefault((column, row), []).append(disk)
+    return np.array(x), np.array(y)
 
 
 def _square(value: float) -> float:
@@ -397,11 +398,13 @@ def relax(
         steps_per_contact=manner.steps_per_contact,
     )
     ratios: list[float] = []
+    limit: Floats | None = None
     cost.watch(_stage_of(cost, rule, ratios))
     while True:
         check()
         try:
-            state = _advance_to_look(state, manner, min(ratios, default=math.inf) / rule.unbalanced_force_ratio)
+            unrest = min(ratios, default=math.inf) / rule.unbalanced_force_ratio
+            state, limit = _advance_to_look(state, manner, unrest, limit)
         except UnstableRunError as error:
             cure = "lower stress, raise damping, or move the disks apart if they are your own"
             raise PackingError(f"while the disks came to rest, {str(error).rsplit(': ', 1)[0]}: {cure}") from error
@@ -424,26 +427,29 @@ def relax(
             return state
 
 
-def _advance_to_look(state: State, manner: Manner, unrest: float) -> State:
+def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
     """State some steps later, with the step that its overlaps allow; ``unrest`` is the ratio over the one at rest.
 
     Where disks are pressed together again meanwhile, so much that the step was too long, it is done again with a
-    shorter one.
+    shorter one. With it comes the limit of its step, if that is known already, as ``limit`` is that of ``state``.
     """
     grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
     if scaled:
         heavier, limit = scaled_densities(*_present_contacts(state), _HIGHEST)
         state = replace(state, assembly=replace(state.assembly, grains=heavier))
-    else:
+    elif limit is None:
         limit = step_limit(state)
     step = manner.fraction * limit
-    later = advance(replace(state, time_step=step), manner.steps)
-    while manner is _PRESSED and (step > _TOO_LONG * critical_time_step(*_present_contacts(later), rings=scaled)).any():
+    later, found = advance(replace(state, time_step=step), manner.steps), None
+    while (
+        manner is _PRESSED
+        and (step > _TOO_LONG * (found := critical_time_step(*_present_contacts(later), rings=scaled))).any()
+    ):
         step = _SHORTER * step
         later = advance(replace(state, time_step=step), manner.steps)
     if manner.halted:
         later.motion.velocity[...] = 0.0
-    return replace(later, assembly=replace(later.assembly, grains=grains))
+    return replace(later, assembly=replace(later.assembly, grains=grains)), None if scaled else found
 
 
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
