@@ -12,6 +12,7 @@ from calcidem.sweep.context import Sink
 from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.processes import keep_freed_memory
 from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Tally
@@ -53,6 +54,7 @@ __all__ = [
     "SweepState",
     "Tally",
     "TimeLimitReached",
+    "keep_freed_memory",
     "plan_batches",
     "refuse_singletons",
     "run_sweep",

@@ -19,6 +19,7 @@ from calcidem.sweep import (
     StopRequest,
     SweepEnd,
     SweepInterrupted,
+    keep_freed_memory,
     refuse_singletons,
     run_sweep,
 )
@@ -57,6 +58,7 @@ def run_on_ranks(load: Callable[[], Configuration], open_view: Callable[[], RunV
 
     To be called on all ranks; the configuration is loaded, and the view opened, on rank 0 only.
     """
+    keep_freed_memory()
     with Session() as session:
         if session.rank == 0:
             view = open_view()

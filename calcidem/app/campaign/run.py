@@ -29,6 +29,7 @@ from calcidem.sweep import (
     StopRequest,
     SweepEnd,
     SweepOptions,
+    keep_freed_memory,
     plan_batches,
     run_sweep,
 )
@@ -91,6 +92,7 @@ def run(
     values |= {"run.output": os.fspath(output)} if output is not None else {}
     if values or not isinstance(configuration, Configuration):
         configuration = change_configuration(configuration, values)
+    keep_freed_memory()
     with choose_display(progress) as display:
         reporter = ProgressReporter(display)
         with CampaignRun(configuration, [describe_worker(rank=0)], display.note, watch=reporter.on_packing) as work:
