@@ -94,7 +94,7 @@ def prepare_recorder(
     features = _wave_features(replace(bare, bonds=bonds), rule, skin, lanes)
     single, scene = _bare_sample(experiment, features, skin)
     scene = replace(scene, bonds=bonds)
-    state = _begin(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
+    state = _start_at_rest(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
@@ -131,16 +131,18 @@ def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tup
     """Sample without cement, in one lane, and its scene with the loads of samples that have these features."""
     _, scene = _bare_scene(experiment)
     bare = replace(features, lanes=1, bonds=False, linear_group=False, breakage=False)
-    single = _begin(experiment, scene, bare, skin)
+    single = _start_at_rest(experiment, scene, bare, skin)
     if not features.linear and experiment.installation == "preserve":
         # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
         # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
-        unloaded = _begin(experiment, scene, features, skin, single)
+        unloaded = _start_at_rest(experiment, scene, features, skin, single)
         scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
     return single, scene
 
 
-def _begin(experiment: Experiment, scene: Scene, features: Features, skin: float, single: State | None = None) -> State:
+def _start_at_rest(
+    experiment: Experiment, scene: Scene, features: Features, skin: float, single: State | None = None
+) -> State:
     """State of a scene before its pulse; see `state.start`."""
     return start(
         scene,
