@@ -17,6 +17,10 @@ LAUNCHER_VARIABLES = {
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Must be 1 before numpy is imported: each rank has one core, threads would fight for it."""
 
+NO_DEVICE_SEARCH = {"OMPI_MCA_btl": "^ofi"}
+"""Where nothing else is said: Open MPI's search for devices for one-sided messages, of which there are none here, takes
+a second."""
+
 
 def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
     """Return what started this process as an MPI rank, or None if nothing did."""

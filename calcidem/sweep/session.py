@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
 from calcidem.sweep.channel import command_listens, tell_command
-from calcidem.sweep.environment import fault_tolerance_enabled, launcher, refuse_ranks_off_linux
+from calcidem.sweep.environment import NO_DEVICE_SEARCH, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
 from calcidem.sweep.starter import die_with_parent
@@ -65,8 +65,7 @@ class Session:
             refuse_ranks_off_linux()
             die_with_parent()
             tell_command("loaded")
-            # Open MPI's search for devices for one-sided messages takes a second, and nothing here sends such.
-            os.environ.setdefault("OMPI_MCA_btl", "^ofi")
+            os.environ.update(NO_DEVICE_SEARCH | os.environ)
             import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
 
             mpi4py.rc.thread_level = "funneled"  # only the main thread calls MPI

@@ -11,7 +11,13 @@ from dataclasses import dataclass
 from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.sweep import LaunchError
-from calcidem.sweep.environment import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
+from calcidem.sweep.environment import (
+    LAUNCHER_VARIABLES,
+    NO_DEVICE_SEARCH,
+    available_cores,
+    mpi_library_version,
+    refuse_ranks_off_linux,
+)
 
 _RANKS_TIMEOUT = 60.0
 """Seconds within which two ranks must have started and ended; a cold network file system is slow."""
@@ -87,7 +93,7 @@ def rank_findings(mpirun: str) -> Iterator[Finding]:
     try:
         ranks = _start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
-        cure = "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=^ofi may help"
+        cure = "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=self,sm,tcp may help"
         yield Finding(PROBLEM, "two ranks", f"did not start: {_failure_text(error)}", cure)
         return
     sizes = [rank.world_size for rank in ranks]
@@ -110,7 +116,8 @@ def _start_ranks(mpirun: str) -> list[Rank]:
         text=True,
         timeout=_RANKS_TIMEOUT,
         # Without what a launcher sets, so that a rank could start ranks of its own.
-        env={name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES}
+        env=NO_DEVICE_SEARCH
+        | {name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES}
         | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
