@@ -1,14 +1,15 @@
 """Seconds and steps of a packing, and whether packings of two checkouts are alike.
 
     python benchmarks/packing/run.py [--against CHECKOUT] [--seeds 20] [--config FILE] [--set packing.stress=3e5]
-                                     [--contents 0 2.55] [--keep FOLDER] [--json FILE]
+                                     [--contents 0 2.55] [--mirrored] [--keep FOLDER] [--json FILE]
 
 Every seed is packed by both in turns, each on one core with its kernels in the cache; without ``--against`` by this one
 alone. Two packings of one seed begin with the same disks, so what is given is the mean of their differences in units of
 its standard error: of many, one in twenty lies beyond 2, more of few seeds. Of normal
 forces over their mean, f, the whole distributions are compared too: the largest distance between the two (Kolmogorov and
 Smirnov) over that of seeds dealt out to two heaps at random, since forces of one packing are not independent.
-``--keep`` keeps packings and takes those that are there; their seconds are then those of the clock.
+``--keep`` keeps packings and takes those that are there; their seconds are then those of the clock. With ``--mirrored``
+waves go through the packings seen from behind.
 """
 
 import argparse
@@ -36,6 +37,7 @@ class Worker:
     def __init__(self, checkout: Path, options: argparse.Namespace) -> None:
         command = [sys.executable, str(HERE / "worker.py"), str(options.config), "--set", *options.set]
         command += ["--contents", *map(str, options.contents)]
+        command += ["--mirrored"] if options.mirrored else []
         if options.keep:
             folder = options.keep / checkout.resolve().name
             folder.mkdir(parents=True, exist_ok=True)
@@ -100,6 +102,7 @@ def main() -> None:
     parser.add_argument("--config", type=Path, default=ROOT / "calcidem" / "app" / "config" / "presets" / "paper.toml")
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
+    parser.add_argument("--mirrored", action="store_true")
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()

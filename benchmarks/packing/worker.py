@@ -1,6 +1,7 @@
 """Makes packings with the calcidem that is imported and prints what they are: a line of JSON for every seed it reads."""
 
 import argparse
+import contextlib
 import json
 import sys
 import time
@@ -13,6 +14,7 @@ import numpy as np
 from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
 from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import Packing, make_packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.measurement import measure
@@ -59,12 +61,18 @@ def describe(packing: Packing, configuration: Configuration) -> tuple[dict[str, 
     return found, np.sort(force).tolist()
 
 
+def mirror(packing: Packing) -> Packing:
+    """The same packing, seen from behind: another transmitter and another way for the wave."""
+    return replace(packing, x=packing.width - packing.x, preload=Preload(packing.pairs, -packing.preload.shear))
+
+
 def velocities(packing: Packing, configuration: Configuration, contents: list[float]) -> Iterator[tuple[str, float]]:
-    """Mean velocity over the cement seeds of a batch, m/s."""
+    """Mean velocity over the cement seeds of a batch, m/s, and the part of them without a velocity."""
     for content in contents:
         cells = measure(configuration.experiment(packing), content, range(1, _LANES + 1), lanes=_LANES)
         found = [cell.vs for cell in cells if cell.vs is not None]
         yield f"Vs at {content:g} %, m/s", float(np.mean(found)) if found else float("nan")
+        yield f"without Vs at {content:g} %", 1.0 - len(found) / _LANES
 
 
 def main() -> None:
@@ -74,7 +82,12 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
     parser.add_argument("--keep", type=Path)
+    parser.add_argument("--mirrored", action="store_true")
     options = parser.parse_args()
+    with contextlib.suppress(ImportError):  # as the ranks of a campaign do; older checkouts cannot
+        from calcidem.sweep import keep_freed_memory  # noqa: PLC0415
+
+        keep_freed_memory()
     values = {key: json.loads(value) for key, _, value in (item.partition("=") for item in options.set)}
     configuration = change_configuration(options.configuration, values)
     small = replace(configuration, packing=replace(configuration.packing, width=0.02, height=0.03))
@@ -89,7 +102,7 @@ def main() -> None:
             if kept:
                 kept.write_bytes(packing_to_bytes(packing))
         found, force = describe(packing, configuration)
-        found |= velocities(packing, configuration, options.contents)
+        found |= velocities(mirror(packing) if options.mirrored else packing, configuration, options.contents)
         print(json.dumps({"cost": cost, "statistics": found, "force": force}), flush=True)
 
 
