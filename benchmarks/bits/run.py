@@ -108,7 +108,7 @@ def show_cost(against: Path, rounds: int) -> list[dict[str, object]]:
     """Print CPU time of a step, in turns."""
     with tempfile.TemporaryDirectory() as folder:
         packing = Path(folder, "packing.npz")
-        configuration = load_configuration(Path(presets.__file__).parent / "paper.toml")
+        configuration = load_configuration(Path(presets.__file__).parent / "paper-small-pulse.toml")
         packing.write_bytes(presets.preset_packing(configuration.packing_hash) or b"")
         before, after = Worker(against, packing), Worker(ROOT, packing)
         rows: list[dict[str, object]] = []

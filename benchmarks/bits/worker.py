@@ -14,7 +14,7 @@ from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import Recorder
 
 PACKING = packing_from_bytes(Path(sys.argv[1]).read_bytes())
-EXPERIMENT = load_configuration(Path(presets.__file__).parent / "paper.toml").experiment(PACKING)
+EXPERIMENT = load_configuration(Path(presets.__file__).parent / "paper-small-pulse.toml").experiment(PACKING)
 
 
 def recorder_of(regime: str, lanes: int, content: float) -> tuple[Recorder, Any]:

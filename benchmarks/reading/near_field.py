@@ -2,7 +2,7 @@
 
     python benchmarks/reading/near_field.py [--packing 2]
 
-Sends pulses of lower and lower frequency through samples of the preset `paper` with another packing, 8 seeds a content,
+Sends pulses of lower and lower frequency through samples of the preset `paper-small-pulse` with another packing, 8 seeds a content,
 without the rule of the shortest way (`pick.fewest_periods`), and prints Vs over that at the frequency of the preset and
 over the static speed of the same sample.
 """
@@ -19,7 +19,7 @@ from calcidem.app.config.reader import read_configuration
 from calcidem.dem.wave.measurement import measure_all
 from calcidem.dem.wave.static_speed import static_speed
 
-_FILE = Path(__file__).resolve().parents[2] / "examples" / "paper.toml"
+_FILE = Path(__file__).resolve().parents[2] / "examples" / "paper-small-pulse.toml"
 _CONTENTS = (0.23, 0.66, 1.24, 2.55, 5.0, 9.0)  # percent
 _WAYS = (0.3, 0.36, 0.42, 0.48, 0.6, 0.8)  # periods, at the velocity of the preset's frequency
 _SEEDS = range(901, 909)

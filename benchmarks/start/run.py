@@ -1,6 +1,6 @@
 """Where time goes beside the kernel: libraries, compilation, the first command, and the phases of a campaign.
 
-    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper.toml] [--json FILE]
+    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper-small-pulse.toml] [--json FILE]
 
 Seconds of the processor (user and system) of whole processes or of the main thread, and of the clock where people
 wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out.
@@ -162,7 +162,7 @@ def show(title: str, seconds: dict[str, float]) -> None:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper.toml")
+    parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper-small-pulse.toml")
     parser.add_argument("--ranks", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--json", type=Path)

@@ -113,7 +113,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=8, choices=range(1, 9))
     seeds = list(range(1, parser.parse_args().seeds + 1))
-    configuration = load_configuration("examples/paper.toml", {})
+    configuration = load_configuration("examples/paper-small-pulse.toml", {})
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None, lambda: None))
     for content in (0.0, 5.0):
         measure(experiment, content, seeds)  # compiles

@@ -1,6 +1,6 @@
 """Cost of the guards of a running wave: with and without, taking turns, and the time spent in them.
 
-python benchmarks/stiff/guards.py examples/quick.toml [ROUNDS]
+python benchmarks/stiff/guards.py examples/paper-small-pulse.toml [ROUNDS]
 """
 
 import sys

@@ -4,7 +4,7 @@ The linear regime has a constant stiffness matrix, which is the best case for an
 factorisation (Newmark, beta = 1/4, unconditionally stable) and two triangular solves a step, with steps that the pulse
 alone decides. Local damping is no part of it (its force is not linear in the velocity), so both run without.
 
-    python benchmarks/stiff/newmark.py examples/quick.toml
+    python benchmarks/stiff/newmark.py examples/paper-small-pulse.toml
 """
 
 import sys

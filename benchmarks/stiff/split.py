@@ -6,7 +6,7 @@ pressed contacts. Both are compared with the plain explicit step written the sam
 a vector a step, so that the ratio of run times says what the method itself saves. The error is that of the signal
 against the same scheme at a tenth of the limit. No local damping, as in newmark.py.
 
-    python benchmarks/stiff/split.py examples/quick.toml
+    python benchmarks/stiff/split.py examples/paper-small-pulse.toml
 """
 
 import sys

@@ -2,7 +2,7 @@
 
     python docs/reproduction/calcite.py
 
-For the preset `paper`, and for Eq. 2 without the calibration of its pattern.
+For the preset `paper-small-pulse`, and for Eq. 2 without the calibration of its pattern.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ CONTENTS = (0.11, 0.34, 0.66, 1.24, 2.55, 4.0, 5.0, 7.0, 9.0)
 
 def main() -> None:
     """Print the table, and what all contacts hold together."""
-    configuration = load_configuration("examples/paper.toml", {})
+    configuration = load_configuration("examples/paper-small-pulse.toml", {})
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None, lambda: None))
     rules = (experiment.cement_rule, CementRule())
     print("| nominal, % | calcite, % | cemented contacts | calcite by plain Eq. 2, % | cemented contacts |")

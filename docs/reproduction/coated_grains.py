@@ -42,7 +42,7 @@ def coat_grains(experiment: Experiment, seed: int) -> CementOrdering:
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("configuration", nargs="?", default="examples/paper.toml")
+    parser.add_argument("configuration", nargs="?", default="examples/paper-small-pulse.toml")
     parser.add_argument("--seeds", type=int, default=24)
     parser.add_argument("--receiver", type=float, default=0.01, help="half-width of the receiver, m")
     options = parser.parse_args()

@@ -42,7 +42,7 @@ def complete_part(table: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("configuration", nargs="?", default="examples/paper.toml")
+    parser.add_argument("configuration", nargs="?", default="examples/paper-small-pulse.toml")
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--contents", type=float, nargs="+", default=[0.66, 1.24, 2.55, 5.0, 9.0])
     options = parser.parse_args()

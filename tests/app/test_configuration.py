@@ -12,7 +12,7 @@ from places import CHECKOUT
 from calcidem.app.cli.main import main
 from calcidem.app.config import schema
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.presets import preset_text
+from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import SECTIONS, load_configuration, read_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, RunOptions
 
@@ -23,10 +23,14 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
-        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
+        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
     ),
     (3, "examples/paper.toml"): (
+        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
+        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
+    ),
+    (3, "examples/paper-small-pulse.toml"): (
         "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
         "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
     ),
@@ -249,14 +253,14 @@ def test_all_problems_are_said_at_once() -> None:
     }
 
 
-@pytest.mark.parametrize("name", ["quick", "paper", "paper-literal", "paper-locked"])
+@pytest.mark.parametrize("name", PRESETS)
 def test_presets_are_good(name: str, tmp_path: Path) -> None:
     """The example configurations are read without complaint and are the files in examples."""
     path = tmp_path / "preset.toml"
     path.write_text(preset_text(name), encoding="utf-8")
     configuration = load_configuration(path)
     assert configuration.campaign.name == name
-    seeds, contents = {"quick": (4, 6), "paper": (116, 17)}.get(name, (8, 17))
+    seeds, contents = {"quick": (4, 6), "paper": (116, 17), "paper-small-pulse": (116, 17)}.get(name, (8, 17))
     assert len(configuration.campaign.seed_numbers) == seeds
     assert len(configuration.campaign.contents) == contents
 
@@ -264,7 +268,7 @@ def test_presets_are_good(name: str, tmp_path: Path) -> None:
 def test_examples_are_the_presets() -> None:
     """The files in examples are the presets."""
     examples = {path.stem: path.read_text(encoding="utf-8") for path in (CHECKOUT / "examples").glob("*.toml")}
-    assert examples == {name: preset_text(name) for name in ("quick", "paper", "paper-literal", "paper-locked")}
+    assert examples == {name: preset_text(name) for name in PRESETS}
 
 
 @pytest.mark.parametrize(("version", "name"), IDENTITIES)

@@ -18,8 +18,9 @@ def init_command(
     preset: Annotated[
         Preset,
         typer.Option(
-            help="quick: 6 contents x 4 seeds; paper: all 17 x 116; paper-literal: Table 1 as printed; "
-            "paper-locked: stress of preparation locked in, nothing calibrated."
+            help="quick: 6 contents x 4 seeds; paper: all 17 x 116, the printed pulse of 5 m/s; paper-small-pulse: the "
+            "same with 1 mm/s, linear and faster; paper-literal: Table 1 as printed; paper-locked: stress of "
+            "preparation locked in, nothing calibrated."
         ),
     ] = _FIRST,
     full: Annotated[

@@ -2,7 +2,7 @@
 
     python program.py small|paper [--packing FILE] [--regimes linear finite] [--lanes 1 8] [--contents 0 2.55]
 
-``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the paper's preset. With ``--packing`` the waves run
+``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper-small-pulse`. With ``--packing`` the waves run
 through a packing of that file, which is written if it is not there.
 """
 
@@ -33,7 +33,7 @@ SMALL = PackingRule(width=0.03, height=0.06, unbalanced_force_ratio=1e-5)
 SMALL_WAVE = WaveRule(
     transmitter_half_width=0.01, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006
 )
-PAPER = load_configuration(Path(presets.__file__).parent / "paper.toml")
+PAPER = load_configuration(Path(presets.__file__).parent / "paper-small-pulse.toml")
 
 
 def digest(*values: npt.ArrayLike | None) -> str:

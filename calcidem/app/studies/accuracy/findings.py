@@ -15,7 +15,7 @@ from calcidem.app.studies.accuracy.study import Study
 _DIGITS = 5
 
 _PACKAGED = Path(__file__).with_name("measured.json")
-"""Excerpt of what ``calcidem accuracy examples/paper.toml`` found, see benchmarks/accuracy/publish.py."""
+"""Excerpt of what ``calcidem accuracy examples/paper-small-pulse.toml`` found, see benchmarks/accuracy/publish.py."""
 
 
 @dataclass(frozen=True, slots=True)
