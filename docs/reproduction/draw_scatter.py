@@ -1,7 +1,7 @@
 """Draw scatter.png: scatter and skewness of Vs in the paper, in the campaign, and with two choices changed.
 
-`python docs/reproduction/draw_scatter.py SCATTER.db` takes what `calcidem sensitivity docs/reproduction/scatter.toml`
-computed, and the campaign that comes with the package.
+`python docs/reproduction/draw_scatter.py SCATTER.db CAMPAIGN.db` takes what `calcidem sensitivity
+docs/reproduction/scatter.toml` computed, and a campaign of the preset `paper-small-pulse`.
 """
 
 import argparse
@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from calcidem import load_paper_campaign
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
@@ -37,7 +36,7 @@ CURVES = {
 
 
 @apply_style
-def draw(database: str) -> Figure:
+def draw(database: str, whole: str) -> Figure:
     """Draw both panels."""
     figure = Figure(figsize=(FIGURE_WIDTH * 1.25, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -45,7 +44,8 @@ def draw(database: str) -> Figure:
     contents = [content for content, _ in rows]
     left.plot(contents, [row.standard_deviation / row.mean for _, row in rows], "o-", color=BLACK, ms=4, label="paper")
     right.plot(contents, [row.skewness for _, row in rows], "o-", color=BLACK, ms=4)
-    campaign = load_paper_campaign().vs.sel(content=slice(0.1, None))
+    with open_stored_campaign(whole) as stored:
+        campaign = stored.vs().sel(content=slice(0.1, None))
     scatter, asymmetry = shape(campaign)
     left.plot(campaign["content"], scatter, color=BLUE, label="campaign, 116 seeds")
     right.plot(campaign["content"], asymmetry, color=BLUE)
@@ -71,4 +71,6 @@ def shape(vs: xr.DataArray) -> tuple[np.ndarray, np.ndarray]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("database")
-    (HERE / "scatter.png").write_bytes(render(draw(parser.parse_args().database), "png"))
+    parser.add_argument("campaign")
+    options = parser.parse_args()
+    (HERE / "scatter.png").write_bytes(render(draw(options.database, options.campaign), "png"))

@@ -1,7 +1,12 @@
+import tomllib
+from dataclasses import replace
+
 import pytest
 
-from calcidem.analysis.published import published_study
+from calcidem.analysis.published import is_published_sand, published_study
 from calcidem.analysis.published_check import StatementCheck, check_study, check_verdicts
+from calcidem.app.config.presets import PRESETS, preset_text
+from calcidem.app.config.reader import read_configuration
 
 
 def finding(place: str, words: str) -> StatementCheck:
@@ -27,6 +32,14 @@ def test_entries_are_the_printed_ones() -> None:
     row = dict(study.velocities)[5.0]
     assert (row.mean, row.standard_deviation, row.skewness, row.kurtosis) == (1211.31, 260.74, 0.36, 2.60)
     assert [law.weights.bond for law in study.laws] == [0.328, 0.83]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_presets_are_of_the_published_sand(preset: str) -> None:
+    """They stand beside the paper whatever their stress; the same with another modulus of the grains does not."""
+    configuration = read_configuration(tomllib.loads(preset_text(preset)))
+    assert is_published_sand(configuration.physics)
+    assert not is_published_sand(replace(configuration, sand=replace(configuration.sand, shear_modulus=29e9)).physics)
 
 
 def test_six_verdicts_disagree_with_their_moments() -> None:

@@ -228,8 +228,8 @@ def test_the_first_natural_edit_is_understood(tmp_path: Path, invoke: Callable[.
         "wave.boundary_thickness": 0.02,
         "sand.shear_modulus": 29e9,
     }
-    (tmp_path / "quick.toml").write_text(preset_text("quick"), encoding="utf-8")
-    quartz = change_configuration(tmp_path / "quick.toml", values)
+    (tmp_path / "own.toml").write_text(preset_text("paper-small-pulse"), encoding="utf-8")
+    quartz = change_configuration(tmp_path / "own.toml", values)
     assert "2.9e+10" in calibration_note(quartz)
     packing = new_packing(quartz, lambda _: None, lambda: None, lambda _: None)
     database = store_campaign(tmp_path / "quartz.db", quartz, packing)

@@ -278,7 +278,8 @@ def _smaller_step(symptoms: Symptoms) -> Iterator[Cure]:
 def _tolerated_breaking(symptoms: Symptoms) -> Iterator[Cure]:
     """Bonds that may break."""
     if symptoms.broken:
-        yield Cure("wave.most_broken_bonds", 0.01, "if the pulse is meant to break bonds")
+        most = max(0.01, 5.0 * symptoms.experiment.wave.most_broken_bonds)
+        yield Cure("wave.most_broken_bonds", min(most, 1.0), "if the pulse is meant to break bonds")
 
 
 def _smaller_error(symptoms: Symptoms) -> Iterator[Cure]:

@@ -39,7 +39,7 @@ def calibrate_command(
             "--free",
             "--parameter",
             metavar="SECTION.KEY[=LOW:HIGH]",
-            help="Number to fit, in its range; may be repeated. By default what the presets are calibrated by: "
+            help="Number to fit, in its range; may be repeated. By default what paper-small-pulse is calibrated by: "
             "sand.wave_stiffness_factor, pattern.p_share, pattern.cluster_area.",
         ),
     ] = None,

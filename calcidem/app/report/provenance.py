@@ -20,6 +20,7 @@ CHOSEN = {
     "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
     "pattern.keep_p": (UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
     "packing.friction_preparation": (UNKNOWN, "friction while the packing is made; decides its coordination number"),
+    "wave.transmitter": (UNKNOWN, "whether the wall rubs along the grains, or they are given the pulse's velocity"),
     "wave.transmitter_half_width": (UNKNOWN, "of the band that is moved, m"),
     "wave.receiver_half_width": (UNKNOWN, "of the band that is listened to, m"),
     "wave.boundary_thickness": (UNKNOWN, "of the strongly damped layers, m"),
