@@ -99,7 +99,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", type=Path)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--config", type=Path, default=ROOT / "calcidem" / "app" / "config" / "presets" / "paper-small-pulse.toml")
+    parser.add_argument(
+        "--config", type=Path, default=ROOT / "calcidem" / "app" / "config" / "presets" / "paper-small-pulse.toml"
+    )
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
     parser.add_argument("--mirrored", action="store_true")

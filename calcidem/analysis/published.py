@@ -184,7 +184,7 @@ PUBLISHED_KEYS = {
 
 
 def is_published_sand(config: Mapping[str, Any]) -> bool:
-    """Say whether a physical configuration is of the published sand in the published box under any stress, with any cement."""
+    """Say whether a configuration is of the published sand in the published box, whatever its stress and cement."""
     published = published_study().parameters
     grading = [published["grain_diameter_smallest"], published["grain_diameter_largest"]]
     sections = {name: config.get(name, {}) for name in ("packing", "sand")}

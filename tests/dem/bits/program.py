@@ -2,8 +2,8 @@
 
     python program.py small|paper [--packing FILE] [--regimes linear finite] [--lanes 1 8] [--contents 0 2.55]
 
-``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper-small-pulse`. With ``--packing`` the waves run
-through a packing of that file, which is written if it is not there.
+``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper-small-pulse`. With ``--packing`` the
+waves run through a packing of that file, which is written if it is not there.
 """
 
 import argparse
