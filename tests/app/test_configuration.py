@@ -43,8 +43,8 @@ IDENTITIES = {
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
-        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
+        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
     ),
 }
 
