@@ -229,8 +229,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "measurement",
         "Measurement of Vs",
-        "The transmitter, a band of the left wall, slides up for one pulse; the shear wave crosses the sample and "
-        "is read near the receiver, a band of the right wall. Grey layers are strongly damped, so that "
+        "The transmitter, a band of the left wall or its grains, moves up for one pulse; the shear wave crosses the "
+        "sample and is read near the receiver, a band of the right wall. Grey layers are strongly damped, so that "
         "nothing comes back from floor and lid.",
         _plot_measurement,
         pictorial=True,
