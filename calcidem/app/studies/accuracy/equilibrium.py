@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.studies.accuracy.reference import fitting_lanes, relative_deviation
-from calcidem.app.studies.accuracy.settings import with_wave
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import Packing
@@ -51,7 +50,7 @@ def equilibrium_rows(
 ) -> tuple[EquilibriumRow, ...]:
     """Measure Vs in packings of several unbalanced-force ratios, with the cement at the same contacts.
 
-    ``packing_of`` makes the experiment's packing for a ratio. The regime is the linear one.
+    ``packing_of`` makes the experiment's packing for a ratio.
     """
     packings = {}
     for ratio in ratios:
@@ -60,7 +59,7 @@ def equilibrium_rows(
     velocities = {}
     best = min(ratios)
     for ratio, packing in packings.items():
-        setting = with_wave(replace(experiment, packing=_same_contacts(packing, packings[best])), regime="linear")
+        setting = replace(experiment, packing=_same_contacts(packing, packings[best]))
         cells = [
             cell
             for content in contents
