@@ -22,7 +22,7 @@ from calcidem.dem.wave.measurement import measure_all
 _FILE = Path(__file__).resolve().parents[2] / "examples" / "paper-small-pulse.toml"
 _CONTENTS = (0.0, 0.11, 0.23, 0.34, 0.45, 0.55, 0.66, 1.24, 1.88, 2.55, 3.17, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)  # percent
 _PLAN = {1e-3: ("linear", "finite"), 3e-3: ("linear",), 3e-2: ("finite",)}  # m/s
-_FINER = {"regime": "finite", "step_fraction": 0.2, "samples_per_period": 400}
+_FINER = {"regime": "finite", "precision": "float64", "step_fraction": 0.2, "samples_per_period": 400}
 
 
 def main() -> None:

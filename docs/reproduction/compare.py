@@ -3,6 +3,7 @@
 import argparse
 
 import numpy as np
+import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.distribution import Distribution
@@ -13,6 +14,8 @@ from calcidem.app.campaign.opened import open_campaign
 
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
 SIGNIFICANCE = 0.05
+DISAGREE = 0.05  # of the peak's velocity; so does a correlation that was refused
+NORMAL_QUARTILES = 1.349  # standard deviations of a normal distribution between its quartiles
 
 
 def main() -> None:
@@ -25,6 +28,7 @@ def main() -> None:
         printed = [row for row in published_study().velocities if round(row[0], 6) in here]
         rows = [(content, here[round(content, 6)], row) for content, row in printed]
         print_means(rows)
+        print_scatter(rows, campaign.to_xarray(("vs", "vs_cross_correlation")))
         print_shapes(rows)
         print_rates(analysis)
         print_laws(analysis)
@@ -54,6 +58,27 @@ def print_means(rows: list[Row]) -> None:
         print(
             f"\n{title}: largest difference {100 * np.abs(differences).max():.1f} %, "
             f"rms {100 * np.sqrt(np.mean(differences**2)):.1f} %"
+        )
+
+
+def print_scatter(rows: list[Row], cells: xr.Dataset) -> None:
+    """Print sd / mean, the same from quartiles, the share that was read, and where two readings disagree."""
+    print(
+        "\n| % | read | sd / mean | published | over published (95 %) | by quartiles | readings disagree |",
+        "|---|---|---|---|---|---|---|",
+        sep="\n",
+    )
+    for content, here, printed in rows:
+        peaks, others = (cells[name].sel(content=content).to_numpy() for name in ("vs", "vs_cross_correlation"))
+        found = np.isfinite(peaks)
+        lower, median, upper = np.percentile(peaks[found], [25, 50, 75])
+        target = printed.standard_deviation / printed.mean
+        scatter, interval = here.standard_deviation / here.mean, here.standard_deviation_interval
+        apart = ~(np.abs(others[found] / peaks[found] - 1.0) <= DISAGREE)
+        print(
+            f"| {content:g} | {found.sum()} of {found.size} | {scatter:.3f} | {target:.3f} | {scatter / target:.2f} "
+            f"({interval.low / here.mean / target:.2f} to {interval.high / here.mean / target:.2f}) "
+            f"| {(upper - lower) / NORMAL_QUARTILES / median / target:.2f} | {100 * apart.mean():.0f} % |"
         )
 
 
