@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
-        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
+        "03e53982e6461eb36505879e3498e09ae7fd704c2d62e3a533a931b5fcb1e59f",
+        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
     (3, "examples/paper.toml"): (
-        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
-        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
+        "03e53982e6461eb36505879e3498e09ae7fd704c2d62e3a533a931b5fcb1e59f",
+        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
     (3, "examples/paper-small-pulse.toml"): (
         "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
@@ -43,8 +43,8 @@ IDENTITIES = {
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "2d46298000328f12e6c90ab70f3c770a2eb89b0fcc386c9e9551333040c99134",
-        "e9be956d724f4542be8f88f4a03bc5d09c02dddcae2c3fbc56a910d81417f950",
+        "03e53982e6461eb36505879e3498e09ae7fd704c2d62e3a533a931b5fcb1e59f",
+        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
 }
 
