@@ -32,16 +32,16 @@ def test_it_was_computed_with_the_preset() -> None:
 
 @pytest.mark.parametrize(("content", "printed"), [(content, row.mean) for content, row in published_study().velocities])
 def test_every_mean_is_near_the_published_one(content: float, printed: float) -> None:
-    """All 16 means of Table 3 are met within 10 %."""
+    """All 16 means of Table 3 are met within 6 %."""
     vs = calcidem.load_paper_campaign().vs.sel(content=content)
-    assert float(vs.mean()) == pytest.approx(printed, rel=0.10)
+    assert float(vs.mean()) == pytest.approx(printed, rel=0.06)
 
 
 def test_few_samples_cannot_be_read() -> None:
-    """At most 2 % have no velocity, and nowhere more than a tenth, which would bend the statistics of a content."""
+    """At most 5 % have no velocity, and nowhere more than an eighth: a loud pulse is harder to read than a small one."""
     read = calcidem.load_paper_campaign().vs.notnull()
-    assert float(read.mean()) >= 0.98
-    assert float(read.mean("seed").min()) >= 0.90
+    assert float(read.mean()) >= 0.95
+    assert float(read.mean("seed").min()) >= 0.875
 
 
 def test_scatter_grows_with_content_and_falls_again() -> None:
@@ -50,3 +50,12 @@ def test_scatter_grows_with_content_and_falls_again() -> None:
     assert 4.0 <= float(scatter.idxmax()) <= 7.0
     assert float(scatter.sel(content=0.0)) == pytest.approx(0.0, abs=1e-6)
     assert np.all(np.isfinite(scatter))
+
+
+def test_scatter_is_of_the_published_size() -> None:
+    """sd / mean of Table 3 is met within 0.6 to 1.6 of itself from 0.55 % on, and at 0.11 %; it is too small between."""
+    vs = calcidem.load_paper_campaign().vs
+    for content, row in published_study().velocities:
+        here = vs.sel(content=content)
+        part = float(here.std("seed", ddof=1) / here.mean()) / (row.standard_deviation / row.mean)
+        assert (0.3 if 0.2 < content < 0.5 else 0.6) <= part <= 1.6
