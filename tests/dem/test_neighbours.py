@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import GROUPED, HERTZ, RADIUS, SOFT, jumble, throw
+from scenes import GROUPED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine import state as state_module
 from calcidem.dem.engine.assembly import assemble, near_pairs
 from calcidem.dem.engine.histories import listed_pairs
 from calcidem.dem.engine.leapfrog import State, renew_neighbours
 from calcidem.dem.engine.readout import contact_forces
-from calcidem.dem.engine.scene import Scene, Wall
-from calcidem.dem.engine.state import advance, start
+from calcidem.dem.engine.scene import Bonds, Regime, Scene, Wall
+from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import DISTANCE, NORMAL_X, NORMAL_Y
 
 
@@ -52,6 +52,28 @@ def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
     apart = np.column_stack([scene.x, scene.y])[ends[:, 1]] - np.column_stack([scene.x, scene.y])[ends[:, 0]]
     geometry = assembly.pairs.geometry
     np.testing.assert_allclose(geometry[:, [NORMAL_X, NORMAL_Y]] * geometry[:, DISTANCE, None], apart, rtol=1e-12)
+
+
+@pytest.mark.parametrize("regime", ["linear", "small", "finite"])
+@pytest.mark.parametrize("across", [False, True])
+def test_what_samples_share_is_what_each_would_find(regime: Regime, across: bool) -> None:
+    """Samples begun from their packing without cement have the arrays and the step that they have alone, to the bit.
+
+    Also where cement spans a gap, of which the packing's list knows nothing.
+    """
+    bare = replace(jumble(1, 25), load=None)
+    single = start(bare, regime=regime, skin_fraction=0.01)
+    pairs = single.assembly.order[listed_pairs(single.assembly)][::2]
+    first, second = ([0, 24] if across else pairs[0]), pairs[-1]
+    bonds = Bonds(np.vstack([pairs, first, second]), SOFT_CEMENT, lanes=np.arange(len(pairs) + 2) % 7 + 1)
+    scene = replace(bare, bonds=bonds, load=np.full((25, 3), 1e-3))
+    features = choose_features(scene, regime, 2)
+    alone = start(scene, features=features, skin_fraction=0.01)
+    shared = start(scene, features=features, skin_fraction=0.01, single=single)
+    np.testing.assert_array_equal(shared.time_step, alone.time_step)
+    for name in ("grains", "pairs", "wall_pairs", "walls"):
+        for ours, theirs in zip(getattr(shared.assembly, name), getattr(alone.assembly, name), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 def colliding(monkeypatch: pytest.MonkeyPatch, skin: float, lanes: int = 1) -> State:
