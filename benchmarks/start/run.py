@@ -62,7 +62,7 @@ PHASES = {
     "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
-    "path and graph": ("calcidem.app.campaign.task.describe_graph",),
+    "path and graph": ("calcidem.app.campaign.task._describe_graph",),
     "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.app.campaign.task.pack_result"),
     "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
     "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),

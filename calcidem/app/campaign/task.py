@@ -94,7 +94,7 @@ def cell_result(
     """
     cement, record, picks = measurement.cement, measurement.record, measurement.picks
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
-    features, summary = (None, None) if graph is None else describe_graph(graph, pattern)
+    features, summary = (None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
         measurement.vs, measurement.frequency, measurement.distance, _median_diameter(packing)
     )
@@ -160,7 +160,7 @@ def stored_signal(record: WaveRecord) -> Signal | None:
     )
 
 
-def describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
+def _describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
     """Features of the path and summary of the graph of one sample.
 
     Where no chain of contacts joins transmitter and receiver there is no path.
