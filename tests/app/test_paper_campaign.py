@@ -38,7 +38,7 @@ def test_every_mean_is_near_the_published_one(content: float, printed: float) ->
 
 
 def test_few_samples_cannot_be_read() -> None:
-    """At most 5 % have no velocity, and nowhere more than an eighth: a loud pulse is harder to read than a small one."""
+    """At most 5 % have no velocity, and nowhere more than an eighth: loud pulses are harder to read than small ones."""
     read = calcidem.load_paper_campaign().vs.notnull()
     assert float(read.mean()) >= 0.95
     assert float(read.mean("seed").min()) >= 0.875
@@ -53,7 +53,7 @@ def test_scatter_grows_with_content_and_falls_again() -> None:
 
 
 def test_scatter_is_of_the_published_size() -> None:
-    """sd / mean of Table 3 is met within 0.6 to 1.6 of itself from 0.55 % on, and at 0.11 %; it is too small between."""
+    """The sd over the mean is 0.6 to 1.6 of Table 3's at 0.11 % and from 0.55 % on; between, it is too small."""
     vs = calcidem.load_paper_campaign().vs
     for content, row in published_study().velocities:
         here = vs.sel(content=content)
