@@ -103,8 +103,8 @@ def test_calibrated_parameters_are_named() -> None:
         table = parameter_table(campaign.config)
     assert table is not None
     marked = {table.rows[place][0] for place in table.marked}
-    assert {"sand.wave_stiffness_factor", "pattern.p_share", "wave.amplitude"} <= marked
-    assert not {"sand.shear_modulus", "wave.damping", "packing.width"} & marked
+    assert {"sand.wave_stiffness_factor", "pattern.p_share", "packing.stress"} <= marked
+    assert not {"sand.shear_modulus", "wave.damping", "wave.amplitude", "packing.width"} & marked
 
 
 def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:
