@@ -122,6 +122,15 @@ def test_shear_forces_of_a_packing_obey_the_friction_of_its_preparation(small: P
     assert np.all(np.abs(contacts.shear) <= SMALL.friction_preparation * contacts.normal * (1.0 + 1e-9))
 
 
+@pytest.mark.parametrize(("seed", "stress"), [(1, 5e3), (2, 5e4)])
+def test_rough_disks_that_fly_into_each_other_stay_in_the_box(seed: int, stress: float) -> None:
+    """Few disks touch while they fly, so that the step is long: two that meet must not throw each other out."""
+    rule = PackingRule(0.025, 0.04, stress=stress, friction_preparation=1.0, most_steps=40_000)
+    packing = make_packing(rule, Sand(), np.random.default_rng(seed))
+    assert np.all((packing.x > 0.0) & (packing.x < rule.width) & (packing.y > 0.0))
+    assert packing.y.max() < packing.height
+
+
 def test_a_stack_of_disks_under_the_lid_is_pressed_as_hertz_says() -> None:
     """Heavier disks and rings come to rest where plain ones do: each contact carries the lid's force, F = h d^1.5."""
     radius = np.array([1.2e-3, 1.0e-3, 1.1e-3, 1.3e-3])

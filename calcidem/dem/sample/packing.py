@@ -430,8 +430,9 @@ def relax(
 def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
     """State some steps later, with the step that its overlaps allow; ``unrest`` is the ratio over the one at rest.
 
-    Where disks are pressed together again meanwhile, so much that the step was too long, it is done again with a
-    shorter one. With it comes the limit of its step, if that is known already, as ``limit`` is that of ``state``.
+    Where disks are pressed together again meanwhile, so much that the step was too long, or thrown out of the box, it
+    is done again with a shorter one. With it comes the limit of its step, if that is known already, as ``limit`` is
+    that of ``state``.
     """
     grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
     if scaled:
@@ -441,7 +442,7 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
         limit = step_limit(state)
     step = manner.fraction * limit
     later, found = advance(replace(state, time_step=step), manner.steps), None
-    while (
+    while _left_box(later) or (
         manner is _PRESSED
         and (step > _TOO_LONG * (found := critical_time_step(*_present_contacts(later), rings=scaled))).any()
     ):
@@ -450,6 +451,13 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
     if manner.halted:
         later.motion.velocity[...] = 0.0
     return replace(later, assembly=replace(later.assembly, grains=grains)), None if scaled else found
+
+
+def _left_box(state: State) -> bool:
+    """Whether a disk's centre is behind a wall that stands: disks that fly into each other can make a step too long."""
+    places = state.position()
+    insides = [(places - wall.point) @ np.array(wall.normal) for wall in state.scene.walls if wall.servo_force is None]
+    return not all(bool((inside > 0.0).all()) for inside in insides)
 
 
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
