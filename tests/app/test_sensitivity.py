@@ -47,13 +47,13 @@ contents = [0.66]
 seeds = 8
 [[variant]]
 choice = "modulus"
-value = "four times"
-set = { "cement.bond_modulus" = 3.2e11 }
+value = "sixteen times"
+set = { "cement.bond_modulus" = 1.28e12 }
 [[variant]]
 choice = "calcite of a cluster"
 value = "Eq. 2"
 without = ["pattern.cluster_area"]
-against = "modulus: four times"
+against = "modulus: sixteen times"
 """
 
 RANGES = """
@@ -79,7 +79,7 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
     reference, modulus, calcite = load_plan(planned(tmp_path), str(tmp_path / "all.db"))
     assert reference.name == REFERENCE
     assert reference.configuration.pattern.cluster_area == 3.6e-6
-    assert modulus.configuration.cement.bond_modulus == 3.2e11
+    assert modulus.configuration.cement.bond_modulus == 1.28e12
     assert modulus.configuration.pattern == reference.configuration.pattern
     assert calcite.configuration.pattern.cluster_area is None
     assert len({variant.configuration.hash for variant in (reference, modulus, calcite)}) == 3
@@ -89,7 +89,7 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
     ("change", "named"),
     [
         (("bond_modulus", "bond_modulos"), "cement.bond_modulos"),
-        (('against = "modulus: four times"', 'against = "modulus"'), "against"),
+        (('against = "modulus: sixteen times"', 'against = "modulus"'), "against"),
         (("seeds = 8", "seeds = 1"), "seeds"),
         (("seeds = 8", "seed = 8"), "seed"),
         (('value = "Eq. 2"', 'value = "Eq/2"'), "name"),
@@ -115,7 +115,7 @@ def test_a_section_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Four times the modulus of the bonds raises mean Vs; a second call adds no attempt and gives the same table."""
+    """Sixteen times the modulus of the bonds raises mean Vs; a second call adds no attempt and gives the same table."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
     variants = load_plan(planned(tmp_path), str(tmp_path / "all.db"))[:2]
     compute_variants(variants, lambda _: None)

@@ -122,7 +122,7 @@ def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
         table.add_row(*(Text(_format_value(value)) for value in row))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
-    Console(file=stream, width=1000, highlight=False).print(table)
+    Console(file=stream, width=100_000, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
     return "\n".join([*lines, f"{len(rows)} cells", ""])
 

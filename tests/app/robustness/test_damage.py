@@ -51,6 +51,9 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
 ) -> None:
     """Verify --integrity names it, export flags it and has all others, retry --damaged makes it pending."""
     assert "40 cells: 0 damaged, 0 other damages." in invoke("verify", complete, "--integrity")
+    with open_store(complete, read_only=True) as store:
+        store.use_campaign()
+        read = sum(result.vs is not None for result in store.results())
     change(complete, statement)
     found = invoke("verify", complete, "--integrity", exit_code=1)
     assert "seed 1, 5 %: its " in found
@@ -59,7 +62,7 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
     with xr.open_dataset(tmp_path / "out.nc") as dataset:
         assert int((dataset["status"] == STATUS_CODES[CellStatus.DAMAGED]).sum()) == 1
         assert np.isnan(dataset["vs"].sel(seed=1, content=5.0))
-        assert int(dataset["vs"].count()) == 39
+        assert int(dataset["vs"].count()) == read - 1 > 0
     assert "1 cell is pending again:\n  seed 1, 5 %" in invoke("retry", complete, "--damaged")
     assert "Nothing is damaged" in invoke("retry", complete, "--damaged")
     with open_store(complete, read_only=True) as store:

@@ -1,6 +1,7 @@
 """`calcidem status`: every state of a cell is seen, and the numbers are those of the database."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +21,9 @@ from calcidem.storage.sql.store import open_store
 def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str]) -> None:
     """The rows of the matrix show done, failed, timed-out, quarantined and no-arrival cells and pending ones."""
     lines = invoke("status", troubled).splitlines()
-    rows = [line.split()[1] for line in lines if "########" in line]
-    assert rows == ["########F.", "########T.", "########Q.", "########.n", "########.."]
+    rows = [line.split()[1] for line in lines if re.search("[#n]{8}", line)]
+    # Of the tutorial's own eight seeds four cells have no velocity.
+    assert rows == ["########F.", "#####n#nT.", "####n###Q.", "######n#.n", "########.."]
 
 
 def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[..., str]) -> None:
@@ -41,10 +43,11 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
         store.record_results([replace(cell, retry=why)], replace_done=True)
     history = f"done after 1 attempt, wave sent again with half the time step ({why})"
     assert f"seed 3, 5 %: {history}" in invoke("status", complete)
-    (trouble,) = json.loads(invoke("status", complete, "--json"))["troubles"]
+    troubles = json.loads(invoke("status", complete, "--json"))["troubles"]
+    (trouble,) = (one for one in troubles if (one["seed"], one["content"]) == (3, 5.0))
     assert trouble["retry"] == why
     with open_stored_campaign(complete) as campaign:
-        assert [(found.key, found.retry) for found in campaign.select(where="retry is not None")] == [(cell.key, why)]
+        assert [(found.key, found.retry) for found in campaign.select(where=f"retry == {why!r}")] == [(cell.key, why)]
 
 
 def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:
@@ -52,15 +55,15 @@ def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str
     told = json.loads(invoke("status", troubled, "--json"))
     with open_stored_campaign(troubled) as campaign:
         cells = list(campaign.select(content=5.0, status="done"))
+        computed = [cell.seconds for cell in campaign.select(content=5.0) if cell.seconds is not None]
     vs = np.array([cell.vs for cell in cells], dtype=float)
     (of_content,) = (row for row in told["contents"] if row["content"] == 5.0)
     low, high = stats.t.interval(0.95, vs.size - 1, vs.mean(), stats.sem(vs))
     assert of_content["mean"] == pytest.approx(vs.mean())
     assert of_content["sd"] == pytest.approx(vs.std(ddof=1))
     assert of_content["interval_95"] == pytest.approx([low, high])
-    assert of_content["status"] == ["done"] * 8 + ["pending", "no_arrival"]
-    seconds = np.mean([cell.seconds for cell in cells if cell.seconds is not None])
-    assert of_content["core_seconds_left"] == pytest.approx(seconds)
+    assert of_content["status"] == ["done"] * 6 + ["no_arrival", "done", "pending", "no_arrival"]
+    assert of_content["core_seconds_left"] == pytest.approx(np.mean(computed))
     assert told["seconds_left"] == pytest.approx(sum(row["core_seconds_left"] for row in told["contents"]))
     assert told["cells"]["pending"] == 6
 
@@ -99,8 +102,8 @@ def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
     console.print(status_view(read_status(str(complete)), console.width))
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= 100
-    assert sum("+...................." in line for line in lines) == 5
-    assert "one character for 19 seeds" in lines[-1]
+    assert sum(re.search(r"[+n]\.{20}", line) is not None for line in lines) == 5
+    assert any("one character for 19 seeds" in line for line in lines)
 
 
 def test_watching_ends_when_all_is_settled(complete: Path, invoke: Callable[..., str]) -> None:

@@ -126,9 +126,11 @@ def _judge_experiment(
         slowest=experiment.wave.slowest / 2.0,
         regime=regime or scene.regime,
     )
-    return _compare_with_finer(
-        scene, experiment, found, _measure_sample(replace(experiment, wave=finer), content, scene)
-    )
+    try:
+        reference = _measure_sample(replace(experiment, wave=finer), content, scene)
+    except ValueError as error:  # a packing that creeps too much for the regime that decides
+        return Judgement(scene, StabilityVerdict.REFUSED, f"without a reference: {error}")
+    return _compare_with_finer(scene, experiment, found, reference)
 
 
 def _measure_sample(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
