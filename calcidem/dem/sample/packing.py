@@ -455,9 +455,9 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
 
 def _left_box(state: State) -> bool:
     """Whether a disk's centre is behind a wall that stands: disks that fly into each other can make a step too long."""
-    places = state.position()
-    insides = [(places - wall.point) @ np.array(wall.normal) for wall in state.scene.walls if wall.servo_force is None]
-    return not all(bool((inside > 0.0).all()) for inside in insides)
+    x, y = state.position().T
+    standing = (wall for wall in state.scene.walls if wall.servo_force is None)
+    return not all(bool((wall.distance(x, y) > 0.0).all()) for wall in standing)
 
 
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
