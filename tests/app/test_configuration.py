@@ -123,6 +123,14 @@ WRONG = {
         "[pattern]\ncluster_diameter = 0.2\n",
         ("pattern.cluster_diameter = 0.2", "larger than the box"),
     ),
+    "patch of P larger than the box": (
+        "[pattern]\np_patch_diameter = 0.2\n",
+        ("pattern.p_patch_diameter = 0.2", "larger than the box"),
+    ),
+    "patch of P below zero": (
+        "[pattern]\np_patch_diameter = -1e-3\n",
+        ("p_patch_diameter = -0.001", "give 0 for single"),
+    ),
     "frequency above the cut-off": (
         "[wave]\nfrequency = 5.0e5\n",
         ("wave.frequency = 500000", "lattice cut-off", "give a lower frequency"),

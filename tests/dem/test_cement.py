@@ -17,6 +17,7 @@ from calcidem.dem.sample.cement import (
     content_of_contacts,
     draw_cement,
 )
+from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.sample.toroid import toroid_area
 
 CONTENTS = st.floats(0.0, 10.0)  # every seed of the small sample holds that much
@@ -179,6 +180,43 @@ def test_fixed_calcite_of_a_cluster() -> None:
     rule = CementRule(threshold=0.0, cluster_area=3.6e-6)
     expected = 0.05 * SMALL.sand_area * 2650.0 / 2600.0 / 3.6e-6
     assert SMALL.draw(rule).at(5.0).clusters == round(expected)
+
+
+@pytest.mark.parametrize("diameter", [3e-3, 6e-3, 12e-3])
+def test_p_comes_patch_by_patch(diameter: float) -> None:
+    """The naive twin tries all contacts of all circles in turn; no circle is left before all of it is cemented."""
+    rule = CementRule(p_patch_diameter=diameter)
+    ordering = SMALL.draw(rule, seed=3)
+    cemented = ordering.at(0.66).bonded
+    centres = random_generator(42, 3, RandomPurpose.P_CONTACTS).uniform(0.0, 1.0, (512, 2)) * SMALL.box
+    inside = np.linalg.norm(SMALL.points[:, None] - centres, axis=2) <= diameter / 2.0
+    first = np.where(inside.any(axis=1), inside.argmax(axis=1), len(centres))
+    in_turn = first[np.argsort(ordering.p_rank)][: np.count_nonzero(cemented)]
+    assert np.all(np.diff(in_turn) >= 0)
+    assert in_turn[-1] < len(centres)
+    assert ordering.at(0.66).content_reached == pytest.approx(0.66, abs=0.5 * np.diff(ordering.p_content).max())
+
+
+def test_larger_patches_leave_larger_gaps() -> None:
+    """With as many P contacts, the number of them in a window varies more: for patches of k contacts about k times."""
+    window = np.all(np.abs(PAPER_SIZE.points - [0.05, 0.15]) < 0.02, axis=1)
+
+    def variance(diameter: float) -> float:
+        rule = CementRule(p_patch_diameter=diameter)
+        counts = [np.count_nonzero(PAPER_SIZE.draw(rule, seed=seed).at(0.2).bonded & window) for seed in range(60)]
+        return float(np.var(counts))
+
+    in_circle = np.count_nonzero(np.linalg.norm(PAPER_SIZE.points - [0.05, 0.15], axis=1) < 2.5e-3)
+    assert in_circle > 2
+    # A variance of 60 is known to a factor of 1.6 either way (95 %); patches that end outside the window count less.
+    assert variance(5e-3) > 0.5 * in_circle * variance(0.0) / 1.6
+
+
+def test_a_patch_that_holds_all_contacts_is_all_of_them() -> None:
+    """Then they come in random order, as single ones do."""
+    ordering = SMALL.draw(CementRule(p_patch_diameter=0.2, threshold=100.0))
+    assert sorted(ordering.p_rank) == list(range(len(SMALL.pairs)))
+    assert ordering.maximum_content == pytest.approx(SMALL.draw(CementRule(threshold=100.0)).maximum_content)
 
 
 def test_the_pores_limit_the_clusters() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calcidem.dem.wave.arrival import is_settled, read_travel_times
+from calcidem.dem.wave.on_the_way import denied_doubts
 from calcidem.dem.wave.pick import PickFailure, PickRule, Signals
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.ridge import BEND, BEND_COST, SLOWER, follow_ridge
@@ -25,7 +26,7 @@ def test_a_straight_line_of_the_largest_values_scores_one() -> None:
     """And a higher top that is at the receiver alone does not."""
     section = bumps(100.0)
     section[:, -1] += 3.0 * bumps(60.0)[:, -1]
-    on_line, alone = follow_ridge(section, PLACES, np.array([120, 80]), SENT, PERIOD)
+    on_line, alone = follow_ridge(section, PLACES, np.array([120, 80]), SENT, PERIOD).scores
     assert on_line == pytest.approx((4.0 + 1.0 / 3.0) / 5.0, abs=0.03)
     assert alone < 0.5
 
@@ -34,17 +35,19 @@ def test_units_of_a_station_do_not_matter() -> None:
     """Each station is measured by its own largest value."""
     section, ends = bumps(100.0) - 0.7 * bumps(60.0), np.array([90, 120, 150])
     scaled = section * np.array([3.0, 0.25, 7.0, 1.0, 64.0])
-    np.testing.assert_allclose(
-        follow_ridge(section, PLACES, ends, SENT, PERIOD), follow_ridge(scaled, PLACES, ends, SENT, PERIOD), rtol=1e-12
-    )
+    one, other = (follow_ridge(signals, PLACES, ends, SENT, PERIOD).scores for signals in (section, scaled))
+    np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_a_bent_line_is_followed_at_a_cost() -> None:
     """A wave that slows down on its way is the same wave."""
     bent, straight = (
-        follow_ridge(bumps(100.0, shape=shape), PLACES, np.array([120]), SENT, PERIOD)[0] for shape in (1.2, 1.0)
+        follow_ridge(bumps(100.0, shape=shape), PLACES, np.array([120]), SENT, PERIOD) for shape in (1.2, 1.0)
     )
-    assert 0.8 < bent < straight
+    assert 0.8 < bent.scores[0] < straight.scores[0]
+    # A slowness more or less is 4 % of a travel time, a sample of the ends one more.
+    np.testing.assert_allclose(bent.path_to(0), SENT + 100.0 * PLACES**1.2, atol=5.0)
+    np.testing.assert_allclose(straight.path_to(0), SENT + 100.0 * PLACES, atol=5.0)
 
 
 def test_it_finds_the_best_of_all_paths() -> None:
@@ -56,13 +59,13 @@ def test_it_finds_the_best_of_all_paths() -> None:
         travels.append(travels[-1] * SLOWER)
     late = np.rint(np.outer(places, travels)).astype(int)
     signals = section / section.max(axis=0)
-    best = np.full(count, -np.inf)
+    best, path_to = np.full(count, -np.inf), {}
     for first in range(len(travels)):
         for bends in product(range(-BEND, BEND + 1), repeat=2):
             sample, path = late[0, first], first
             if sample >= count:
                 continue
-            score = signals[sample, 0]
+            score, samples = signals[sample, 0], [sample]
             for station, bend in enumerate(bends, start=1):
                 path += bend
                 if not 0 <= path < len(travels):
@@ -71,11 +74,16 @@ def test_it_finds_the_best_of_all_paths() -> None:
                 if sample >= count:
                     break
                 score += signals[sample, station] - BEND_COST * (bend * np.log(SLOWER)) ** 2
+                samples.append(sample)
             else:
-                best[sample] = max(best[sample], score / 3.0)
+                if score / 3.0 > best[sample]:
+                    best[sample], path_to[sample] = score / 3.0, samples
     ends = np.arange(10, 38)
     expected = [best[end - 1 : end + 2].max() for end in ends]
-    np.testing.assert_allclose(follow_ridge(section, places, ends, 0.0, period), expected, rtol=1e-12)
+    ridge = follow_ridge(section, places, ends, 0.0, period)
+    np.testing.assert_allclose(ridge.scores, expected, rtol=1e-12)
+    for number, end in enumerate(ends):
+        assert ridge.path_to(number).tolist() == path_to[end - 1 + int(np.argmax(best[end - 1 : end + 2]))]
 
 
 def loud_record(duration: float = 2.2e-3) -> Signals:
@@ -123,3 +131,60 @@ def test_what_cannot_be_followed_is_refused() -> None:
     flat = np.full_like(signals.stations, -1.0)
     lost = Signals(INTERVAL, signals.sent, signals.received, WAY, 1e-3, flat, signals.places)
     assert read_travel_times(lost, PickRule()).peak.failure is PickFailure.LOST
+
+
+def on_short_way(
+    *, p_height: float = 0.0, p_speed: float = 1.6, at_receiver: float = 0.0, late: float = 1.0
+) -> Signals:
+    """S wave of 230 m/s on 1.2 periods of way, a P wave that grows on its way, and what is at the receiver alone."""
+    frequency, places = 230.0 * 1.2 / WAY, np.linspace(0.15, 0.9, 9)
+    time, pulse = np.arange(0.0, 2.2e-3, INTERVAL), Pulse(0.5, frequency)
+
+    def section(place: float) -> np.ndarray:  # type: ignore[type-arg]
+        travel = place * WAY / 230.0
+        return pulse.velocity(time - travel) + p_height * place * pulse.velocity(time - travel / p_speed)
+
+    received = section(1.0) + at_receiver * pulse.velocity(time - late * WAY / 230.0)
+    stations = np.column_stack([section(place) for place in places])
+    return Signals(INTERVAL, pulse.velocity(time), received, WAY, 1e-3, stations, tuple(places))
+
+
+def test_a_swing_at_the_receiver_alone_is_no_p_wave() -> None:
+    """The same swing before the main peak is a doubt only where it has crossed the sample."""
+    crossed = read_travel_times(on_short_way(p_height=-0.9)).peak
+    assert crossed.failure is PickFailure.PRECURSOR
+    local = read_travel_times(on_short_way(at_receiver=-0.45, late=0.55)).peak
+    assert local.velocity == pytest.approx(230.0, rel=0.1)  # it moves the top that it runs into
+
+
+def test_a_hump_at_the_receiver_alone_is_no_faster_wave() -> None:
+    """A peak as broad as that of two waves is refused where both were on the way."""
+    crossed = read_travel_times(on_short_way(p_height=0.9, p_speed=1.5)).peak
+    assert crossed.failure is PickFailure.BROAD
+    local = read_travel_times(on_short_way(at_receiver=0.6, late=0.7)).peak
+    assert local.failure is None
+
+
+def test_stations_that_heard_nothing_deny_nothing() -> None:
+    """Nor do those that are all near the transmitter."""
+    section, path = bumps(100.0), np.array([40, 60, 80, 100, 120])
+    both = {PickFailure.PRECURSOR, PickFailure.BROAD}
+    assert denied_doubts(section, PLACES, path, SENT, PERIOD) == both
+    assert denied_doubts(-section, PLACES, path, SENT, PERIOD) == set()
+    near = np.array([0.05, 0.1, 0.2, 0.3, 1.0])
+    assert denied_doubts(section, near, path, SENT, PERIOD) == set()
+
+
+@pytest.mark.parametrize(("height", "read"), [(0.5, True), (0.9, False), (1.3, False)])
+def test_a_wave_that_a_high_one_follows_is_not_read(height: float, read: bool) -> None:
+    """Two waves on the way, the slower one as high at the receiver: the first may be P. What follows S is lower."""
+    time, pulse, places = np.arange(0.0, 2.2e-3, INTERVAL), Pulse(0.5, FREQUENCY), np.linspace(0.15, 0.9, 9)
+
+    def section(place: float, second: float) -> np.ndarray:  # type: ignore[type-arg]
+        fast, slow = (pulse.velocity(time - place * WAY / speed) for speed in (340.0, 210.0))
+        return fast + second * slow
+
+    stations = np.column_stack([section(place, 0.85) for place in places])
+    signals = Signals(INTERVAL, pulse.velocity(time), section(1.0, height), WAY, 1e-3, stations, tuple(places))
+    found = read_travel_times(signals).peak
+    assert found.velocity == pytest.approx(340.0, rel=0.03) if read else found.failure is PickFailure.LOST

@@ -77,12 +77,13 @@ def _check_cement(configuration: Configuration) -> Iterator[Problem]:
                 (f"pattern.{name}", "packing.diameter"),
             )
     box = min(configuration.packing.width, configuration.packing.height)
-    cluster = configuration.pattern.cluster_diameter
-    if cluster >= box:
-        yield Problem(
-            f"pattern.cluster_diameter = {cluster}: a cluster is larger than the box, {box} m; make it smaller",
-            ("pattern.cluster_diameter", "packing.width", "packing.height"),
-        )
+    for name, what in (("cluster_diameter", "cluster"), ("p_patch_diameter", "patch of P")):
+        diameter = getattr(configuration.pattern, name)
+        if diameter >= box:
+            yield Problem(
+                f"pattern.{name} = {diameter}: a {what} is larger than the box, {box} m; make it smaller",
+                (f"pattern.{name}", "packing.width", "packing.height"),
+            )
 
 
 def _check_bands(configuration: Configuration) -> Iterator[Problem]:

@@ -17,6 +17,10 @@ UNKNOWN = "unknown"
 CHOSEN = {
     "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
     "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
+    "pattern.p_patch_diameter": (
+        0.0,
+        "diameter in m of the circles in which P contacts come together; 0 for single ones",
+    ),
     "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
     "pattern.keep_p": (UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
     "packing.friction_preparation": (UNKNOWN, "friction while the packing is made; decides its coordination number"),

@@ -59,6 +59,8 @@ class CementRule:
         Calcite of a P contact as a multiple of Eq. 2; more of it means fewer P contacts at the same content.
     cluster_area
         Calcite of every cluster, m^2; None takes the sum of Eq. 2 over its contacts.
+    p_patch_diameter
+        Diameter of the circles in which P contacts come together, m; 0 for single contacts, at random.
     sand_density, calcite_density
         Densities of grains and calcite, kg/m^3.
     """
@@ -70,6 +72,7 @@ class CementRule:
     keep_p: bool = True
     p_share: float = 1.0
     cluster_area: float | None = None
+    p_patch_diameter: float = 0.0
     sand_density: float = 2650.0
     calcite_density: float = 2600.0
 
@@ -82,6 +85,10 @@ class CementRule:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise ValueError(f"{name} = {value}: give a positive, finite number in SI units")
+        if not 0.0 <= self.p_patch_diameter < np.inf:
+            raise ValueError(
+                f"p_patch_diameter = {self.p_patch_diameter}: give 0 for single contacts, or a diameter in m"
+            )
         if not self.threshold >= 0.0:
             raise ValueError(f"threshold = {self.threshold}: give a content of 0 % or more")
 
@@ -244,10 +251,10 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
 
     Notes
     -----
-    P contacts are a random permutation of all contacts. Clusters are circles around uniformly random points
-    of the box, and hold the contacts whose contact points lie inside. They may overlap; each one's calcite
-    counts in full, since where they overlap it fills the pores. A circle without contacts is no cluster and
-    is skipped. Near the box's border contacts lie in fewer circles than elsewhere.
+    P contacts are a random permutation of all contacts, or come patch by patch: the contacts whose contact points lie
+    in a circle around a uniformly random point of the box, in random order; each counts once. Clusters are such
+    circles, too. They may overlap; each one's calcite counts in full, since where they overlap it fills the pores. A circle
+    without contacts is no cluster and is skipped. Near the box's border contacts lie in fewer circles than elsewhere.
     """
     if seed < 0 or root_seed < 0:
         raise ValueError(f"seed = {seed}, root_seed = {root_seed}: give integers of 0 or more")
@@ -259,18 +266,19 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
         raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size")
     p_area, c_area = _contact_areas(packing, rule)
     p_area = rule.p_share * p_area
-    order = random_generator(root_seed, seed, RandomPurpose.P_CONTACTS).permutation(len(pairs))
+    points = contact_points(x, y, radius, pairs)
+    percent = rule.content(1.0, sand_area)
+    order = _draw_p(points, percent * p_area, box, rule, random_generator(root_seed, seed, RandomPurpose.P_CONTACTS))
     p_rank = np.empty_like(order)
     p_rank[order] = np.arange(len(order))
     centres, first_cluster, areas = _draw_clusters(
-        contact_points(x, y, radius, pairs),
+        points,
         c_area,
         box=box,
         pore_area=pore_area,
         rule=rule,
         generator=random_generator(root_seed, seed, RandomPurpose.CLUSTERS),
     )
-    percent = rule.content(1.0, sand_area)
     return CementOrdering(
         rule=rule,
         p_rank=p_rank,
@@ -315,6 +323,26 @@ def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Flo
     distance = length(*(second - first).T)
     from_first = (distance + radius[pairs[:, 0]] - radius[pairs[:, 1]]) / 2.0
     return np.asarray(first + (second - first) * (from_first / distance)[:, None])
+
+
+def _draw_p(
+    points: Floats, content: Floats, box: tuple[float, float], rule: CementRule, generator: np.random.Generator
+) -> Integers:
+    """Draw the (M,) order of P of contacts with these points, m, and contents, percent.
+
+    Patches are drawn until they hold all the P there may be: what comes behind the threshold is never cemented with P.
+    """
+    if rule.p_patch_diameter == 0.0:
+        return generator.permutation(len(points))
+    never = np.iinfo(np.int64).max
+    first_patch, count = np.full(len(points), never), 0
+    for drawn, circle, contacts in _circles(points, box, rule.p_patch_diameter / 2.0, generator):
+        np.minimum.at(first_patch, contacts, count + circle)
+        count += len(drawn)
+        held = first_patch < never
+        if held.all() or content[held].sum() > rule.threshold + content.max():
+            break
+    return np.lexsort((generator.permutation(len(points)), first_patch))
 
 
 def _draw_clusters(

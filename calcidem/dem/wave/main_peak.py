@@ -8,11 +8,13 @@ signs of P and S waves, and looks no further than it has to. Its bounds were set
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from calcidem.dem.engine.portable import smooth_cubically
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.wave.on_the_way import denied_doubts
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
 from calcidem.dem.wave.ridge import follow_ridge
 from calcidem.dem.wave.tops import find_tops, half_width, prominence
@@ -45,7 +47,10 @@ _LEAN_ON_RIDGE = 0.15  # periods by which a broad peak on the ridge is longer be
 _SWING = 0.3  # of it that may come before it with the other sign ...
 _NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
-_LEAST_LEAD = 0.02  # of that score over that of the path to any other top
+_LEAST_LEAD = 0.02  # of that score over that of the path to any other top ...
+_LEAD_OVER_HIGH = 0.2  # ... and over one that comes later by the following factor and is nearly as high, since the ...
+_P_AHEAD, _HIGH = 1.3, 0.75  # ... first may be a P wave; it may lag by as much behind one that comes later and is ...
+_LOW = 0.6  # ... lower than this part of it, which is what was scattered
 
 PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
 """Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
@@ -264,6 +269,10 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     precursor = max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height
     if behind_p:
         time = _top_without_p(smooth[:end], trough, index)
+    doubts = chain(
+        [PickFailure.UNSURE] if _may_be_another(record, view, index, behind_p=behind_p, ringing=ringing) else [],
+        _doubts(record, view, index, time, behind_p=behind_p),
+    )
     return MainPeak(
         index=index,
         time=time,
@@ -271,7 +280,7 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
         noise=noise,
         precursor=precursor,
         quality=min(prominent, height) / largest * max(0.0, 1.0 - precursor),
-        doubt=_doubt(record, view, index, time, behind_p=behind_p, ringing=ringing),
+        doubt=next(doubts, None),
         end=end + record.reach,
     )
 
@@ -287,17 +296,26 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     if horizon + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
     view = smooth[:horizon]
+    if height < _ENOUGH * float(view[index:].max()):  # of a top that may lie behind the horizon: no path leads to it
+        return PassedOver.SMALL
     ends = np.array([top for top in _find_high_tops(view, record.signals.floor) if top - sent > record.earliest])
-    scores = follow_ridge(section[:horizon], places, ends, sent, record.period)
-    score = float(scores[ends == index][0])
-    other = float(scores[np.abs(ends - index) > _APART * travel].max(initial=-1.0))
-    if score < max(_LEAST_SCORE, other + _LEAST_LEAD):
-        return PassedOver.OFF_RIDGE
+    ridge = follow_ridge(section[:horizon], places, ends, sent, record.period)
+    end = int(np.flatnonzero(ends == index)[0])
+    score, away = float(ridge.scores[end]), np.abs(ends - index) > _APART * travel
+    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ends, index))[away].max(initial=-1.0))):
+        tied = score >= max(_LEAST_SCORE, float(ridge.scores[away].max(initial=-1.0)) - _LEAST_LEAD)
+        return PassedOver.TIED if tied else PassedOver.OFF_RIDGE
     trough = int(np.argmin(view[: index + 1]))
     behind_p = -float(view[trough]) > rule.precursor * height and trough > sent
     without_p = _top_without_p(view, trough, index) if behind_p else time
     before, noise = view[: index + 1], _noise_level(record, horizon, travel / _FASTEST_P)
-    doubt = _doubt(record, view, index, without_p, behind_p=behind_p, ringing=False)
+    doubts = [
+        *_doubts(record, view, index, without_p, behind_p=behind_p),
+        *_doubts_on_short_way(record, view, index, noise),
+    ]
+    if doubts:
+        denied = denied_doubts(section[:horizon], places, ridge.path_to(end), sent, record.period)
+        doubts = [doubt for doubt in doubts if doubt not in denied]
     return MainPeak(
         index=index,
         time=time,
@@ -305,38 +323,44 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
         noise=noise,
         precursor=max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height,
         quality=score,
-        doubt=doubt or _doubt_on_short_way(record, view, index, noise),
+        doubt=next(iter(doubts), None),
         end=horizon + record.reach,
     )
 
 
-def _doubt(
-    record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool, ringing: bool
-) -> PickFailure | None:
-    """Tell why the time of a main peak would be chance."""
+def _leads(record: PreparedSignals, ends: Integers, index: int) -> Floats:
+    """(E,) lead in score that a top must have over each other one, by which is the higher and which comes first."""
+    heights, travel = record.smooth[ends] / record.smooth[index], ends - record.sent_peak
+    p_first = (heights > _HIGH) & (travel > _P_AHEAD * (index - record.sent_peak))
+    coda = (heights < _LOW) & (ends > index)
+    return np.select([p_first, coda], [_LEAD_OVER_HIGH, -_LEAD_OVER_HIGH], _LEAST_LEAD)
+
+
+def _doubts(record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool) -> Iterator[PickFailure]:
+    """Tell why the time of a main peak, or without its P wave, would be chance."""
     travel, alone = index - record.sent_peak, record.section is None
-    if alone and _may_be_another(record, view, index, behind_p=behind_p, ringing=ringing):
-        return PickFailure.UNSURE
     lean = _lean(view, index) / record.period
     # On the ridge a peak that is longer before its top is one S wave that took several ways, and not cut by another.
     if travel < _BLURRED * record.period and _is_broad(record, view, index) and (alone or lean > -_LEAN_ON_RIDGE):
-        return PickFailure.BROAD
+        yield PickFailure.BROAD
     cut = travel < (_CUTTING if alone else _CUTTING_ON_RIDGE) * record.period and lean > _LEAN
     if behind_p and (cut or index - time > _SHIFT * travel):
-        return PickFailure.PRECURSOR
-    return PickFailure.NEAR if travel < record.rule.fewest_periods * record.period else None
+        yield PickFailure.PRECURSOR
+    if travel < record.rule.fewest_periods * record.period:
+        yield PickFailure.NEAR
 
 
-def _doubt_on_short_way(record: PreparedSignals, view: Floats, index: int, noise: float) -> PickFailure | None:
+def _doubts_on_short_way(record: PreparedSignals, view: Floats, index: int, noise: float) -> Iterator[PickFailure]:
     """Tell why a main peak on the ridge may be only what another wave left of it."""
     travel, height = index - record.sent_peak, float(view[index])
     if travel >= _BLURRED * record.period:
-        return None
+        return
     if noise > (_EARLIEST if travel < record.period else _EARLY) * height:
-        return PickFailure.BROAD
+        yield PickFailure.BROAD
     began, ended = half_width(view, index)
     narrow = ended - began - record.period / 2.0 < _NARROW * travel
-    return PickFailure.PRECURSOR if narrow and -float(view[: index + 1].min()) > _SWING * height else None
+    if narrow and -float(view[: index + 1].min()) > _SWING * height:
+        yield PickFailure.PRECURSOR
 
 
 def _may_be_another(record: PreparedSignals, view: Floats, index: int, *, behind_p: bool, ringing: bool) -> bool:
@@ -429,10 +453,12 @@ def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     noise = _noise_level(record, len(smooth), (int(np.argmax(smooth)) - record.sent_peak) / _FASTEST_P)
     if np.abs(smooth).max() <= max(record.signals.floor, record.rule.signal_to_noise * noise):
         return PickFailure.SILENT
+    passed_over = () if record.section is None else {why for _, why in judge_tops(record)}
+    if PassedOver.TIED in passed_over:
+        return PickFailure.LOST
     if cut_off or np.argmax(smooth) >= len(smooth) - record.period:
         return PickFailure.TOO_SHORT
-    followed = record.section is not None and any(why is PassedOver.OFF_RIDGE for _, why in judge_tops(record))
-    return PickFailure.LOST if followed else PickFailure.NO_PEAK
+    return PickFailure.LOST if PassedOver.OFF_RIDGE in passed_over else PickFailure.NO_PEAK
 
 
 def parabola_vertex(signal: Floats, index: int) -> float:

@@ -37,7 +37,8 @@ class PassedOver(StrEnum):
     NOT_PROMINENT = "it hardly stands out of what is around it"
     NARROW = "it is far narrower than the pulse that was sent"
     FAINT = "it is hardly above what was there before any wave could be"
-    OFF_RIDGE = "what the stations saw on the way leads to another top, or to another one as well"
+    OFF_RIDGE = "what the stations saw on the way leads to another top"
+    TIED = "what the stations saw on the way leads to another top as well"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,56 @@
+"""What the stations say of a doubt about the shape of the main peak.
+
+A P wave that is part of a received peak, or cuts it, has crossed the sample, so that it is at the stations, too. What
+only the receiver shows, a swing or a second hump of its own grains, is no wave that came another way.
+"""
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.wave.pick import PickFailure
+
+_FAR = 0.5  # of the way, from where on the stations are asked: nearer to the transmitter all waves are one
+_NEAR_PATH = 0.2  # periods within which a station's top lies beside the path, whose samples are few
+_NO_SWING = 0.08  # of a station's top that comes before it with the other sign, if no P wave does
+_NOT_BROAD = 0.05  # of the travel time that a top is broader than the sent one, if no faster wave is part of it
+
+
+def denied_doubts(stations: Floats, places: Floats, path: Integers, sent: float, period: float) -> set[PickFailure]:
+    """Tell which doubts about a received peak do not hold, by what was on the way.
+
+    Parameters
+    ----------
+    stations
+        (T, X) signals of the stations and of the receiver, as far as may be looked.
+    places
+        (X,) their distances from the transmitter over that of the receiver.
+    path
+        (X,) samples at which the S wave that makes the peak was there.
+    sent, period
+        Time of the sent peak and duration of the sent pulse, in samples.
+    """
+    far = [station for station in range(len(places) - 1) if places[station] >= _FAR]
+    if not far:
+        return set()
+    swings, widths = zip(
+        *(_shape_of_top(stations[:, station], int(path[station]), sent, period) for station in far), strict=True
+    )
+    if np.median(swings) >= _NO_SWING:
+        return set()
+    # A faster wave that is part of the peak is part of it at each station.
+    return {PickFailure.PRECURSOR, *([PickFailure.BROAD] if min(widths) < _NOT_BROAD else [])}
+
+
+def _shape_of_top(view: Floats, near: int, sent: float, period: float) -> tuple[float, float]:
+    """Depth before a station's top over its height, and additional width at half of it over its travel time."""
+    reach = int(_NEAR_PATH * period)
+    begin = max(0, near - reach)
+    top = begin + int(np.argmax(view[begin : near + reach + 1]))
+    height = float(view[top])
+    if height <= 0.0:
+        return np.inf, np.inf
+    low = view < 0.5 * height
+    before, behind = low[:top][::-1], low[top:]
+    first = int(np.argmax(before)) if before.any() else top
+    last = int(np.argmax(behind)) if behind.any() else len(behind)
+    return -float(view[: top + 1].min()) / height, (first + last - 0.5 * period) / max(1.0, top - sent)
