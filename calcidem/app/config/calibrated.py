@@ -46,6 +46,6 @@ def _calibrated_keys(text: str) -> Iterator[str]:
 
 
 def _value(configuration: Configuration, name: str) -> Any:  # noqa: ANN401 - numbers and words
-    """Value of ``section.key``."""
+    """Value of ``section.key``; None where a later key has its default, which campaigns do not store."""
     section, key = name.split(".")
-    return configuration.physics[section][key]
+    return configuration.physics[section].get(key)

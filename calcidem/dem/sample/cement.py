@@ -253,8 +253,9 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     -----
     P contacts are a random permutation of all contacts, or come patch by patch: the contacts whose contact points lie
     in a circle around a uniformly random point of the box, in random order; each counts once. Clusters are such
-    circles, too. They may overlap; each one's calcite counts in full, since where they overlap it fills the pores. A circle
-    without contacts is no cluster and is skipped. Near the box's border contacts lie in fewer circles than elsewhere.
+    circles, too. They may overlap; each one's calcite counts in full, since where they overlap it fills the pores. A
+    circle without contacts is no cluster and is skipped. Near the box's border contacts lie in fewer circles than
+    elsewhere.
     """
     if seed < 0 or root_seed < 0:
         raise ValueError(f"seed = {seed}, root_seed = {root_seed}: give integers of 0 or more")
