@@ -46,11 +46,16 @@ _BLUR_ON_RIDGE = 0.22  # as _BLUR, where stations tell which top it is: it may b
 _LEAN_ON_RIDGE = 0.15  # periods by which a broad peak on the ridge is longer before its top, if it is one wave
 _SWING = 0.3  # of it that may come before it with the other sign ...
 _NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
+_LATER_ON_RIDGE = 1.5  # periods behind a top in which the stations look for a wave on a slower way
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
 _LEAST_LEAD = 0.02  # of that score over that of the path to any other top ...
-_LEAD_OVER_HIGH = 0.2  # ... and over one that comes later by the following factor and is nearly as high, since the ...
-_P_AHEAD, _HIGH = 1.3, 0.75  # ... first may be a P wave; it may lag by as much behind one that comes later and is ...
-_LOW = 0.6  # ... lower than this part of it, which is what was scattered
+_LEAD_OVER_HIGHER = 0.15  # ... over one that comes later by the following factor, and is higher, since the ...
+_P_AHEAD = 1.3  # ... first may be a P wave ...
+_LEAD_OVER_HIGH, _HIGH = (
+    0.1,
+    0.75,
+)  # ... and over one that is at least this part as high; it may lag by the first of ...
+_LOW = 0.6  # ... both behind one that comes later and is lower than this part of it: that is what was scattered
 
 PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
 """Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
@@ -292,7 +297,7 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     assert places is not None  # noqa: S101 - for the type checker
     time, height = index + parabola_vertex(smooth, index), float(smooth[index])
     travel = time - sent
-    horizon = int(np.ceil(sent + max(rule.horizon * travel, travel + record.period)))
+    horizon = int(np.ceil(sent + max(rule.horizon * travel, travel + _LATER_ON_RIDGE * record.period)))
     if horizon + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
     view = smooth[:horizon]
@@ -331,9 +336,9 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
 def _leads(record: PreparedSignals, ends: Integers, index: int) -> Floats:
     """(E,) lead in score that a top must have over each other one, by which is the higher and which comes first."""
     heights, travel = record.smooth[ends] / record.smooth[index], ends - record.sent_peak
-    p_first = (heights > _HIGH) & (travel > _P_AHEAD * (index - record.sent_peak))
-    coda = (heights < _LOW) & (ends > index)
-    return np.select([p_first, coda], [_LEAD_OVER_HIGH, -_LEAD_OVER_HIGH], _LEAST_LEAD)
+    apart = travel > _P_AHEAD * (index - record.sent_peak)
+    kinds = [apart & (heights > 1.0), apart & (heights > _HIGH), (ends > index) & (heights < _LOW)]
+    return np.select(kinds, [_LEAD_OVER_HIGHER, _LEAD_OVER_HIGH, -_LEAD_OVER_HIGHER], _LEAST_LEAD)
 
 
 def _doubts(record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool) -> Iterator[PickFailure]:
