@@ -53,9 +53,12 @@ def test_scatter_grows_with_content_and_falls_again() -> None:
 
 
 def test_scatter_is_of_the_published_size() -> None:
-    """The sd over the mean is 0.6 to 1.6 of Table 3's at 0.11 % and from 0.55 % on; between, it is too small."""
+    """The sd over the mean is 0.75 to 1.33 of Table 3's at twelve contents or more, and 0.6 to 1.6 at all."""
     vs = calcidem.load_paper_campaign().vs
+    parts = []
     for content, row in published_study().velocities:
         here = vs.sel(content=content)
-        part = float(here.std("seed", ddof=1) / here.mean()) / (row.standard_deviation / row.mean)
-        assert (0.3 if 0.2 < content < 0.5 else 0.6) <= part <= 1.6
+        parts.append(float(here.std("seed", ddof=1) / here.mean()) / (row.standard_deviation / row.mean))
+    assert min(parts) >= 0.6
+    assert max(parts) <= 1.6
+    assert sum(0.75 <= part <= 1.33 for part in parts) >= 12
