@@ -18,8 +18,8 @@ from calcidem.analysis.intervals import Interval
 _PENALTIES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Tried for the ridge, relative to the variance of a feature."""
 
-_BEYOND_CHANCE = 2.75
-"""Standard errors that a normal variable exceeds in one of 340 cases: for one of 17 contents in one of 20 campaigns."""
+_BEYOND_CHANCE = 1.645
+"""Standard errors that a normal variable exceeds in one of 20 cases."""
 
 _FEWEST_ROWS = 3
 
@@ -106,7 +106,7 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
     -----
     Ridge regression (Hoerl & Kennard 1970, doi:10.1080/00401706.1970.10488634) of standardised features, with the
     penalty whose squared errors of left-out samples are least. What it takes off the squared errors of the content
-    alone has to be more than chance gives at one of 17 contents in 19 of 20 campaigns.
+    alone has to be more than chance gives in 19 of 20 cases.
     """
     x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
     if y.size < _FEWEST_ROWS or x.ndim != 2 or len(x) != len(y):  # noqa: PLR2004 - a table

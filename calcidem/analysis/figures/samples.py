@@ -148,7 +148,7 @@ def draw_measurement(
         read = {METHOD_STYLES[method][0]: f": {velocity:.0f} m/s" for method, velocity in arrival.velocities.items()}
         handles, labels = signals.get_legend_handles_labels()
         labels = [label + read.get(label, "") for label in labels]
-        signals.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
+        figure.legend(handles, labels, loc="outside lower right", ncols=2)
     return figure
 
 

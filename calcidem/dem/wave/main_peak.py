@@ -17,7 +17,7 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.on_the_way import denied_doubts
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
 from calcidem.dem.wave.ridge import follow_ridge
-from calcidem.dem.wave.tops import find_tops, half_width, prominence
+from calcidem.dem.wave.tops import find_tops, half_height, half_width, prominence
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
 _PERIODS_FOR_NOISE = 0.5  # over the periods on the way: in fewer than two there is too little to tell noise by
@@ -381,9 +381,8 @@ def _may_be_another(record: PreparedSignals, view: Floats, index: int, *, behind
 
 def _lean(view: Floats, index: int) -> int:
     """Samples by which a peak is longer behind its top than before it, at half its height."""
-    low = view < 0.5 * view[index]
-    before, behind = low[:index][::-1], low[index:]
-    return int(np.argmax(behind) if behind.any() else len(behind)) - int(np.argmax(before)) - 1
+    before, behind = half_height(view, index)
+    return behind - before - 1
 
 
 def _is_broad(record: PreparedSignals, view: Floats, index: int) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.pick import PickFailure
+from calcidem.dem.wave.tops import half_height
 
 _FAR = 0.5  # of the way, from where on the stations are asked: nearer to the transmitter all waves are one
 _NEAR_PATH = 0.2  # periods within which a station's top lies beside the path, whose samples are few
@@ -49,8 +50,5 @@ def _shape_of_top(view: Floats, near: int, sent: float, period: float) -> tuple[
     height = float(view[top])
     if height <= 0.0:
         return np.inf, np.inf
-    low = view < 0.5 * height
-    before, behind = low[:top][::-1], low[top:]
-    first = int(np.argmax(before)) if before.any() else top
-    last = int(np.argmax(behind)) if behind.any() else len(behind)
-    return -float(view[: top + 1].min()) / height, (first + last - 0.5 * period) / max(1.0, top - sent)
+    before, behind = half_height(view, top)
+    return -float(view[: top + 1].min()) / height, (before + behind - 0.5 * period) / max(1.0, top - sent)

@@ -29,6 +29,16 @@ def prominence(signal: Floats, top: int) -> float:
     return float(height - max(left, right))
 
 
+def half_height(signal: Floats, top: int) -> tuple[int, int]:
+    """Samples before and behind a top to where a signal is first below half of its height, or to its ends."""
+    low = signal < 0.5 * signal[top]
+    before, behind = low[:top][::-1], low[top:]
+    return (
+        int(before.argmax()) if before.any() else len(before),
+        int(behind.argmax()) if behind.any() else len(behind),
+    )
+
+
 def half_width(signal: Floats, top: int) -> tuple[float, float]:
     """Where a signal falls through half of a top's prominence, before it and behind it, in samples."""
     level = float(signal[top] - 0.5 * prominence(signal, top))
