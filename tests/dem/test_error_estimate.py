@@ -73,7 +73,7 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
     found = parts(EXACT)
     assert found.step == pytest.approx(0.5e-7 / 2e-4 + (3.0 * 2.0 * np.pi * 1e4 * 1e-7) ** 2 / 24.0)
     assert found.sampling == pytest.approx(0.2 * 1e-6 / 2e-4)
-    assert found[2:] == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert found[2:] == (0.0,) * 7
     assert error_bound(found) == pytest.approx(float(np.hypot(found.step, found.sampling)))
 
 
@@ -92,6 +92,7 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
         ("chatter", waves(EXPERIMENT, damping=0.5), RECORD, False),
         ("chatter", EXPERIMENT, replace(RECORD, stability_limit=1.1e-7), False),
         ("unbalanced", EXPERIMENT, replace(RECORD, unbalanced_speed=1e-4), False),
+        ("breaking", EXPERIMENT, replace(RECORD, broken_bonds=3, bonds=560), False),
     ],
 )
 def test_each_cause_raises_its_own_part_alone(
@@ -118,6 +119,13 @@ def test_the_error_is_at_least_that_of_each_part(
     whole = error_bound(found)
     assert max(found) <= whole * (1.0 + 1e-12)
     assert whole <= sum(found) * (1.0 + 1e-12)
+
+
+def test_bonds_that_break_count_as_rare_events_do() -> None:
+    """Two standard deviations of their number, over all bonds; none in a sample that has none."""
+    four, sixteen = (parts(EXACT, replace(RECORD, broken_bonds=count, bonds=1000)).breaking for count in (4, 16))
+    assert (four, sixteen) == pytest.approx((4e-3, 8e-3))
+    assert parts(EXACT, replace(RECORD, broken_bonds=0, bonds=0)).breaking == 0.0
 
 
 def test_the_step_has_the_dispersion_of_leapfrog() -> None:

@@ -298,6 +298,8 @@ def _smaller_error(symptoms: Symptoms) -> Iterator[Cure]:
         yield Cure("wave.precision", "float64", why)
     elif part == "unbalanced":
         yield Cure("wave.amplitude", float(f"{1.25 * wave.amplitude * bound / LARGEST_BOUND:.2g}"), why)
+    elif part == "breaking":
+        yield Cure("wave.amplitude", quieter, f"{why}, and fewer bonds break")
     elif part in {"step", "chatter"}:
         yield finer
         if part == "chatter":

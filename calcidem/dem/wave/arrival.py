@@ -60,7 +60,7 @@ def is_settled(signals: Signals, rule: PickRule = _DEFAULT_RULE, *, loudest: flo
     record = prepare_signals(signals, rule)
     main = settled_peak(record)
     if main is not None:
-        return isinstance(main, MainPeak)
+        return isinstance(main, MainPeak) or main is PickFailure.LOST
     height, open_end = least_later_height(record), np.asarray(signals.received)[-1 - record.reach :]
     return loudest < height and float(np.abs(open_end).max()) < height
 

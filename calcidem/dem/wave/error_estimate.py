@@ -22,6 +22,7 @@ _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _CHATTER = 7.5e-3  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
+_BREAKING = 2.0  # see `_breaking_error`
 
 _USUAL_STEP = 6.0e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
@@ -61,6 +62,8 @@ class ErrorParts(NamedTuple):
     unbalanced
         Local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced, in
         proportion to its size over that of the wave (docs/accuracy.md, "Regime over the amplitude of the pulse").
+    breaking
+        See `_breaking_error`.
     """
 
     step: float
@@ -71,6 +74,7 @@ class ErrorParts(NamedTuple):
     noise: float
     chatter: float
     unbalanced: float
+    breaking: float = 0.0
 
 
 def error_bound(parts: ErrorParts) -> float:
@@ -86,6 +90,7 @@ _CURES = {
     "noise": "noise moves the peak; lower amplitude or the frequency",
     "chatter": "make step_fraction or damping smaller",
     "unbalanced": "raise amplitude, or make the packing's unbalanced_force_ratio smaller",
+    "breaking": "bonds break, and which of them is chance; lower amplitude",
 }
 
 
@@ -128,7 +133,7 @@ def estimate_error(
     parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
     share = _largest_nonlinearity(record, frequency * travel_time).share
     change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * roughness
-    others = parts.precision + parts.noise + parts.chatter + parts.unbalanced
+    others = parts.precision + parts.noise + parts.chatter + parts.unbalanced + parts.breaking
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
@@ -191,6 +196,7 @@ def _error_parts(
         noise=experiment.pick.onset / (np.pi * periods) if noisy else 0.0,
         chatter=_chatter_error(experiment, record),
         unbalanced=_UNBALANCED * record.unbalanced_speed,
+        breaking=shape * _breaking_error(record),
     )
 
 
@@ -205,6 +211,16 @@ def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
     return float(_CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
+
+
+def _breaking_error(record: WaveRecord) -> float:
+    """Estimated relative error of a velocity by bonds so near their strength that another step breaks others.
+
+    Where n break of N, some ``sqrt(n)`` more or fewer would, as counts of rare events scatter. The stiffness of a bond
+    is at most 1 / N of what bonds carry, but those that break are near the transmitter, where each counts for more
+    (docs/accuracy.md, "The error to expect").
+    """
+    return float(_BREAKING * np.sqrt(record.broken_bonds) / max(1, record.bonds))
 
 
 def _geometry_error(experiment: Experiment, frequency: float) -> float:

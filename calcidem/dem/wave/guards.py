@@ -72,13 +72,17 @@ def broken_bonds(state: State) -> Integers:
     return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
 
 
+def cemented_bonds(state: State) -> Integers:
+    """(L,) bonds that a sample was given."""
+    return np.asarray(np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0))
+
+
 def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, str]]:
     """Give the lanes in which more bonds broke than may."""
     broken = broken_bonds(state)
     if not broken.any():
         return
-    bonds = np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0)
-    for lane in np.flatnonzero(broken > breakable * bonds).tolist():
+    for lane in np.flatnonzero(broken > breakable * cemented_bonds(state)).tolist():
         count = broken[lane]
         yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
 

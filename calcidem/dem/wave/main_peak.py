@@ -16,7 +16,7 @@ from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.on_the_way import denied_doubts
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
-from calcidem.dem.wave.ridge import follow_ridge
+from calcidem.dem.wave.ridge import Ridge, follow_ridge
 from calcidem.dem.wave.tops import find_tops, half_height, half_width, prominence
 
 _FASTEST_P = 2.2  # speed over that of the S wave; before such a wave there is nothing but noise
@@ -46,6 +46,7 @@ _BLUR_ON_RIDGE = 0.22  # as _BLUR, where stations tell which top it is: it may b
 _LEAN_ON_RIDGE = 0.15  # periods by which a broad peak on the ridge is longer before its top, if it is one wave
 _SWING = 0.3  # of it that may come before it with the other sign ...
 _NARROW = 0.07  # ... where it is not wider than the sent one by this part of its travel time
+_REMAINS = 0.1  # of an earlier value; a later top that is lower is what is left of a wave that has gone
 _LATER_ON_RIDGE = 1.5  # periods behind a top in which the stations look for a wave on a slower way
 _LEAST_SCORE = 0.5  # of the path that leads to the main peak, see `ridge`
 _LEAST_LEAD = 0.02  # of that score over that of the path to any other top ...
@@ -53,6 +54,8 @@ _LEAD_OVER_HIGHER = 0.15  # ... over one that is higher and comes later by the n
 _P_AHEAD = 1.3  # ... times the travel time ...
 _LEAD_OVER_HIGH = 0.1  # ... and over one that is at least the next part as high, and as late; ...
 _HIGH = 0.75  # ... it may lag by the larger lead ...
+_TOGETHER = 0.1  # periods within which two paths are one; where they are still one ...
+_ONE_WAY = 0.35  # ... behind this part of the way, the later top has come from the first one's wave
 _LOW = 0.6  # ... behind one that comes later and is lower than this part of it: that is what was scattered
 
 PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
@@ -184,21 +187,24 @@ def _median(values: Floats) -> float:
 def find_main_peak(record: PreparedSignals) -> MainPeak | PickFailure:
     """Find the first top that can be the S wave's, looking no further than its horizon."""
     found = settled_peak(record)
-    if isinstance(found, MainPeak) or found is PickFailure.NOT_FINITE:
-        return found
-    return _why_no_peak(record, cut_off=found is not None)
+    if found is None or found is PickFailure.TOO_SHORT:
+        return _why_no_peak(record, cut_off=found is not None)
+    return found
 
 
 def settled_peak(record: PreparedSignals) -> MainPeak | PickFailure | None:
-    """Main peak; `PickFailure.TOO_SHORT` if only a longer record could tell, `NOT_FINITE`, or None without any."""
+    """Main peak, or why there is none however the record goes on; None if nothing is there yet.
+
+    `PickFailure.TOO_SHORT` if only a longer record could tell.
+    """
     if not np.isfinite(record.received).all():
         return PickFailure.NOT_FINITE
-    certain = (
-        verdict
-        for _, verdict in judge_tops(record)
-        if verdict is PickFailure.TOO_SHORT or isinstance(verdict, MainPeak)
-    )
-    return next(certain, None)
+    for _, verdict in judge_tops(record):
+        if verdict is PassedOver.TIED:  # what comes later unties nothing
+            return PickFailure.LOST
+        if not isinstance(verdict, PassedOver):
+            return verdict
+    return None
 
 
 def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFailure | PassedOver]]:
@@ -218,9 +224,9 @@ def least_later_height(record: PreparedSignals) -> float:
     Each condition is one of `_judge_peak`, whose quiet part, largest value and trough only grow with the record.
     """
     offset = abs(float(record.signals.received[0] - record.received[0]))
-    if record.section is not None:  # stations follow a top of any height
-        return record.signals.floor - offset
     known = record.smooth[: max(1, len(record.smooth) - record.reach)]
+    if record.section is not None:
+        return max(record.signals.floor, _REMAINS * float(known.max())) - offset
     travel, trough = len(known) - record.sent_peak, int(np.argmin(known))
     quiet = min(travel / _FASTEST_P, trough - _BEFORE_P * record.period)
     noise = float(np.abs(known[: max(1, int(max(quiet, record.earliest)))]).max())
@@ -250,11 +256,13 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     if behind_p and travel < _CUTTING * record.period:  # swing and top may be one broad P wave's: the S wave is larger
         far = max(far, int(np.ceil(sent + rule.horizon * travel)))
     if height < max(_ENOUGH * largest, _SCATTERED * float(smooth[:far].max())):
-        return PassedOver.SMALL  # which, like the next, a longer record cannot change
-    if prominent < rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0):
-        return PassedOver.NOT_PROMINENT
+        return PassedOver.SMALL  # which a longer record cannot change
+    least = rule.prominence * height * (_OUT_OF_CODA if behind_p else 1.0)
     end = max(far, int(np.ceil(time + record.period)))
-    if end + record.reach > len(smooth):
+    cut_off = end + record.reach > len(smooth)
+    if prominent < least and not (cut_off and _may_stand_out(view, index, least)):
+        return PassedOver.NOT_PROMINENT
+    if cut_off:
         return PickFailure.TOO_SHORT
     if not ringing and float(view[index:].max()) > height:
         larger = index + int(np.argmax(view[index:] > height))
@@ -288,6 +296,12 @@ def _judge_peak(record: PreparedSignals, index: int) -> MainPeak | PickFailure |
     )
 
 
+def _may_stand_out(view: Floats, index: int, least: float) -> bool:
+    """Whether a top has the prominence ``least`` if what follows the view goes deep enough."""
+    ending = np.append(view[: index + 1], -np.inf)
+    return float(view[index:].max()) <= view[index] and prominence(ending, index) >= least
+
+
 def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailure | PassedOver:
     """Weigh a top by what the stations saw on the way, against all tops up to its horizon."""
     rule, smooth, sent, section, places = record.rule, record.smooth, record.sent_peak, record.section, record.places
@@ -299,13 +313,14 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     if horizon + record.reach > len(smooth):
         return PickFailure.TOO_SHORT
     view = smooth[:horizon]
-    if height < _ENOUGH * float(view[index:].max()):  # of a top that may lie behind the horizon: no path leads to it
+    # The higher top may lie behind the horizon, where no path leads to it.
+    if height < max(_ENOUGH * float(view[index:].max()), _REMAINS * float(view[:index].max())):
         return PassedOver.SMALL
     ends = np.array([top for top in _find_high_tops(view, record.signals.floor) if top - sent > record.earliest])
     ridge = follow_ridge(section[:horizon], places, ends, sent, record.period)
     end = int(np.flatnonzero(ends == index)[0])
     score, away = float(ridge.scores[end]), np.abs(ends - index) > _APART * travel
-    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ends, index))[away].max(initial=-1.0))):
+    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ridge, ends, index))[away].max(initial=-1.0))):
         tied = score >= max(_LEAST_SCORE, float(ridge.scores[away].max(initial=-1.0)) - _LEAST_LEAD)
         return PassedOver.TIED if tied else PassedOver.OFF_RIDGE
     trough = int(np.argmin(view[: index + 1]))
@@ -331,12 +346,18 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     )
 
 
-def _leads(record: PreparedSignals, ends: Integers, index: int) -> Floats:
+def _leads(record: PreparedSignals, ridge: Ridge, ends: Integers, index: int) -> Floats:
     """(E,) lead in score that a top must have over each other one, by which is the higher and which comes first."""
     heights, travel = record.smooth[ends] / record.smooth[index], ends - record.sent_peak
     apart = travel > _P_AHEAD * (index - record.sent_peak)
     kinds = [apart & (heights > 1.0), apart & (heights > _HIGH), (ends > index) & (heights < _LOW)]
-    return np.select(kinds, [_LEAD_OVER_HIGHER, _LEAD_OVER_HIGH, -_LEAD_OVER_HIGHER], _LEAST_LEAD)
+    leads = np.select(kinds, [_LEAD_OVER_HIGHER, _LEAD_OVER_HIGH, -_LEAD_OVER_HIGHER], _LEAST_LEAD)
+    own = ridge.path_to(int(np.flatnonzero(ends == index)[0]))
+    for other in np.flatnonzero(leads > _LEAST_LEAD).tolist():
+        together = np.abs(ridge.path_to(other) - own) < _TOGETHER * record.period
+        if together[record.places >= _ONE_WAY].any():
+            leads[other] = _LEAST_LEAD
+    return leads
 
 
 def _doubts(record: PreparedSignals, view: Floats, index: int, time: float, *, behind_p: bool) -> Iterator[PickFailure]:
@@ -451,15 +472,15 @@ def _noise_level(record: PreparedSignals, horizon: int, quiet: float) -> float:
 
 def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     """Tell silence, a record that ends too early, and a record without a clear peak apart."""
-    smooth = record.smooth
-    noise = _noise_level(record, len(smooth), (int(np.argmax(smooth)) - record.sent_peak) / _FASTEST_P)
-    if np.abs(smooth).max() <= max(record.signals.floor, record.rule.signal_to_noise * noise):
+    smooth, least = record.smooth, record.signals.floor
+    if record.section is None:
+        noise = _noise_level(record, len(smooth), (int(np.argmax(smooth)) - record.sent_peak) / _FASTEST_P)
+        least = max(least, record.rule.signal_to_noise * noise)
+    if np.abs(smooth).max() <= least:
         return PickFailure.SILENT
-    passed_over = () if record.section is None else {why for _, why in judge_tops(record)}
-    if PassedOver.TIED in passed_over:
-        return PickFailure.LOST
     if cut_off or np.argmax(smooth) >= len(smooth) - record.period:
         return PickFailure.TOO_SHORT
+    passed_over = () if record.section is None else {why for _, why in judge_tops(record)}
     return PickFailure.LOST if PassedOver.OFF_RIDGE in passed_over else PickFailure.NO_PEAK
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, XY, Floats, Integers, Recording
-from calcidem.dem.wave.guards import broken_bonds, problems_of
+from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
@@ -44,8 +44,8 @@ class WaveRecord:
     closing_gaps
         Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts; zero
         in the finite regime, where they may touch.
-    broken_bonds
-        Bonds that broke until then.
+    broken_bonds, bonds
+        Bonds that broke until then, of how many.
     remaining_speed
         Bound of the velocity from then on, m/s: that of its disks, were all that moves in the sample theirs.
     nonlinear
@@ -70,6 +70,7 @@ class WaveRecord:
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
+    bonds: int = 0
     remaining_speed: float = np.inf
     nonlinear: tuple[Nonlinearity, ...] = ()
     slipped: float = 0.0
@@ -133,8 +134,8 @@ class Recorder:
         See `guards.problems_of`.
     signals
         (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations.
-    nonlinear, slipped
-        See `WaveRecord`, for each sample and each lane.
+    nonlinear, slipped, bonds
+        See `WaveRecord`, for each sample and, the latter two, each lane.
     """
 
     state: State
@@ -150,12 +151,14 @@ class Recorder:
     signals: Floats = field(init=False)
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
+    bonds: Integers = field(init=False)
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
         self.signals = np.zeros((self.state.features.lanes, 2 + len(self.listeners), 0))
         self.slipped = np.zeros(self.state.features.lanes)
+        self.bonds = cemented_bonds(self.state)
 
     @property
     def steps_per_look(self) -> int:
@@ -248,6 +251,7 @@ class Recorder:
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(broken_bonds(self.state)[lane]),
+            bonds=int(self.bonds[lane]),
             remaining_speed=remaining_speed,
             nonlinear=tuple(self.nonlinear[lane]),
             slipped=float(self.slipped[lane]),

@@ -41,7 +41,11 @@ def half_height(signal: Floats, top: int) -> tuple[int, int]:
 
 def half_width(signal: Floats, top: int) -> tuple[float, float]:
     """Where a signal falls through half of a top's prominence, before it and behind it, in samples."""
-    level = float(signal[top] - 0.5 * prominence(signal, top))
+    return falls_through(signal, top, float(signal[top] - 0.5 * prominence(signal, top)))
+
+
+def falls_through(signal: Floats, top: int, level: float) -> tuple[float, float]:
+    """Where a signal falls through a level on either side of a top, in samples; it does."""
     low = signal <= level
     left = top - int(low[top::-1].argmax())
     right = top + int(low[top:].argmax())
