@@ -27,12 +27,15 @@ class PackingGraph:
         Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains.
     scale
         Distance between transmitter and receiver, and median diameter by count.
+    in_column
+        Which contacts lie at the height of the receiver, shape (m,).
     """
 
     packing: PackingRecord
     graph: ContactGraph
     weights: ContactWeights
     scale: PathScale
+    in_column: NDArray[np.bool_]
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -56,6 +59,10 @@ class PackingGraph:
         kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds
+
+    def column_share(self, bonded: NDArray[np.bool_]) -> float:
+        """Share of the contacts at the height of the receiver that are cemented; NaN if there are none."""
+        return float(np.mean(bonded[self.in_column])) if self.in_column.any() else np.nan
 
     def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
         """Give the preferential path of one sample.
@@ -118,11 +125,13 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
         transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
         receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
     )
+    middle = packing.y[graph.pairs].mean(axis=1) - packing.height / 2
     return PackingGraph(
         packing=packing,
         graph=graph,
         weights=ContactWeights.from_coordination_number(graph.coordination_number),
         scale=PathScale(packing.width, 2 * float(np.median(packing.radius))),
+        in_column=np.abs(middle) < receiver_half_width,
     )
 
 

@@ -3,10 +3,12 @@
 Each content has a predictor of its own, so that the interval is as wide as Vs scatters there. The logarithm of Vs is
 linear in the features (ridge regression), and the interval has the quantiles of the errors of samples that the
 regression has not seen: it assumes no distribution and is never negative. Features count only where they make these
-errors smaller than chance does; otherwise the content alone is left.
+errors smaller than chance does; otherwise the content alone is left. Where sets of features are to choose from, the one
+with the smallest errors is taken.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +87,9 @@ class VelocityPredictor:
         return float(self.errors.mean()) + np.array([-half, 0.0, half])
 
 
-def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> VelocityPredictor:
+def fit_predictor(
+    features: ArrayLike, vs: ArrayLike, level: float = 0.95, choices: Sequence[Sequence[int]] | None = None
+) -> VelocityPredictor:
     """Fit the predictor of one content.
 
     Parameters
@@ -96,6 +100,8 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
         Velocity of each in m/s, positive, shape (n,).
     level
         Probability of the intervals.
+    choices
+        Sets of columns of ``features`` of which the best is taken; all columns are the only one if not given.
 
     Raises
     ------
@@ -105,30 +111,40 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
     Notes
     -----
     Ridge regression (Hoerl & Kennard 1970, doi:10.1080/00401706.1970.10488634) of standardised features, with the
-    penalty whose squared errors of left-out samples are least. What it takes off the squared errors of the content
-    alone has to be more than chance gives in 19 of 20 cases.
+    columns and the penalty whose squared errors of left-out samples are least. What they take off the squared errors of
+    the content alone has to be more than chance gives in 19 of 20 cases.
     """
     x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
     if y.size < _FEWEST_ROWS or x.ndim != 2 or len(x) != len(y):  # noqa: PLR2004 - a table
         raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and at least 3 of them")
     alone = (y - y.mean()) * y.size / (y.size - 1)
     nothing = VelocityPredictor(float(y.mean()), np.zeros(x.shape[1]), alone, level)
-    scale = x.std(axis=0)
-    varied = scale > 1e-12 * np.abs(x).max(axis=0, initial=0.0)
-    if not varied.any():
+    sets = [range(x.shape[1])] if choices is None else choices
+    fits = [fit for columns in sets if (fit := _best_ridge(x, y, columns)) is not None]
+    if not fits:
         return nothing
+    errors, slopes = min(fits, key=lambda fit: float(fit[0] @ fit[0]))
+    gain = alone**2 - errors**2
+    if gain.mean() <= _BEYOND_CHANCE * gain.std(ddof=1) / math.sqrt(y.size):
+        return nothing
+    return VelocityPredictor(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
+
+
+def _best_ridge(x: Matrix, y: Matrix, columns: Sequence[int]) -> tuple[Matrix, Matrix] | None:
+    """Errors of left-out samples (n,) and slopes (k,) with some columns and the best penalty; None if none varies."""
+    scale, wanted = x.std(axis=0), np.isin(np.arange(x.shape[1]), columns)
+    varied = wanted & (scale > 1e-12 * np.abs(x).max(axis=0, initial=0.0))
+    if not varied.any():
+        return None
     standard = (x[:, varied] - x[:, varied].mean(axis=0)) / scale[varied]
     left, values, right = np.linalg.svd(standard, full_matrices=False)
     errors, weights = min(
         (_left_out_errors(left, values, y, penalty) for penalty in _PENALTIES),
         key=lambda found: float(found[0] @ found[0]),
     )
-    gain = alone**2 - errors**2
-    if gain.mean() <= _BEYOND_CHANCE * gain.std(ddof=1) / math.sqrt(y.size):
-        return nothing
     slopes = np.zeros(x.shape[1])
     slopes[varied] = right.T @ weights / scale[varied]
-    return VelocityPredictor(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
+    return errors, slopes
 
 
 def _left_out_errors(left: Matrix, values: Matrix, y: Matrix, penalty: float) -> tuple[Matrix, Matrix]:
@@ -165,8 +181,8 @@ class PredictorCheck:
         Share of them in their interval, and mean interval score in m/s.
     content_coverage, content_score
         The same of a predictor that knows only the content.
-    uses_features
-        Whether the predictor fitted to all of them uses the features.
+    used
+        Columns of the features that the predictor fitted to all of them uses.
     """
 
     n: int
@@ -174,20 +190,22 @@ class PredictorCheck:
     score: float
     content_coverage: float
     content_score: float
-    uses_features: bool
+    used: tuple[int, ...]
 
     @property
     def features_help(self) -> bool:
-        """Whether path features make the intervals better at this content."""
-        return self.uses_features and self.score < self.content_score
+        """Whether features make the intervals better at this content."""
+        return bool(self.used) and self.score < self.content_score
 
 
-def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PredictorCheck:
+def check_predictor(
+    features: ArrayLike, vs: ArrayLike, level: float = 0.95, choices: Sequence[Sequence[int]] | None = None
+) -> PredictorCheck:
     """Predict each sample of one content from all others, choice of features and penalty included.
 
     Parameters
     ----------
-    features, vs, level
+    features, vs, level, choices
         As for `fit_predictor`; one sample more is needed.
 
     Raises
@@ -199,11 +217,12 @@ def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> 
     found = []
     for out in range(len(y)):
         others, known = np.delete(x, out, axis=0), np.delete(y, out)
-        for table, own in ((others, x[out]), (others[:, :0], ())):
-            interval = fit_predictor(table, known, level).predict(own).interval
+        fitted = fit_predictor(others, known, level, choices), fit_predictor(others[:, :0], known, level)
+        for predictor, own in zip(fitted, (x[out], ()), strict=True):
+            interval = predictor.predict(own).interval
             found.append((interval.contains(y[out]), interval_score(interval, y[out], level)))
     (coverage, score), (content_coverage, content_score) = (
         np.mean(found[first::2], axis=0).tolist() for first in (0, 1)
     )
-    uses_features = fit_predictor(x, y, level).predict(x[0]).uses_features
-    return PredictorCheck(len(y), coverage, score, content_coverage, content_score, uses_features)
+    used = tuple(np.flatnonzero(fit_predictor(x, y, level, choices).slopes).tolist())
+    return PredictorCheck(len(y), coverage, score, content_coverage, content_score, used)

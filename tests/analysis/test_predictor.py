@@ -79,8 +79,21 @@ def test_features_that_add_nothing_are_left_out() -> None:
     used = [fit_predictor(*drawn(random, 100, slopes=none)).predict(np.ones(3)).uses_features for random in range(200)]
     assert np.mean(used) <= 0.10
     check = check_predictor(*drawn(used.index(False), 100, slopes=none))
-    assert not check.uses_features
+    assert not check.used
     assert not check.features_help
+
+
+def test_the_best_set_of_features_is_taken() -> None:
+    """Of a column that Vs hangs on and others that it does not, the one alone; both where it hangs on both."""
+    features, vs = drawn(7, 100, slopes=np.array([0.1, 0.0, 0.0]))
+    choices = [0], [1, 2], [0, 1, 2]
+    found = fit_predictor(features, vs, choices=choices)
+    assert np.flatnonzero(found.slopes).tolist() == [0]
+    assert found.predict(features[3]) == fit_predictor(features[:, :1], vs).predict(features[3, :1])
+    assert check_predictor(features, vs, choices=choices).used == (0,)
+    features, vs = drawn(7, 100, slopes=np.array([0.1, 0.1, 0.1]))
+    assert check_predictor(features, vs, choices=choices).used == (0, 1, 2)
+    assert not fit_predictor(features, vs, choices=[[]]).slopes.any()
 
 
 def test_a_check_tells_the_gain_of_known_noise(within_binomial: Callable[[int, int, float], bool]) -> None:

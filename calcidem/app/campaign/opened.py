@@ -30,7 +30,7 @@ from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
-from calcidem.app.campaign.prediction import draw_pattern, path_features, predict_velocity
+from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -259,8 +259,9 @@ class OpenedCampaign(StoredCampaign):
         seed
             Whose cement is drawn; if the campaign has this seed, it takes no part in the fit.
         pattern, features
-            Instead of a seed: the cement, or path features by their names in `calcidem.analysis.features.FEATURES`.
-            Without any of the three the content alone predicts.
+            Instead of a seed: the cement, or features by their names, those of the path in
+            `calcidem.analysis.features.FEATURES` and `column_share`, the share of the contacts at the height of the
+            receiver that are cemented. Without any of the three the content alone predicts.
         level
             Probability with which Vs falls into the interval.
 
@@ -278,7 +279,7 @@ class OpenedCampaign(StoredCampaign):
         if features is None and pattern is None and seed is not None:
             pattern = draw_pattern(self.experiment(), seed, content)
         if features is None:
-            features = {} if pattern is None else path_features(self._graphs[0], pattern)
+            features = {} if pattern is None else pattern_features(self._graphs[0], pattern)
         return predict_velocity(self, content, features, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":

@@ -1,11 +1,12 @@
 """Vs of samples that were not simulated, from those of their content that were."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
 import numpy.typing as npt
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction, PredictorCheck, check_predictor, fit_predictor
@@ -16,7 +17,11 @@ from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
 
-FEATURE_NAMES = tuple(feature.name for feature in FEATURES)
+PATH_FEATURES = tuple(feature.name for feature in FEATURES)
+COLUMN = "column_share"
+"""Share of the contacts at the height of the receiver that are cemented."""
+
+FEATURE_NAMES = (*PATH_FEATURES, COLUMN)
 
 _FEWEST_VELOCITIES = 4
 """A predictor needs three, and one more to be tried on."""
@@ -38,8 +43,8 @@ def predict_velocity(
     content
         Of the campaign, percent.
     features
-        Those of the sample that are known, by their names in `calcidem.analysis.features.FEATURES`; with none the
-        content alone is left.
+        Those of the sample that are known, by their names in `calcidem.analysis.features.FEATURES`, or `COLUMN`; with
+        none the content alone is left.
     level
         Probability of the interval.
     without_seed
@@ -52,13 +57,15 @@ def predict_velocity(
     """
     names = tuple(features)
     if strange := sorted(set(names) - set(FEATURE_NAMES)):
-        raise QueryError(f"{', '.join(strange)}: no path feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
-    table, vs, seeds = _velocities_at(campaign, content, names)
+        raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
+    shares = _column_shares(campaign, [content]) if COLUMN in names else {}
+    table, vs, seeds = _velocities_at(campaign, content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
     if others.sum() < _FEWEST_VELOCITIES:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
         raise QueryError(problem, f"Compute at least {_FEWEST_VELOCITIES} seeds first.")
-    return fit_predictor(table[others], vs[others], level).predict([features[name] for name in names])
+    predictor = fit_predictor(table[others], vs[others], level, _choices(names))
+    return predictor.predict([features[name] for name in names])
 
 
 def check_predictions(
@@ -69,12 +76,20 @@ def check_predictions(
     Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
     """
     contents = campaign.to_xarray(("vs",))["content"].to_numpy().tolist()
-    samples = {content: _velocities_at(campaign, content, names) for content in contents}
+    shares = _column_shares(campaign, contents) if COLUMN in names else {}
+    samples = {content: _velocities_at(campaign, content, names, shares) for content in contents}
     return {
-        content: check_predictor(table, vs, level)
+        content: check_predictor(table, vs, level, _choices(names))
         for content, (table, vs, _) in samples.items()
         if len(vs) >= _FEWEST_VELOCITIES and np.ptp(vs) > 0.0
     }
+
+
+def _choices(names: Sequence[str]) -> list[list[int]]:
+    """Columns of what may be taken: the cement at the receiver's height, the path, or both."""
+    column = [number for number, name in enumerate(names) if name == COLUMN]
+    path = [number for number, name in enumerate(names) if name != COLUMN]
+    return [columns for columns in (column, path, column + path) if columns]
 
 
 def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPattern:
@@ -92,8 +107,8 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
     return pattern_of(experiment.packing, cement)
 
 
-def path_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:
-    """Features of the path through a packing with a cement pattern.
+def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:
+    """Features of a cement pattern in a packing, by their names in `FEATURE_NAMES`.
 
     Raises
     ------
@@ -101,23 +116,41 @@ def path_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, floa
         If the pattern cements grains that do not touch, or nothing joins transmitter and receiver.
     """
     try:
-        found = asdict(graph.features(graph.path(graph.bonded(pattern))))
+        bonded = graph.bonded(pattern)
+        found = asdict(graph.features(graph.path(bonded)))
     except ValueError as error:
         raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
-    return {name: float(found[name]) for name in FEATURE_NAMES if found[name] is not None}
+    known = {name: float(found[name]) for name in PATH_FEATURES if found[name] is not None}
+    return {**known, COLUMN: graph.column_share(bonded)}
+
+
+def _column_shares(campaign: StoredCampaign, contents: Collection[float]) -> dict[tuple[int, float], float]:
+    """`COLUMN` of all samples with a velocity whose cement is known, by seed and content."""
+    graphs = CampaignAnalysis(campaign).graphs
+    cells = campaign.select(content=contents, status="done", with_arrays=True)
+    return {
+        (cell.key.seed, cell.key.content): graphs[cell.packing_index].column_share(
+            graphs[cell.packing_index].bonded(cell.cement)
+        )
+        for cell in cells
+        if cell.cement is not None
+    }
 
 
 def _velocities_at(
-    campaign: StoredCampaign, content: float, names: Sequence[str]
+    campaign: StoredCampaign, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
-    cells = campaign.to_xarray(("vs", *(f"path_{name}" for name in names)))
+    stored = [name for name in names if name != COLUMN]
+    cells = campaign.to_xarray(("vs", *(f"path_{name}" for name in stored)))
     contents = cells["content"].to_numpy()
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
-    column = cells.isel(content=int(np.argmin(np.abs(contents - content))))
-    vs, seeds = column["vs"].to_numpy().astype(float), column["seed"].to_numpy()
-    table = np.array([column[f"path_{name}"].to_numpy() for name in names], dtype=float).reshape(len(names), len(vs))
+    cells = cells.isel(content=int(np.argmin(np.abs(contents - content))))
+    vs, seeds = cells["vs"].to_numpy().astype(float), cells["seed"].to_numpy()
+    found = {name: cells[f"path_{name}"].to_numpy() for name in stored}
+    found[COLUMN] = np.array([shares.get((seed, float(cells["content"])), np.nan) for seed in seeds.tolist()])
+    table = np.array([found[name] for name in names], dtype=float).reshape(len(names), len(vs))
     known = np.isfinite(vs) & np.isfinite(table).all(axis=0)
     return table[:, known].T, vs[known], seeds[known]

@@ -35,7 +35,7 @@ def predict_command(
     feature: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME=VALUE", help="Or a feature of its path, such as normalized_connectivity=0.6; may be repeated."
+            metavar="NAME=VALUE", help="Or a feature, such as normalized_connectivity=0.6; may be repeated."
         ),
     ] = None,
     level: Annotated[
@@ -50,7 +50,8 @@ def predict_command(
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
 
     Every prediction comes with a check on samples left out one by one: how many fall into their interval, and whether
-    path features make it better than the content alone.
+    features make it better than the content alone: those of the path, and the share of the contacts at the height of
+    the receiver that are cemented (column_share).
     """
     from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.campaign.prediction import check_predictions
@@ -99,11 +100,19 @@ def _read_feature(text: str) -> tuple[str, float]:
 def _prediction_line(content: float, prediction: "Prediction", level: float) -> str:
     """What is predicted, and from what."""
     interval = prediction.interval
-    source = "content and path features" if prediction.uses_features else "the content alone"
+    source = "content and features" if prediction.uses_features else "the content alone"
     return (
         f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {interval.low:.0f} to "
         f"{interval.high:.0f} m/s, from {source}."
     )
+
+
+def _used(check: "PredictorCheck") -> str:
+    """Which features have a part in a predictor."""
+    from calcidem.app.campaign.prediction import COLUMN, FEATURE_NAMES
+
+    kinds = {"column" if FEATURE_NAMES[number] == COLUMN else "path" for number in check.used}
+    return " and ".join(sorted(kinds))
 
 
 def _check_line(check: "PredictorCheck") -> str:
@@ -112,16 +121,17 @@ def _check_line(check: "PredictorCheck") -> str:
         f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
         f"Mean interval score {check.score:.0f} m/s; {check.content_score:.0f} m/s for the content alone."
     )
-    return text if check.features_help else f"{text} Path features add nothing within this content."
+    helps = f"{_used(check)} helps" if check.features_help else "Features add nothing"
+    return f"{text} {helps} within this content."
 
 
 def _check_table(checks: "Mapping[float, PredictorCheck]") -> Table:
     """Table of all contents."""
     table = Table(box=SIMPLE_HEAD)
-    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "path features"):
+    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "features"):
         table.add_column(name, justify="right")
     for content, check in checks.items():
-        verdict = "help" if check.features_help else "add nothing"
+        verdict = f"{_used(check)} helps" if check.features_help else "add nothing"
         numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{check.content_score:.1f}"
         table.add_row(f"{content:g}", str(check.n), *numbers, verdict)
     return table

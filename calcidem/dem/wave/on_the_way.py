@@ -15,7 +15,7 @@ _NOT_NEAR = 0.25  # ... and from where on the width does: a faster wave has alre
 _NEAR_PATH = 0.2  # periods within which a station's top lies beside the path, whose samples are few
 _NO_SWING = 0.08  # of a station's top that comes before it with the other sign, if no P wave does
 _NOT_BROAD = 0.08  # of the travel time that a top is broader than the sent one, if no faster wave is part of it, ...
-_TOO_BROAD = 0.4  # ... over its part of the way; and the same of a received peak whose own time says little
+_TOO_BROAD = 0.5  # ... over its part of the way; and the same of a received peak whose own time says little
 
 
 def denied_doubts(stations: Floats, places: Floats, path: Integers, sent: float, period: float) -> set[PickFailure]:

@@ -7,15 +7,24 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.campaign.prediction import FEATURE_NAMES, check_predictions
+from calcidem.app.campaign.prediction import COLUMN, PATH_FEATURES, check_predictions
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
+
+
+def column_share(campaign: OpenedCampaign, seed: int, content: float) -> float:
+    """Share of cemented contacts whose middle is no further above or below mid-height than the receiver reaches."""
+    sample = campaign.sample(seed=seed, content=content)
+    packing, half = sample.packing, campaign.config["wave"]["receiver_half_width"]
+    off = np.abs(packing.y[packing.pairs].mean(axis=1) - packing.height / 2.0)
+    return float((sample.kinds[off < half] > 0).mean())
 
 
 def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: OpenedCampaign) -> None:
     """The cement that a seed draws, given as a pattern or as features of its path, leads to one prediction."""
     stored = campaign.cell(seed=2, content=5.0)
-    features = {name: float(getattr(stored.features, name)) for name in FEATURE_NAMES}
+    features = {name: float(getattr(stored.features, name)) for name in PATH_FEATURES}
+    features[COLUMN] = column_share(campaign, seed=2, content=5.0)
     assert campaign.predict(content=5.0, pattern=stored.cement) == campaign.predict(content=5.0, features=features)
     found = campaign.predict(content=5.0, seed=501)
     assert found.interval.low < found.vs < found.interval.high
@@ -30,7 +39,7 @@ def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
     """A content without cells, an unknown feature, and contacts of another packing are told with a cure."""
     with pytest.raises(QueryError, match=r"content = 4 %.*Choose among 0"):
         campaign.predict(content=4.0)
-    with pytest.raises(QueryError, match="colour: no path feature"):
+    with pytest.raises(QueryError, match="colour: no such feature"):
         campaign.predict(content=5.0, features={"colour": 1.0})
     strange = CementPattern(np.array([[0, 4000]]), np.array([1]), np.empty((0, 2)))
     with pytest.raises(QueryError, match="do not touch"):
