@@ -188,3 +188,73 @@ def test_a_wave_that_a_high_one_follows_is_not_read(height: float, read: bool) -
     signals = Signals(INTERVAL, pulse.velocity(time), section(1.0, height), WAY, 1e-3, stations, tuple(places))
     found = read_travel_times(signals).peak
     assert found.velocity == pytest.approx(340.0, rel=0.03) if read else found.failure is PickFailure.LOST
+
+
+def splitting(place: float, until: float, second: float) -> np.ndarray:  # type: ignore[type-arg]
+    """A wave of 340 m/s at a place, and a slower part of it that stays behind from another place on."""
+    time, pulse = np.arange(0.0, 2.2e-3, INTERVAL), Pulse(0.5, FREQUENCY)
+    fast = pulse.velocity(time - place * WAY / 340.0)
+    stays = until * WAY / 340.0 + (place - until) * WAY / 170.0
+    return fast + (second * pulse.velocity(time - stays) if place > until else 0.0)
+
+
+@pytest.mark.parametrize(("until", "second", "read"), [(0.6, 1.2, True), (0.2, 0.95, False)])
+def test_what_stays_behind_late_on_the_way_is_of_the_same_wave(until: float, second: float, read: bool) -> None:
+    """Two tops of like height: a wave that was one for most of its way is read, two that went apart early are not."""
+    time, places = np.arange(0.0, 2.2e-3, INTERVAL), np.linspace(0.15, 0.9, 9)
+    stations = np.column_stack([splitting(place, until, second) for place in places])
+    sent, received = Pulse(0.5, FREQUENCY).velocity(time), splitting(1.0, until, second)
+    signals = Signals(INTERVAL, sent, received, WAY, 1e-3, stations, tuple(places))
+    found = read_travel_times(signals).peak
+    assert found.velocity == pytest.approx(340.0, rel=0.03) if read else found.failure is PickFailure.LOST
+
+
+def test_a_tie_ends_the_record() -> None:
+    """Nothing that comes later unties two tops, so that the sample need not be computed to its end."""
+    time, pulse, places = np.arange(0.0, 4.4e-3, INTERVAL), Pulse(0.5, FREQUENCY), np.linspace(0.15, 0.9, 9)
+
+    def section(place: float) -> np.ndarray:  # type: ignore[type-arg]
+        return pulse.velocity(time - place * WAY / 340.0) + pulse.velocity(time - place * WAY / 210.0)
+
+    stations = np.column_stack([section(place) for place in places])
+
+    def cut(count: int) -> Signals:
+        signals = pulse.velocity(time)[:count], section(1.0)[:count]
+        return Signals(INTERVAL, *signals, WAY, 1e-3, stations[:count], tuple(places))
+
+    ended = next(count for count in range(120, len(time), 20) if is_settled(cut(count)))
+    assert ended * INTERVAL < 1.3e-3  # the second wave has just passed
+    for count in (ended, 2 * ended, len(time)):
+        assert read_travel_times(cut(count)).peak.failure is PickFailure.LOST
+
+
+def test_what_is_left_of_a_wave_is_no_s_wave() -> None:
+    """Behind a wave that leads to no top, tops of less than a tenth of it are passed over, and need not be waited for."""
+    signals = loud_record()
+    flat = np.full_like(signals.stations, -1.0)
+    lost = Signals(INTERVAL, signals.sent, signals.received, WAY, 1e-3, flat, signals.places)
+    height = float(signals.received.max())
+    assert is_settled(lost, loudest=0.09 * height)
+    assert not is_settled(lost, loudest=0.11 * height)
+
+
+def test_a_peak_that_was_as_sent_on_the_way_is_no_sum_of_two_waves() -> None:
+    """A wave that becomes broad behind a station is read; one that was broad at all of them is not."""
+    time, places = np.arange(0.0, 2.2e-3, INTERVAL), np.linspace(0.15, 0.9, 9)
+    frequency = 230.0 * 1.2 / WAY
+
+    def section(place: float, begins: float) -> np.ndarray:  # type: ignore[type-arg]
+        broad = 1.0 + 0.75 * max(0.0, place - begins) / (1.0 - begins)
+        middle = 0.5 / frequency + place * WAY / 230.0
+        cycle = (time - middle) * frequency / broad
+        return 0.5 * np.where(np.abs(cycle) < 0.5, 1.0 + np.cos(2.0 * np.pi * cycle), 0.0)
+
+    def read(begins: float) -> PickFailure | None:
+        stations = np.column_stack([section(place, begins) for place in places])
+        sent = Pulse(0.5, frequency).velocity(time)
+        return read_travel_times(
+            Signals(INTERVAL, sent, section(1.0, begins), WAY, 1e-3, stations, tuple(places))
+        ).peak.failure
+
+    assert read(0.4) is None
+    assert read(-1.5) is PickFailure.BROAD
