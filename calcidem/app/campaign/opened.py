@@ -495,7 +495,7 @@ def load_paper_campaign() -> xr.Dataset:
     >>> import calcidem
     >>> campaign = calcidem.load_paper_campaign()
     >>> dict(campaign.sizes), int(campaign.vs.notnull().sum())
-    ({'seed': 116, 'content': 17}, 1887)
+    ({'seed': 116, 'content': 17}, 1896)
     >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
     380.0
     """

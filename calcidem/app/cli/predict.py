@@ -121,17 +121,17 @@ def _check_line(check: "PredictorCheck") -> str:
         f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
         f"Mean interval score {check.score:.0f} m/s; {check.content_score:.0f} m/s for the content alone."
     )
-    helps = f"{_used(check)} helps" if check.features_help else "Features add nothing"
-    return f"{text} {helps} within this content."
+    helps = f"What helps within this content: {_used(check)}."
+    return f"{text} {helps if check.features_help else 'Features add nothing within this content.'}"
 
 
 def _check_table(checks: "Mapping[float, PredictorCheck]") -> Table:
     """Table of all contents."""
     table = Table(box=SIMPLE_HEAD)
-    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "features"):
+    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "what helps"):
         table.add_column(name, justify="right")
     for content, check in checks.items():
-        verdict = f"{_used(check)} helps" if check.features_help else "add nothing"
+        verdict = _used(check) if check.features_help else "nothing"
         numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{check.content_score:.1f}"
         table.add_row(f"{content:g}", str(check.n), *numbers, verdict)
     return table
