@@ -17,7 +17,7 @@ def column_share(campaign: OpenedCampaign, seed: int, content: float) -> float:
     sample = campaign.sample(seed=seed, content=content)
     packing, half = sample.packing, campaign.config["wave"]["receiver_half_width"]
     off = np.abs(packing.y[packing.pairs].mean(axis=1) - packing.height / 2.0)
-    return float((sample.kinds[off < half] > 0).mean())
+    return float((sample.kind[off < half] > 0).mean())
 
 
 def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: OpenedCampaign) -> None:
