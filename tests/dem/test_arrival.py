@@ -495,7 +495,7 @@ def test_signals_that_cannot_be_read_are_refused() -> None:
 
 
 @given(st.floats(0.0, 1.0), st.floats(50.0, 1500.0), st.floats(3e3, 3e4), st.booleans(), st.integers(0, 2**32 - 1))
-@example(share=0.25, velocity=62.0, frequency=3000.0, upwards=False, seed=5204)  # a trough that follows makes a small top stand out
+@example(share=0.25, velocity=62.0, frequency=3000.0, upwards=False, seed=5204)  # a trough behind a small top
 def test_what_comes_later_is_read_only_if_it_is_high_enough(
     share: float, velocity: float, frequency: float, upwards: bool, seed: int
 ) -> None:

@@ -229,7 +229,7 @@ def test_a_tie_ends_the_record() -> None:
 
 
 def test_what_is_left_of_a_wave_is_no_s_wave() -> None:
-    """Behind a wave that leads to no top, tops of less than a tenth of it are passed over, and need not be waited for."""
+    """Behind a wave that leads to no top, tops of less than a tenth of it are passed over, and not waited for."""
     signals = loud_record()
     flat = np.full_like(signals.stations, -1.0)
     lost = Signals(INTERVAL, signals.sent, signals.received, WAY, 1e-3, flat, signals.places)

@@ -58,7 +58,8 @@ def predict_velocity(
     names = tuple(features)
     if strange := sorted(set(names) - set(FEATURE_NAMES)):
         raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
-    shares = _column_shares(campaign, [content]) if COLUMN in names else {}
+    shares = _column_shares(campaign, [content], names)
+    names = _known_of(names, shares)
     table, vs, seeds = _velocities_at(campaign, content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
     if others.sum() < _FEWEST_VELOCITIES:
@@ -76,13 +77,19 @@ def check_predictions(
     Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
     """
     contents = campaign.to_xarray(("vs",))["content"].to_numpy().tolist()
-    shares = _column_shares(campaign, contents) if COLUMN in names else {}
+    shares = _column_shares(campaign, contents, names)
+    names = _known_of(names, shares)
     samples = {content: _velocities_at(campaign, content, names, shares) for content in contents}
     return {
         content: check_predictor(table, vs, level, _choices(names))
         for content, (table, vs, _) in samples.items()
         if len(vs) >= _FEWEST_VELOCITIES and np.ptp(vs) > 0.0
     }
+
+
+def _known_of(names: Sequence[str], shares: Collection[tuple[int, float]]) -> tuple[str, ...]:
+    """Names of features that samples of the campaign have: where no cement can be drawn again, the path's alone."""
+    return tuple(name for name in names if shares or name != COLUMN)
 
 
 def _choices(names: Sequence[str]) -> list[list[int]]:
@@ -124,17 +131,19 @@ def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, f
     return {**known, COLUMN: graph.column_share(bonded)}
 
 
-def _column_shares(campaign: StoredCampaign, contents: Collection[float]) -> dict[tuple[int, float], float]:
-    """`COLUMN` of all samples with a velocity whose cement is known, by seed and content."""
+def _column_shares(
+    campaign: StoredCampaign, contents: Collection[float], names: Sequence[str]
+) -> dict[tuple[int, float], float]:
+    """`COLUMN`, if it is wanted, of all samples with a velocity whose cement is known, by seed and content."""
+    shares: dict[tuple[int, float], float] = {}
+    if COLUMN not in names:
+        return shares
     graphs = CampaignAnalysis(campaign).graphs
-    cells = campaign.select(content=contents, status="done", with_arrays=True)
-    return {
-        (cell.key.seed, cell.key.content): graphs[cell.packing_index].column_share(
-            graphs[cell.packing_index].bonded(cell.cement)
-        )
-        for cell in cells
-        if cell.cement is not None
-    }
+    for cell in campaign.select(content=contents, status="done", with_arrays=True):
+        if cell.cement is not None:
+            graph = graphs[cell.packing_index]
+            shares[cell.key.seed, cell.key.content] = graph.column_share(graph.bonded(cell.cement))
+    return shares
 
 
 def _velocities_at(

@@ -34,9 +34,7 @@ def predict_command(
     ] = None,
     feature: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help="Or a feature, such as normalized_connectivity=0.6; may be repeated."
-        ),
+        typer.Option(metavar="NAME=VALUE", help="Or a feature, such as normalized_connectivity=0.6; may be repeated."),
     ] = None,
     level: Annotated[
         float,

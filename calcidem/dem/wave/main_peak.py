@@ -355,7 +355,7 @@ def _leads(record: PreparedSignals, ridge: Ridge, ends: Integers, index: int) ->
     own = ridge.path_to(int(np.flatnonzero(ends == index)[0]))
     for other in np.flatnonzero(leads > _LEAST_LEAD).tolist():
         together = np.abs(ridge.path_to(other) - own) < _TOGETHER * record.period
-        if together[record.places >= _ONE_WAY].any():
+        if together[ridge.places >= _ONE_WAY].any():
             leads[other] = _LEAST_LEAD
     return leads
 

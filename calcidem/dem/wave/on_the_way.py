@@ -39,7 +39,7 @@ def denied_doubts(stations: Floats, places: Floats, path: Integers, sent: float,
     swings = [swing for station, (swing, _) in zip(asked, shapes, strict=True) if places[station] >= _FAR]
     if np.median(swings) >= _NO_SWING:
         return set()
-    # A faster wave that is part of the peak is part of it at each station, the further ahead the further they have come.
+    # A faster wave that is part of the peak is part of it at each station, and leads by more the further both came.
     as_sent = any(width < _NOT_BROAD * places[station] for station, (_, width) in zip(asked, shapes, strict=True))
     _, width = _shape_of_top(stations[:, -1], int(path[-1]), sent, period)
     return {PickFailure.PRECURSOR, *([PickFailure.BROAD] if as_sent and width < _TOO_BROAD else [])}

@@ -30,6 +30,8 @@ class Ridge:
     scores
         (E,) mean of the signals under each path, each over its station's largest value, less what its bends cost: 1 for
         a path along the highest tops at one slowness.
+    places
+        (X,) distances of the stations from the transmitter over that of the last.
     begin, step
         Sample at which paths may begin, and samples from one sample of theirs to the next.
     ends
@@ -41,6 +43,7 @@ class Ridge:
     """
 
     scores: Floats
+    places: Floats
     begin: int
     step: int
     ends: Integers
@@ -104,4 +107,4 @@ def follow_ridge(stations: Floats, places: Floats, ends: Integers, sent: float, 
     # A path may end a sample beside a top: slownesses and samples are few.
     near = np.rint((np.asarray(ends) - begin) / step).astype(int)[:, None] + np.arange(-1, 2)
     near = np.clip(near, 0, count - 1)
-    return Ridge(np.asarray(along[near].max(axis=1)), begin, step, near, late, tuple(sums))
+    return Ridge(np.asarray(along[near].max(axis=1)), places, begin, step, near, late, tuple(sums))

@@ -1,6 +1,7 @@
 """`calcidem predict` and `campaign.predict`: velocities of the tutorial's campaign without simulating."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,18 @@ def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: Opened
     alone = campaign.predict(content=5.0, seed=2, features={})
     assert alone.vs == pytest.approx(float(np.exp(np.log(vs.drop_sel(seed=2)).mean())))
     assert campaign.predict(content=5.0).vs == pytest.approx(float(np.exp(np.log(vs).mean())))
+
+
+def test_a_campaign_without_its_cement_predicts_from_paths(
+    campaign: OpenedCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no sample's cement can be drawn again, as with an older physics, the column is left out."""
+    features = {**dict.fromkeys(PATH_FEATURES, 1.0), COLUMN: 0.5}
+    bare = [replace(cell, cement=None) for cell in campaign.select(content=5.0, status="done")]
+    monkeypatch.setattr(OpenedCampaign, "_complete", lambda _self, _cells: iter(bare))
+    assert check_predictions(campaign) == check_predictions(campaign, PATH_FEATURES)
+    found = campaign.predict(content=5.0, features=features)
+    assert found == campaign.predict(content=5.0, features=dict.fromkeys(PATH_FEATURES, 1.0))
 
 
 def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
