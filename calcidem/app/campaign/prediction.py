@@ -53,7 +53,8 @@ def predict_velocity(
     Raises
     ------
     QueryError
-        If a name is unknown, or the campaign has too few velocities at the content.
+        If a name is unknown, a value far from those of all samples, or the campaign has too few velocities at the
+        content.
     """
     names = tuple(features)
     if strange := sorted(set(names) - set(FEATURE_NAMES)):
@@ -65,6 +66,7 @@ def predict_velocity(
     if others.sum() < _FEWEST_VELOCITIES:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
         raise QueryError(problem, f"Compute at least {_FEWEST_VELOCITIES} seeds first.")
+    _refuse_far_features(content, names, features, table[others])
     predictor = fit_predictor(table[others], vs[others], level, _choices(names))
     return predictor.predict([features[name] for name in names])
 
@@ -85,6 +87,18 @@ def check_predictions(
         for content, (table, vs, _) in samples.items()
         if len(vs) >= _FEWEST_VELOCITIES and np.ptp(vs) > 0.0
     }
+
+
+def _refuse_far_features(
+    content: float, names: Sequence[str], features: Mapping[str, float], table: npt.NDArray[np.float64]
+) -> None:
+    """Raise a `QueryError` if a value lies outside those of the samples, (n, k), by more than they differ."""
+    for name, low, high in zip(names, table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True):
+        if high > low and not 2.0 * low - high <= features[name] <= 2.0 * high - low:
+            problem = (
+                f"{name} = {features[name]:g} is far from the {low:g} to {high:g} of the samples at {content:g} %."
+            )
+            raise QueryError(problem, "Give what a sample of this content has.")
 
 
 def _known_of(names: Sequence[str], shares: Collection[tuple[int, float]]) -> tuple[str, ...]:

@@ -40,12 +40,13 @@ def test_a_campaign_without_its_cement_predicts_from_paths(
     campaign: OpenedCampaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where no sample's cement can be drawn again, as with an older physics, the column is left out."""
-    features = {**dict.fromkeys(PATH_FEATURES, 1.0), COLUMN: 0.5}
+    stored = campaign.cell(seed=2, content=5.0).features
+    path = {name: float(getattr(stored, name)) for name in PATH_FEATURES}
     bare = [replace(cell, cement=None) for cell in campaign.select(content=5.0, status="done")]
     monkeypatch.setattr(OpenedCampaign, "_complete", lambda _self, _cells: iter(bare))
     assert check_predictions(campaign) == check_predictions(campaign, PATH_FEATURES)
-    found = campaign.predict(content=5.0, features=features)
-    assert found == campaign.predict(content=5.0, features=dict.fromkeys(PATH_FEATURES, 1.0))
+    found = campaign.predict(content=5.0, features={**path, COLUMN: 0.5})
+    assert found == campaign.predict(content=5.0, features=path)
 
 
 def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
@@ -54,6 +55,8 @@ def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
         campaign.predict(content=4.0)
     with pytest.raises(QueryError, match="colour: no such feature"):
         campaign.predict(content=5.0, features={"colour": 1.0})
+    with pytest.raises(QueryError, match=r"connectivity = 2 is far from the .* of the samples at 5 %"):
+        campaign.predict(content=5.0, features={"connectivity": 2.0})
     strange = CementPattern(np.array([[0, 4000]]), np.array([1]), np.empty((0, 2)))
     with pytest.raises(QueryError, match="do not touch"):
         campaign.predict(content=5.0, pattern=strange)
@@ -78,7 +81,7 @@ def test_the_command_predicts_and_says_how_far_to_trust_it(
     assert f"5 %: Vs {campaign.predict(content=5.0, pattern=cement).vs:.0f} m/s, 95 %" in one
     assert f"Mean interval score {checks[5.0].score:.0f} m/s" in one
     assert ("add nothing" in one) != checks[5.0].features_help
-    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction=0.4", "--level", 0.9)
+    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction=0.9", "--level", 0.9)
     invoke("predict", database, "--seed", 3, exit_code=2)
     invoke("predict", database, "--level", "nan", exit_code=2)
     invoke("predict", database, "--content", 5, "--feature", "bonded_fraction", exit_code=2)
