@@ -486,7 +486,7 @@ def load_paper_campaign() -> xr.Dataset:
     -------
     xarray.Dataset
         Along (seed, content): Vs by three readings (m/s), their quality, path features, error, time step and so on,
-        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are 85. Signals
+        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are 76. Signals
         and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and
         machine are in ``calcidem_runs``.
 

@@ -74,7 +74,7 @@ class ErrorParts(NamedTuple):
     noise: float
     chatter: float
     unbalanced: float
-    breaking: float = 0.0
+    breaking: float
 
 
 def error_bound(parts: ErrorParts) -> float:

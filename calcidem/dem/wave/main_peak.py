@@ -221,7 +221,8 @@ def judge_tops(record: PreparedSignals) -> Iterator[tuple[int, MainPeak | PickFa
 def least_later_height(record: PreparedSignals) -> float:
     """Height above zero below which a top behind a finite record, which holds the whole pulse, is passed over.
 
-    Each condition is one of `_judge_peak`, whose quiet part, largest value and trough only grow with the record.
+    Each condition is one of `_judge_peak` or `_judge_on_ridge`; quiet part, largest value and trough only grow with the
+    record.
     """
     offset = abs(float(record.signals.received[0] - record.received[0]))
     known = record.smooth[: max(1, len(record.smooth) - record.reach)]
@@ -320,7 +321,7 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     ridge = follow_ridge(section[:horizon], places, ends, sent, record.period)
     end = int(np.flatnonzero(ends == index)[0])
     score, away = float(ridge.scores[end]), np.abs(ends - index) > _APART * travel
-    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ridge, ends, index))[away].max(initial=-1.0))):
+    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ridge, ends, end))[away].max(initial=-1.0))):
         tied = score >= max(_LEAST_SCORE, float(ridge.scores[away].max(initial=-1.0)) - _LEAST_LEAD)
         return PassedOver.TIED if tied else PassedOver.OFF_RIDGE
     trough = int(np.argmin(view[: index + 1]))
@@ -346,16 +347,17 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     )
 
 
-def _leads(record: PreparedSignals, ridge: Ridge, ends: Integers, index: int) -> Floats:
-    """(E,) lead in score that a top must have over each other one, by which is the higher and which comes first."""
+def _leads(record: PreparedSignals, ridge: Ridge, ends: Integers, end: int) -> Floats:
+    """(E,) lead in score that one top must have over each other, by which is the higher and which comes first."""
+    index = int(ends[end])
     heights, travel = record.smooth[ends] / record.smooth[index], ends - record.sent_peak
-    apart = travel > _P_AHEAD * (index - record.sent_peak)
-    kinds = [apart & (heights > 1.0), apart & (heights > _HIGH), (ends > index) & (heights < _LOW)]
+    p_first = travel > _P_AHEAD * (index - record.sent_peak)
+    kinds = [p_first & (heights > 1.0), p_first & (heights > _HIGH), (ends > index) & (heights < _LOW)]
     leads = np.select(kinds, [_LEAD_OVER_HIGHER, _LEAD_OVER_HIGH, -_LEAD_OVER_HIGHER], _LEAST_LEAD)
-    own = ridge.path_to(int(np.flatnonzero(ends == index)[0]))
-    for other in np.flatnonzero(leads > _LEAST_LEAD).tolist():
-        together = np.abs(ridge.path_to(other) - own) < _TOGETHER * record.period
-        if together[ridge.places >= _ONE_WAY].any():
+    ahead = ridge.scores + leads > ridge.scores[end]
+    for other in np.flatnonzero(ahead & (leads > _LEAST_LEAD)).tolist():
+        apart = np.abs(ridge.path_to(other) - ridge.path_to(end))
+        if (apart[ridge.places >= _ONE_WAY] < _TOGETHER * record.period).any():
             leads[other] = _LEAST_LEAD
     return leads
 

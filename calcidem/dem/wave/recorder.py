@@ -134,8 +134,8 @@ class Recorder:
         See `guards.problems_of`.
     signals
         (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations.
-    nonlinear, slipped, bonds
-        See `WaveRecord`, for each sample and, the latter two, each lane.
+    nonlinear, slipped, bonds, broken
+        See `WaveRecord`, for each sample and, the latter three, each lane; ``broken`` are its broken bonds.
     """
 
     state: State
@@ -152,13 +152,14 @@ class Recorder:
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
     bonds: Integers = field(init=False)
+    broken: Integers = field(init=False)
 
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
         self.signals = np.zeros((self.state.features.lanes, 2 + len(self.listeners), 0))
         self.slipped = np.zeros(self.state.features.lanes)
-        self.bonds = cemented_bonds(self.state)
+        self.bonds, self.broken = cemented_bonds(self.state), broken_bonds(self.state)
 
     @property
     def steps_per_look(self) -> int:
@@ -212,6 +213,7 @@ class Recorder:
             samples=np.zeros((samples, 1 + len(self.listeners), lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
+        self.broken = broken_bonds(self.state)
         times = _sample_times(begin, begin + samples, self.stride, self.state.time_step[:, None])
         received = recording.samples.astype(float)
         # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
@@ -250,7 +252,7 @@ class Recorder:
             stations=np.array(stations).T if stations else None,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
-            broken_bonds=int(broken_bonds(self.state)[lane]),
+            broken_bonds=int(self.broken[lane]),
             bonds=int(self.bonds[lane]),
             remaining_speed=remaining_speed,
             nonlinear=tuple(self.nonlinear[lane]),
