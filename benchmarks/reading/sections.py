@@ -4,7 +4,8 @@
 
 The signals are those of run.py, with the same meaning of *wrong*, *refused* and *readable*. Stations on the way record the
 same waves: each at its own time, as far as it has come, with what swings at the receiver only near it, and scattered arrivals
-that come the same way, from elsewhere or back; ranges.toml says how much. Each is read with stations and from the receiver alone.
+that come the same way, from elsewhere or back; ranges.toml says how much. Each is read with stations and the
+motion along the way (polarisation), with stations alone, and from the receiver alone.
 """
 
 import argparse
@@ -38,8 +39,39 @@ def draw_section(seed: int, index: int) -> Known:
         for (later, height), origin in zip(drawn.coda, origins, strict=True):
             waves += height * _scattered(medium, place, later, origin)
         columns.append(loudness * (waves + drawn.noise(generator, drawn.count)))
-    signals = replace(known.signals, stations=np.column_stack(columns), places=tuple(places.tolist()))
+    along = _draw_along(np.random.default_rng([seed, index, 2]), medium, np.append(places, 1.0), growth)
+    signals = replace(known.signals, stations=np.column_stack(columns), places=tuple(places.tolist()), along=along)
     return replace(known, signals=signals)
+
+
+def _draw_along(generator: np.random.Generator, medium: Medium, places: Floats, growth: float) -> Floats:
+    """Motion along the way at each place: that of the P wave, of what it leaves behind, and a part of all others."""
+    drawn, rules = medium.drawn, _RULES["along"]
+    parts, period = drawn.parts, 1.0 / drawn.frequency
+    height = max(abs(parts["p_height"]) / generator.uniform(*rules["p_share"]), generator.uniform(*rules["p_height"]))
+    wider = float(generator.uniform(*rules["p_wider"]))
+    behind = [
+        (float(generator.exponential(rules["p_coda_spread"])), float(generator.uniform(-1.0, 1.0)))
+        for _ in range(int(generator.uniform(*rules["p_coda_arrivals"])))
+    ]
+    coda = generator.uniform(*rules["p_coda"]) * height
+    shares = generator.uniform(-1.0, 1.0, len(drawn.coda))
+    columns = []
+    for place in places.tolist():
+        part, p_time = max(place, 0.08), place * drawn.delay / parts["p_ratio"]
+        p_width = parts["width"] * parts["p_width"] * wider
+        loudness, leak = np.exp(rules["loudness"] * generator.standard_normal()), rules["leak"]
+        leak *= np.exp(rules["leak_spread"] * generator.standard_normal()) * generator.choice([-1.0, 1.0])
+        p_late, s_late = rules["p_lateness"] * period * generator.standard_normal(2)
+        waves = height * loudness * place**growth * medium.pulse(p_time + p_late, p_width, 0.0, part)
+        waves += leak * medium.pulse(place * drawn.delay + s_late, parts["width"], parts["tail"], part)
+        for later, share in behind:
+            decay = np.exp(-later / rules["p_coda_decay"])
+            waves += coda * share * decay * place**growth * medium.pulse(p_time + later * period, p_width, 0.0, part)
+        for (later, high), share in zip(drawn.coda, shares.tolist(), strict=True):
+            waves += high * share * medium.pulse(place * drawn.delay + later, parts["width"], 0.0, part)
+        columns.append(waves + drawn.noise(generator, drawn.count))
+    return np.column_stack(columns)
 
 
 def _draw_origin(generator: np.random.Generator) -> tuple[int, float, float]:
@@ -92,10 +124,11 @@ def _scattered(medium: Medium, place: float, later: float, origin: tuple[int, fl
 
 
 def read_sections(known: list[Known]) -> Floats:
-    """(N, 2) relative errors of the travel times, with stations and from the receiver alone; NaN where there is none."""
-    errors = np.full((len(known), 2), np.nan)
+    """(N, 3) relative errors of the travel times: with polarisation, stations, receiver alone; NaN where there is none."""
+    errors = np.full((len(known), 3), np.nan)
     for index, one in enumerate(known):
-        for column, signals in enumerate((one.signals, replace(one.signals, stations=None, places=()))):
+        across = replace(one.signals, along=None)
+        for column, signals in enumerate((one.signals, across, replace(across, stations=None, places=()))):
             found = read_travel_times(signals, _RULE).peak.travel_time
             if found is not None:
                 errors[index, column] = found / one.delay - 1.0
@@ -112,7 +145,9 @@ def main() -> None:
     errors = read_sections(known)
     kinds, readable = np.array([one.kind for one in known]), np.array([one.readable for one in known])
     print(f"{len(known)} sections of seed {chosen.seed}, {readable.sum()} of them readable\n")
-    print("| kind | with stations: wrong % | refused % | receiver alone: wrong % | refused % |\n|---|---|---|---|---|")
+    ways = "with polarisation", "stations alone", "receiver alone"
+    print("| kind | " + " | ".join(f"{way}: wrong % | refused %" for way in ways) + " |")
+    print("|---|" + "---|---|" * len(ways))
     for kind in (*KINDS, "all"):
         some = kinds == kind if kind != "all" else np.ones(len(known), dtype=bool)
         cells = []

@@ -170,6 +170,10 @@ WRONG = {
         '[wave]\nstations = 8\n[pick]\nsignal = "force"\n',
         ("wave.stations = 8", 'give 0, or pick.signal = "velocity"'),
     ),
+    "polarisation without stations": (
+        "[wave]\npolarisation = true\n",
+        ("wave.stations = 0", "give 4 and more, or polarisation = false"),
+    ),
     "stations thinner than a disk": (
         "[wave]\nstations = 26\n",
         ("wave.stations = 26", "thinner than the largest disk", "give at most 25"),

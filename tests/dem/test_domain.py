@@ -11,7 +11,7 @@ from calcidem.dem.engine.step_control import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
-from calcidem.dem.wave.domain import domain_of, station_disks
+from calcidem.dem.wave.domain import domain_of, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder
@@ -91,7 +91,7 @@ def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
 
 def test_stations_hear_the_mean_of_their_disks_and_leave_the_receiver_as_it_is(packing: Packing) -> None:
     """The receiver's bits are those of a run without stations; each station is the plain mean of a slice."""
-    rule = replace(RULE, stations=4)
+    rule = replace(RULE, stations=4, polarisation=True)
     heard_by = []
     for given in (RULE, rule):
         experiment = Experiment(packing, sand=SAND, wave=given)
@@ -99,12 +99,15 @@ def test_stations_hear_the_mean_of_their_disks_and_leave_the_receiver_as_it_is(p
         heard_by.append(recorder.run(lambda record: len(record.sent) >= 2 * SAMPLES_PER_CHUNK, lambda: None)[0])
     alone, accompanied = heard_by
     assert alone.stations is None
+    assert alone.along is None
     np.testing.assert_array_equal(accompanied.velocity, alone.velocity)
     part = domain_of(packing, rule, "preserve").packing
-    velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), 1, 0]
-    means = [velocity[disks].mean() for disks in station_disks(part, rule)]
-    assert np.abs(means).max() > 0.0
-    np.testing.assert_allclose(accompanied.stations[-1], means, rtol=1e-12)  # type: ignore[index]
+    velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
+    listening = [*station_disks(part, rule), listening_disks(part, rule)]
+    along, across = np.array([velocity[disks].mean(axis=0) for disks in listening]).T
+    assert np.abs([along, across]).max(axis=1).min() > 0.0
+    np.testing.assert_allclose(accompanied.stations[-1], across[:-1], rtol=1e-12)  # type: ignore[index]
+    np.testing.assert_allclose(accompanied.along[-1], along, rtol=1e-12)  # type: ignore[index]
     assert (np.diff(experiment.stations) > 0.0).all()
     assert 0.1 < experiment.stations[0] < experiment.stations[-1] < 1.0
 

@@ -42,6 +42,7 @@ def send(state: State, drive: Floats, driven: list[int], heard: int) -> tuple[St
         receiver=0,
         listeners=place[[heard]],
         groups=np.array([0, 1]),
+        axes=np.array([1]),
         samples=np.zeros((len(drive), 2, state.features.lanes), dtype),
     )
     return run_in_place(state, len(drive), recording), recording.samples[:, 1]

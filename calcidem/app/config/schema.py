@@ -44,7 +44,7 @@ PHYSICS_VERSION = 3
 FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
 """Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
 
-_LATER_KEYS = ("transmitter", "most_broken_bonds", "fewest_periods", "stations", "p_patch_diameter")
+_LATER_KEYS = ("transmitter", "most_broken_bonds", "fewest_periods", "stations", "p_patch_diameter", "polarisation")
 """Keys that campaigns did not have at first: hashes and stored configurations have them where they are no defaults."""
 
 

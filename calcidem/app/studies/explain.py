@@ -120,7 +120,8 @@ def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
     found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
-    return [*found, _local_damping(experiment), _wall_or_disks(experiment), _stations(experiment)]
+    found += [_local_damping(experiment), _wall_or_disks(experiment), _stations(experiment)]
+    return [*found, *_polarisation(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -200,6 +201,16 @@ def _stations(experiment: Experiment) -> Alternative:
     other = with_wave(experiment, stations=min(possible, _STATIONS)) if fits else None
     why = "the receiver alone tells which top is the S wave's"
     return Alternative("stations", needed=False, why=why, opposite=other)
+
+
+def _polarisation(experiment: Experiment) -> list[Alternative]:
+    """Motion along the way, by which P wave and S wave are told apart; nothing to say without stations."""
+    wave = experiment.wave
+    if not wave.stations:
+        return []
+    why = "P waves are told by their motion along the way" if wave.polarisation else "motion across the way is followed"
+    other = with_wave(experiment, polarisation=not wave.polarisation)
+    return [Alternative("motion along the way", wave.polarisation, why, other)]
 
 
 def _early_stop(experiment: Experiment) -> Alternative:

@@ -237,6 +237,7 @@ def no_recording(state: State) -> Recording:
         receiver=0,
         listeners=np.zeros(0, dtype=np.int64),
         groups=np.zeros(2, dtype=np.int64),
+        axes=np.zeros(1, dtype=np.int64),
         samples=np.zeros((0, 2, lanes), dtype),
     )
 

@@ -249,9 +249,11 @@ class Recording(NamedTuple):
     receiver
         Index of the wall whose shear force is recorded.
     listeners
-        Disks whose mean velocities along y are recorded, group by group.
+        Disks whose mean velocities are recorded, group by group.
     groups
         (G + 1,) the disks of group g are ``listeners[groups[g] : groups[g + 1]]``.
+    axes
+        (G,) component of the velocity of each group, `X` or `Y`.
     samples
         (S // stride, 1 + G, L) shear force on the receiving wall (N/m), mean velocity of each group (m/s).
     """
@@ -264,6 +266,7 @@ class Recording(NamedTuple):
     receiver: int
     listeners: Integers
     groups: Integers
+    axes: Integers
     samples: Floats
 
 

@@ -30,7 +30,7 @@ from calcidem.dem.kernels.lanes import (
     scalar,
     store,
 )
-from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System, Y
+from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System
 from calcidem.dem.kernels.motion import drive_disks, integrate, integrate_records, of_disk
 from calcidem.dem.kernels.pair import add_pair_forces
 from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
@@ -135,7 +135,8 @@ def _record_sample(features: Features, sample: int, system: System) -> None:
     store(recording.samples, (sample, RECEIVED), received)
     for group in range(recording.groups.shape[0] - 1):
         begin, end = scalar(recording.groups, (group,)), scalar(recording.groups, (group + 1,))
+        axis = scalar(recording.axes, (group,))
         total = received * 0.0
         for place in range(begin, end):
-            total = total + of_disk(features, system.motion.velocity, scalar(recording.listeners, (place,)), Y)
+            total = total + of_disk(features, system.motion.velocity, scalar(recording.listeners, (place,)), axis)
         store(recording.samples, (sample, LISTENED + group), total * (1.0 / max(1, end - begin)))

@@ -20,6 +20,7 @@ from calcidem.dem.wave.main_peak import (
     settled_peak,
 )
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
+from calcidem.dem.wave.polarisation import FAINTEST, STEEPEST
 
 _PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
 _DISAGREEMENT = 0.1  # of the travel time
@@ -58,10 +59,14 @@ def is_settled(signals: Signals, rule: PickRule = _DEFAULT_RULE, *, loudest: flo
     most, is too low to be it.
     """
     record = prepare_signals(signals, rule)
+    if not record.along_known and loudest >= FAINTEST * float(np.max(signals.sent)):
+        return False
     main = settled_peak(record)
     if main is not None:
         return isinstance(main, MainPeak) or main is PickFailure.LOST
     height, open_end = least_later_height(record), np.asarray(signals.received)[-1 - record.reach :]
+    # Motion across and along, of which the latter may be taken off the former, are one disk's velocity.
+    loudest *= 1.0 if record.along is None else float(np.hypot(1.0, STEEPEST))
     return loudest < height and float(np.abs(open_end).max()) < height
 
 

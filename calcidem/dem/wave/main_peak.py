@@ -16,6 +16,7 @@ from calcidem.dem.engine.portable import smooth_cubically
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.on_the_way import denied_doubts
 from calcidem.dem.wave.pick import PassedOver, PickFailure, PickRule, Reading, Signals
+from calcidem.dem.wave.polarisation import along_over_across, find_p_waves
 from calcidem.dem.wave.ridge import Ridge, follow_ridge
 from calcidem.dem.wave.tops import find_tops, half_height, half_width, prominence
 
@@ -57,6 +58,10 @@ _HIGH = 0.75  # ... it may lag by the larger lead ...
 _TOGETHER = 0.1  # periods within which two paths are one; where they are still one ...
 _ONE_WAY = 0.5  # ... behind this part of the way, the later top has come from the first one's wave
 _LOW = 0.6  # ... behind one that comes later and is lower than this part of it: that is what was scattered
+_P_MOTION = 1.75  # of grains along the way over that across, from which on a top is a P wave's ...
+_S_MOTION = 0.5  # ... and below which it is the S wave's, ...
+_MOTION_WITHIN = 0.15  # ... within so many periods before and behind its path, in the median of the stations ...
+_MOTION_FROM = 0.25  # ... from this part of the way on, where the waves begin to part
 
 PERIODS_ASKED = {PickFailure.BROAD: _BLURRED, PickFailure.NEAR: _BLURRED, PickFailure.PRECURSOR: _CUTTING}
 """Periods of the pulse on the way from which on these reasons do not occur, or mostly not."""
@@ -87,6 +92,10 @@ class PreparedSignals:
     section, places
         (T, X + 1) smoothed signals of the stations and of the receiver, and (X + 1,) their places as parts of the
         distance; None without stations.
+    along
+        (T, X + 1) smoothed motion along the way, None without. What it tells to be P wave is taken off all others.
+    along_known
+        Whether what was taken off stays the same in a longer record.
     """
 
     signals: Signals
@@ -102,6 +111,8 @@ class PreparedSignals:
     reach: int
     section: Floats | None = None
     places: Floats | None = None
+    along: Floats | None = None
+    along_known: bool = True
 
     def reading(self, samples: float, quality: float) -> Reading:
         """Turn a travel time in samples into a reading."""
@@ -148,8 +159,6 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
     began, ended = half_width(sent, top)
     period = 2.0 * (ended - began)
     earliest = signals.distance / (rule.fastest * signals.sampling_interval)
-    # No straight line is taken off: the short quiet part at the start cannot tell how it would go on.
-    received = np.asarray(received - _median(received[: max(1, int(earliest))]))
     reach = int(rule.smoothing * period / 2.0)
 
     def smoothed(signal: Floats) -> Floats:
@@ -157,10 +166,22 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
         possible = reach > 1 and 2 * reach < len(signal) and bool(np.isfinite(signal).all())
         return smooth_cubically(signal, reach) if possible else signal
 
-    smooth, section, places = smoothed(received), None, None
+    def all_smoothed(station_signals: Floats) -> Floats:
+        return np.column_stack([smoothed(np.ascontiguousarray(one, float)) for one in station_signals.T])
+
+    section, places, along, along_known = None, None, None, True
     if signals.stations is not None:
-        section = np.column_stack([*(smoothed(np.ascontiguousarray(one, float)) for one in signals.stations.T), smooth])
-        places = np.append(signals.places, 1.0)
+        section, places = all_smoothed(signals.stations), np.append(signals.places, 1.0)
+    if section is not None and signals.along is not None:
+        along, across = all_smoothed(signals.along), np.column_stack([section, smoothed(received)])
+        shares, known = find_p_waves(across, along, max(1, len(received) - reach), float(sent[top]), period)
+        section, along_known = section - shares[:, :-1] * along[:, :-1], bool(known.all())
+        received = received - shares[:, -1] * signals.along[:, -1]
+    # No straight line is taken off: the short quiet part at the start cannot tell how it would go on.
+    received = np.asarray(received - _median(received[: max(1, int(earliest))]))
+    smooth = smoothed(received)
+    if section is not None:
+        section = np.column_stack([section, smooth])
     return PreparedSignals(
         signals=signals,
         rule=rule,
@@ -175,6 +196,8 @@ def prepare_signals(signals: Signals, rule: PickRule) -> PreparedSignals:
         reach=reach,
         section=section,
         places=places,
+        along=along,
+        along_known=along_known,
     )
 
 
@@ -320,10 +343,10 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     ends = np.array([top for top in _find_high_tops(view, record.signals.floor) if top - sent > record.earliest])
     ridge = follow_ridge(section[:horizon], places, ends, sent, record.period)
     end = int(np.flatnonzero(ends == index)[0])
-    score, away = float(ridge.scores[end]), np.abs(ends - index) > _APART * travel
-    if score < max(_LEAST_SCORE, float((ridge.scores + _leads(record, ridge, ends, end))[away].max(initial=-1.0))):
-        tied = score >= max(_LEAST_SCORE, float(ridge.scores[away].max(initial=-1.0)) - _LEAST_LEAD)
-        return PassedOver.TIED if tied else PassedOver.OFF_RIDGE
+    motion, away = _motion_along(record, ridge, end), np.abs(ends - index) > _APART * travel
+    passed_over = _weigh_paths(record, ridge, ends, end, np.flatnonzero(away))
+    if passed_over is not None:
+        return passed_over
     trough = int(np.argmin(view[: index + 1]))
     behind_p = -float(view[trough]) > rule.precursor * height and trough > sent
     without_p = _top_without_p(view, trough, index) if behind_p else time
@@ -334,6 +357,8 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     ]
     if doubts:
         denied = denied_doubts(section[:horizon], places, ridge.path_to(end), sent, record.period)
+        if motion < _S_MOTION:  # whatever made its shape, it was no P wave
+            denied |= {PickFailure.BROAD, PickFailure.PRECURSOR}
         doubts = [doubt for doubt in doubts if doubt not in denied]
     return MainPeak(
         index=index,
@@ -341,10 +366,38 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
         height=height,
         noise=noise,
         precursor=max((prominence(before, top) for top in find_tops(before).tolist()), default=0.0) / height,
-        quality=score,
+        quality=float(ridge.scores[end]),
         doubt=next(iter(doubts), None),
         end=horizon + record.reach,
     )
+
+
+def _weigh_paths(
+    record: PreparedSignals, ridge: Ridge, ends: Integers, end: int, others: Integers
+) -> PassedOver | None:
+    """Why the path to one of the tops is not the S wave's, weighed against those to others; None if it is."""
+    scores, score, motion = ridge.scores, float(ridge.scores[end]), _motion_along(record, ridge, end)
+    if score >= _LEAST_SCORE and motion > _P_MOTION:
+        return PassedOver.P_WAVE
+    ahead = scores + _leads(record, ridge, ends, end)
+    if score >= max(_LEAST_SCORE, float(ahead[others].max(initial=-1.0))):
+        return None
+    likely = others[scores[others] >= score - _LEAST_LEAD]
+    if score < max(_LEAST_SCORE, float(scores[others].max(initial=-1.0)) - _LEAST_LEAD):
+        return PassedOver.OFF_RIDGE
+    if motion < _S_MOTION:  # of S waves on several ways the first is read
+        return None
+    across = any(_motion_along(record, ridge, int(other)) < _S_MOTION for other in likely)
+    return PassedOver.P_WAVE if across else PassedOver.TIED
+
+
+def _motion_along(record: PreparedSignals, ridge: Ridge, end: int) -> float:
+    """Motion along the way over that across it on a path, in the median of the farther stations; 1 if not recorded."""
+    if record.section is None or record.along is None:
+        return 1.0
+    reach = int(_MOTION_WITHIN * record.period)
+    shares = along_over_across(record.section, record.along, ridge.path_to(end), reach)
+    return float(np.median(shares[ridge.places >= _MOTION_FROM]))
 
 
 def _leads(record: PreparedSignals, ridge: Ridge, ends: Integers, end: int) -> Floats:
@@ -483,7 +536,8 @@ def _why_no_peak(record: PreparedSignals, cut_off: bool) -> PickFailure:
     if cut_off or np.argmax(smooth) >= len(smooth) - record.period:
         return PickFailure.TOO_SHORT
     passed_over = () if record.section is None else {why for _, why in judge_tops(record)}
-    return PickFailure.LOST if PassedOver.OFF_RIDGE in passed_over else PickFailure.NO_PEAK
+    followed = {PassedOver.OFF_RIDGE, PassedOver.P_WAVE} & set(passed_over)
+    return PickFailure.LOST if followed else PickFailure.NO_PEAK
 
 
 def parabola_vertex(signal: Floats, index: int) -> float:

@@ -150,7 +150,7 @@ def signals_of(record: WaveRecord, experiment: Experiment) -> Signals:
     floor = (_MUTED if wave.damping > _MUTING else _SILENT) * wave.amplitude
     if experiment.signal == "velocity":
         given = record.sampling_interval, record.sent, record.velocity, experiment.distance, floor
-        return Signals(*given, record.stations, experiment.stations)
+        return Signals(*given, record.stations, experiment.stations, record.along)
     floor *= experiment.sand.density * experiment.pick.slowest * 2.0 * wave.receiver_half_width
     return Signals(record.sampling_interval, record.sent, record.force, experiment.distance, floor)
 

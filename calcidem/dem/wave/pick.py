@@ -38,6 +38,7 @@ class PassedOver(StrEnum):
     NARROW = "it is far narrower than the pulse that was sent"
     FAINT = "it is hardly above what was there before any wave could be"
     OFF_RIDGE = "what the stations saw on the way leads to another top"
+    P_WAVE = "grains moved along the way there as a P wave moves them"
     TIED = "what the stations saw on the way leads to another top as well"
 
 
@@ -127,6 +128,9 @@ class Signals:
         arrival until the pulse is there, and a simulation also passes on what no instrument would see.
     stations, places
         (T, X) signals on the way, and where, as parts of the distance: they tell which top is the S wave's.
+    along
+        (T, X + 1) velocities along the way at the stations and at the receiver: they tell P wave from S wave. All other
+        signals have to be velocities then.
     """
 
     sampling_interval: float
@@ -136,6 +140,7 @@ class Signals:
     floor: float
     stations: Floats | None = None
     places: tuple[float, ...] = ()
+    along: Floats | None = None
 
     def __post_init__(self) -> None:
         """Refuse signals that do not match or hold no pulse."""
@@ -148,6 +153,8 @@ class Signals:
             raise ValueError(f"received {np.shape(self.received)}: give a one-dimensional array of samples")
         if np.ndim(self.sent) != 1 or np.size(self.sent) == 0:
             raise ValueError(f"sent {np.shape(self.sent)}: give a one-dimensional array of samples")
+        if self.along is not None and (self.stations is None or self.along.shape[1] != self.stations.shape[1] + 1):
+            raise ValueError("along: give stations, too, and a column for each of them and for the receiver")
         if not max(self.sent[0], self.sent[-1]) < _PULSE_START * np.max(self.sent):
             raise ValueError("sent: give one whole positive pulse, which starts and ends at rest")
 

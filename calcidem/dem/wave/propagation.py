@@ -113,6 +113,7 @@ def prepare_recorder(
         unbalanced_speed=speed,
         closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(experiment, pulse.stroke),
         breakable=rule.most_broken_bonds,
+        along=rule.polarisation,
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
-from calcidem.dem.kernels.layout import LISTENED, RECEIVED, XY, Floats, Integers, Recording
+from calcidem.dem.kernels.layout import LISTENED, RECEIVED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
@@ -39,6 +39,9 @@ class WaveRecord:
         Time steps done for this sample.
     stations
         (S, X) mean velocity along y of the disks of each station, m/s; None without stations.
+    along
+        (S, X + 1) mean velocity along x of the disks of each station and of those before the receiver, m/s; None if it
+        was not recorded.
     unbalanced_speed
         See `guards.unbalanced_speed`.
     closing_gaps
@@ -67,6 +70,7 @@ class WaveRecord:
     stability_limit: float
     steps: int
     stations: Floats | None = None
+    along: Floats | None = None
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
@@ -119,7 +123,8 @@ class Recorder:
     stride
         Time steps between two samples of the signals.
     listeners
-        Disks whose mean velocity is recorded: those before the receiver, and those of each station; in memory order.
+        Disks whose mean velocity along y is recorded: those before the receiver, and those of each station; in memory
+        order.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -132,8 +137,11 @@ class Recorder:
         See `WaveRecord`.
     breakable
         See `guards.problems_of`.
+    along
+        Whether their velocities along x are recorded, too.
     signals
-        (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations.
+        (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations; then those along
+        x of receiver and stations, if they are recorded.
     nonlinear, slipped, bonds, broken
         See `WaveRecord`, for each sample and, the latter three, each lane; ``broken`` are its broken bonds.
     """
@@ -148,6 +156,7 @@ class Recorder:
     unbalanced_speed: Floats
     closing_gaps: float
     breakable: float = 0.0
+    along: bool = False
     signals: Floats = field(init=False)
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
@@ -157,9 +166,14 @@ class Recorder:
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
-        self.signals = np.zeros((self.state.features.lanes, 2 + len(self.listeners), 0))
+        self.signals = np.zeros((self.state.features.lanes, 2 + len(self.axes), 0))
         self.slipped = np.zeros(self.state.features.lanes)
         self.bonds, self.broken = cemented_bonds(self.state), broken_bonds(self.state)
+
+    @property
+    def axes(self) -> Integers:
+        """(G,) component of each velocity that is recorded: of all listeners along y, then along x if at all."""
+        return np.repeat([Y, X] if self.along else [Y], len(self.listeners))
 
     @property
     def steps_per_look(self) -> int:
@@ -200,6 +214,7 @@ class Recorder:
         """Advance by so many samples."""
         steps, begin = samples * self.stride, self.signals.shape[2]
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
+        groups = self.listeners * (2 if self.along else 1)
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
             drive=self._sent_at(middle).astype(dtype),
@@ -208,9 +223,10 @@ class Recorder:
             offset=0,
             stride=self.stride,
             receiver=RECEIVER,
-            listeners=np.concatenate(self.listeners),
-            groups=np.cumsum([0, *map(len, self.listeners)]),
-            samples=np.zeros((samples, 1 + len(self.listeners), lanes), dtype),
+            listeners=np.concatenate(groups),
+            groups=np.cumsum([0, *map(len, groups)]),
+            axes=self.axes,
+            samples=np.zeros((samples, 1 + len(groups), lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
         self.broken = broken_bonds(self.state)
@@ -240,16 +256,18 @@ class Recorder:
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
-        sent, force, velocity, *stations = self.signals[lane]
+        sent, force = self.signals[lane, :2]
+        across, along = np.split(self.signals[lane, 2:], [len(self.listeners)])
         return WaveRecord(
             time_step=float(self.state.time_step[lane]),
             stride=self.stride,
             sent=sent,
             force=force,
-            velocity=velocity,
+            velocity=across[0],
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
-            stations=np.array(stations).T if stations else None,
+            stations=across[1:].T if len(across) > 1 else None,
+            along=np.roll(along, -1, axis=0).T if len(along) else None,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(self.broken[lane]),

@@ -56,6 +56,9 @@ class WaveRule:
     stations
         Slices of the sample between transmitter and receiver whose mean velocities are recorded, too, to follow the S
         wave on its way (see `ridge`); 0 for none.
+    polarisation
+        Record the motion along the way at receiver and stations, too, to tell P wave and S wave by it (see
+        `polarisation`).
     most_broken_bonds
         Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
     unbalanced_force_ratio
@@ -82,6 +85,7 @@ class WaveRule:
     slowest: float = 60.0
     listening_depth: float = 0.01
     stations: int = 0
+    polarisation: bool = False
     most_broken_bonds: float = 0.0
     unbalanced_force_ratio: float = 1.0e-6
     most_settling_steps: int = 2_000_000
@@ -99,6 +103,7 @@ class WaveRule:
         deaf = "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
         smooth = "a smooth transmitter moves nothing; give a positive coefficient"
         coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
+        alone = f"polarisation is told at stations; give {FEWEST_STATIONS} and more, or polarisation = false"
         few = f"give 0, or {FEWEST_STATIONS} and more: fewer tell no line from a bend"
         for name, possible, cure in (
             (
@@ -108,6 +113,7 @@ class WaveRule:
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
             ("stations", self.stations == 0 or self.stations >= FEWEST_STATIONS, few),
+            ("stations", self.stations > 0 or not self.polarisation, alone),
             ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
