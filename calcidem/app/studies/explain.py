@@ -99,7 +99,7 @@ def explain(
     """
     rows = []
     for content in contents:
-        for alternative in _alternatives(experiment, content):
+        for alternative in alternatives_of(experiment, content):
             progress(f"{content:g} %: {alternative.what}")
             rows.append(with_errors(_measure_alternative(experiment, alternative, content, seeds, lanes), measured))
     return rows
@@ -113,7 +113,7 @@ def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanatio
     return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
 
 
-def _alternatives(experiment: Experiment, content: float) -> list[Alternative]:
+def alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
     found = [*_displacement_alternatives(experiment), _whole_domain(experiment)]
     found += [_early_stop(experiment), precision(experiment)]
@@ -195,7 +195,8 @@ def _stations(experiment: Experiment) -> Alternative:
     wave, packing = experiment.wave, experiment.packing
     if wave.stations:
         why = "the S wave is followed from slice to slice to its top (docs/reading.md)"
-        return Alternative("stations", needed=True, why=why, opposite=with_wave(experiment, stations=0))
+        alone = with_wave(experiment, stations=0, polarisation=False)
+        return Alternative("stations", needed=True, why=why, opposite=alone)
     possible = most_stations(packing.width, wave.listening_depth, _THICKNESS * 2.0 * float(packing.radius.max()))
     fits = possible >= FEWEST_STATIONS and experiment.signal == "velocity"
     other = with_wave(experiment, stations=min(possible, _STATIONS)) if fits else None

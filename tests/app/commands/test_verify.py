@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,12 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import velocity_remarks
 from calcidem.app.studies.accuracy.command import plan_task
-from calcidem.app.studies.explain import Explanation, precision
+from calcidem.app.studies.explain import Explanation, alternatives_of, precision
 from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.checksums import seal_former_rows
@@ -280,3 +282,16 @@ def test_a_database_of_another_configuration_is_refused(
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
     assert exit_code_of(refused.value) == 2
+
+
+def test_explain_has_another_run_for_whatever_a_wave_records(small_packing: Packing) -> None:
+    """Without stations there is no motion along the way to record, and whoever leaves them out leaves out both."""
+    names, alone = ("stations", "motion along the way"), WaveRule(listening_depth=6e-3)
+    across = replace(alone, stations=4)
+    for wave, said in ((alone, names[:1]), (across, names), (replace(across, polarisation=True), names)):
+        found = {row.what: row for row in alternatives_of(Experiment(small_packing, wave=wave), 0.66)}
+        assert tuple(name for name in names if name in found) == said
+        for name in said:
+            needed, opposite = found[name].needed, found[name].opposite
+            assert needed == (wave.stations > 0 if name == "stations" else wave.polarisation)
+            assert opposite is None or opposite.wave != wave
