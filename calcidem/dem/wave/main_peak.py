@@ -344,7 +344,7 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     ridge = follow_ridge(section[:horizon], places, ends, sent, record.period)
     end = int(np.flatnonzero(ends == index)[0])
     motion, away = _motion_along(record, ridge, end), np.abs(ends - index) > _APART * travel
-    passed_over = _weigh_paths(record, ridge, ends, end, np.flatnonzero(away))
+    passed_over = _weigh_paths(record, ridge, ends, end, np.flatnonzero(away), motion)
     if passed_over is not None:
         return passed_over
     trough = int(np.argmin(view[: index + 1]))
@@ -373,21 +373,21 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
 
 
 def _weigh_paths(
-    record: PreparedSignals, ridge: Ridge, ends: Integers, end: int, others: Integers
+    record: PreparedSignals, ridge: Ridge, ends: Integers, end: int, others: Integers, motion: float
 ) -> PassedOver | None:
-    """Why the path to one of the tops is not the S wave's, weighed against those to others; None if it is."""
-    scores, score, motion = ridge.scores, float(ridge.scores[end]), _motion_along(record, ridge, end)
+    """Why the path to a top, of this motion along, is not the S wave's, weighed against others; None if it is."""
+    scores, score = ridge.scores, float(ridge.scores[end])
     if score >= _LEAST_SCORE and motion > _P_MOTION:
         return PassedOver.P_WAVE
     ahead = scores + _leads(record, ridge, ends, end)
     if score >= max(_LEAST_SCORE, float(ahead[others].max(initial=-1.0))):
         return None
-    likely = others[scores[others] >= score - _LEAST_LEAD]
     if score < max(_LEAST_SCORE, float(scores[others].max(initial=-1.0)) - _LEAST_LEAD):
         return PassedOver.OFF_RIDGE
     if motion < _S_MOTION:  # of S waves on several ways the first is read
         return None
-    across = any(_motion_along(record, ridge, int(other)) < _S_MOTION for other in likely)
+    likely = others[scores[others] >= score - _LEAST_LEAD]
+    across = any(_motion_along(record, ridge, other) < _S_MOTION for other in likely.tolist())
     return PassedOver.P_WAVE if across else PassedOver.TIED
 
 
