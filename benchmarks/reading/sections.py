@@ -49,7 +49,7 @@ def _draw_along(generator: np.random.Generator, medium: Medium, places: Floats, 
     drawn, rules = medium.drawn, _RULES["along"]
     parts, period = drawn.parts, 1.0 / drawn.frequency
     height = max(abs(parts["p_height"]) / generator.uniform(*rules["p_share"]), generator.uniform(*rules["p_height"]))
-    wider = float(generator.uniform(*rules["p_wider"]))
+    p_width = parts["width"] * parts["p_width"] * float(generator.uniform(*rules["p_wider"]))
     behind = [
         (float(generator.exponential(rules["p_coda_spread"])), float(generator.uniform(-1.0, 1.0)))
         for _ in range(int(generator.uniform(*rules["p_coda_arrivals"])))
@@ -59,7 +59,6 @@ def _draw_along(generator: np.random.Generator, medium: Medium, places: Floats, 
     columns = []
     for place in places.tolist():
         part, p_time = max(place, 0.08), place * drawn.delay / parts["p_ratio"]
-        p_width = parts["width"] * parts["p_width"] * wider
         loudness, leak = np.exp(rules["loudness"] * generator.standard_normal()), rules["leak"]
         leak *= np.exp(rules["leak_spread"] * generator.standard_normal()) * generator.choice([-1.0, 1.0])
         p_late, s_late = rules["p_lateness"] * period * generator.standard_normal(2)
