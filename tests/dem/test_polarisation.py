@@ -81,6 +81,30 @@ def test_of_two_shear_waves_the_first_is_read() -> None:
     assert velocity_of(across, 0.2 * across) == pytest.approx(390.0, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "velocity"),
+    [(0.8, 0.8, 520.0), (0.8, 0.3, 230.0), (1.3, 0.8, None), (1.3, 1.3, None), (0.3, 1.3, 520.0)],
+)
+def test_of_likely_tops_the_first_is_read_if_it_moves_more_across_and_no_later_one_is_clearer(
+    first: float, second: float, velocity: float | None
+) -> None:
+    """Neither of the motions along comes before its wave, so that nothing is taken off as a P wave's."""
+    fast, slow = section(520.0), 0.98 * section(230.0)
+    later = [np.roll(wave, int(PERIOD) // 4, axis=0) for wave in (fast, slow)]
+    path = np.rint((0.5 / FREQUENCY + PLACES * WAY / 520.0) / INTERVAL).astype(int)
+    as_large = np.median(1.0 / along_over_across(fast, later[0], path, 15))
+    along = as_large * (first * later[0] + second * later[1])
+    found = velocity_of(fast + slow, along)
+    assert found == (None if velocity is None else pytest.approx(velocity, rel=0.02))
+
+
+def test_a_small_shear_wave_ahead_makes_no_p_wave_of_a_later_one() -> None:
+    """What comes behind a shear wave is none, though the first, as large on the way, is too small where it is read."""
+    small, large = np.append(np.ones(len(PLACES) - 1), 0.4) * section(520.0), section(230.0)
+    along = 0.2 * small + 1.4 * np.roll(large, int(PERIOD) // 4, axis=0)
+    assert velocity_of(small + large, along) == pytest.approx(230.0, rel=0.02)
+
+
 def test_a_p_wave_alone_is_no_shear_wave() -> None:
     """Even where what it does across cannot all be taken off, since it changes its direction on its way."""
     p_wave, time = section(390.0), np.arange(0.0, 2.2e-3, INTERVAL)

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, fields
 
+LANES = (1, 2, 4, 8, 16, 32)
+"""Samples that can be advanced side by side, in whole registers: other numbers would be written beyond their ends."""
+
 ABREAST = 8
 """Pairs of one sample that are computed side by side."""
 
@@ -13,7 +16,7 @@ class Features:
     Attributes
     ----------
     lanes
-        Samples advanced side by side.
+        Samples advanced side by side, one of `LANES`.
     finite
         Normals and overlaps follow the displacements; otherwise they keep to the reference geometry.
     linear
@@ -71,8 +74,8 @@ class Features:
 
     def __post_init__(self) -> None:
         """Refuse combinations that contradict each other."""
-        if not 1 <= self.lanes <= 32:  # noqa: PLR2004 - lanes are the bits of a 32-bit word
-            raise ValueError(f"lanes = {self.lanes}: choose 1 to 32, best a power of two such as 8")
+        if self.lanes not in LANES:
+            raise ValueError(f"lanes = {self.lanes}: choose 1, 2, 4, 8, 16 or 32")
         if self.linear:
             needless = [
                 name for name in ("finite", "breakage", "slip", "servo", "search", "account") if getattr(self, name)

@@ -59,7 +59,8 @@ _TOGETHER = 0.1  # periods within which two paths are one; where they are still 
 _ONE_WAY = 0.5  # ... behind this part of the way, the later top has come from the first one's wave
 _LOW = 0.6  # ... behind one that comes later and is lower than this part of it: that is what was scattered
 _P_MOTION = 1.75  # of grains along the way over that across, from which on a top is a P wave's ...
-_S_MOTION = 0.5  # ... and below which it is the S wave's, ...
+_S_MOTION = 0.5  # ... and below which it is the S wave's, whatever else came; ...
+_NO_P_MOTION = 1.0  # ... below this one it is no P wave's, if no later one is so clearly the S wave's, ...
 _MOTION_WITHIN = 0.15  # ... within so many periods before and behind its path, in the median of the stations ...
 _MOTION_FROM = 0.25  # ... from this part of the way on, where the waves begin to part
 
@@ -357,7 +358,7 @@ def _judge_on_ridge(record: PreparedSignals, index: int) -> MainPeak | PickFailu
     ]
     if doubts:
         denied = denied_doubts(section[:horizon], places, ridge.path_to(end), sent, record.period)
-        if motion < _S_MOTION:  # whatever made its shape, it was no P wave
+        if motion < _NO_P_MOTION:  # whatever made its shape, it was no P wave
             denied |= {PickFailure.BROAD, PickFailure.PRECURSOR}
         doubts = [doubt for doubt in doubts if doubt not in denied]
     return MainPeak(
@@ -386,9 +387,10 @@ def _weigh_paths(
         return PassedOver.OFF_RIDGE
     if motion < _S_MOTION:  # of S waves on several ways the first is read
         return None
-    likely = others[scores[others] >= score - _LEAST_LEAD]
-    across = any(_motion_along(record, ridge, other) < _S_MOTION for other in likely.tolist())
-    return PassedOver.P_WAVE if across else PassedOver.TIED
+    later = others[(scores[others] >= score - _LEAST_LEAD) & (ends[others] > ends[end])]
+    if any(_motion_along(record, ridge, other) < _S_MOTION for other in later.tolist()):
+        return PassedOver.P_WAVE
+    return None if motion < _NO_P_MOTION else PassedOver.TIED
 
 
 def _motion_along(record: PreparedSignals, ridge: Ridge, end: int) -> float:

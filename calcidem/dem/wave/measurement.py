@@ -94,7 +94,7 @@ def measure(
     seeds
         At most ``lanes`` of them. What a seed gives does not depend on the others.
     lanes
-        Width of the kernel.
+        Width of the kernel: 1, 2, 4, 8, 16 or 32.
     check
         Called every fraction of a second; may raise to end the run.
     ordering

@@ -55,7 +55,7 @@ def send_waves(
     stop_when
         Asked of each sample at fixed times of its own; the record ends where the answer is yes.
     lanes
-        Width of the kernel. A sample's bits do not depend on how many of the lanes are in use.
+        Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
     check
         Called every fraction of a second; may raise to end the run.
 
