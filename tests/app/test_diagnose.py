@@ -27,8 +27,8 @@ from calcidem.app.config.schema import CampaignPlan, Configuration
 from calcidem.app.report.page import velocity_remarks
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.main_peak import PERIODS_ASKED
 from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.peak import PERIODS_ASKED
 from calcidem.dem.wave.pick import PassedOver, PickFailure
 from calcidem.storage.records import CampaignRecord, CellStatus
 from calcidem.storage.records.canonical import canonical_json

@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.arrival import is_settled, read_travel_times, record_duration
-from calcidem.dem.wave.main_peak import MainPeak, least_later_height, prepare_signals, settled_peak
+from calcidem.dem.wave.main_peak import least_later_height, settled_peak
+from calcidem.dem.wave.peak import MainPeak
 from calcidem.dem.wave.pick import PickFailure, PickRule, Reading, Signals
+from calcidem.dem.wave.prepared import prepare_signals
 from calcidem.dem.wave.pulse import Pulse
 
 DISTANCE = 0.1

@@ -14,8 +14,8 @@ from calcidem.analysis.shear_wave import damping_ratio
 from calcidem.app.config.reference import written
 from calcidem.dem.wave.error_estimate import ErrorParts, largest_part, turning_error
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.main_peak import PERIODS_ASKED
 from calcidem.dem.wave.measurement import LARGEST_BOUND
+from calcidem.dem.wave.peak import PERIODS_ASKED
 from calcidem.dem.wave.pick import PassedOver, PickFailure
 
 _MARGIN = 1.1  # over the periods that the rule of reading asks for

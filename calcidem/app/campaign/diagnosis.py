@@ -20,9 +20,11 @@ from calcidem.app.campaign.status import UNREAD
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.arrival import read_travel_times
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.main_peak import MainPeak, PreparedSignals, judge_tops, prepare_signals
+from calcidem.dem.wave.main_peak import judge_tops
 from calcidem.dem.wave.measurement import measure_all, numerical_error, signals_of
+from calcidem.dem.wave.peak import MainPeak
 from calcidem.dem.wave.pick import PassedOver, Reading
+from calcidem.dem.wave.prepared import PreparedSignals, prepare_signals
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.campaign import StoredCampaign

@@ -10,17 +10,12 @@ import numpy as np
 
 from calcidem.dem.engine.portable import sliding_products
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.main_peak import (
-    MainPeak,
-    PreparedSignals,
-    find_main_peak,
-    least_later_height,
-    parabola_vertex,
-    prepare_signals,
-    settled_peak,
-)
+from calcidem.dem.wave.main_peak import find_main_peak, least_later_height, settled_peak
+from calcidem.dem.wave.peak import MainPeak
 from calcidem.dem.wave.pick import PickFailure, PickRule, Picks, Reading, Signals
 from calcidem.dem.wave.polarisation import FAINTEST, STEEPEST
+from calcidem.dem.wave.prepared import PreparedSignals, prepare_signals
+from calcidem.dem.wave.tops import parabola_vertex
 
 _PULSE_FLOOR = 1e-6  # of the sent peak; less is taken for rest
 _DISAGREEMENT = 0.1  # of the travel time

@@ -10,8 +10,8 @@ import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity
-from calcidem.dem.wave.main_peak import prepare_signals
 from calcidem.dem.wave.pick import Signals
+from calcidem.dem.wave.prepared import prepare_signals
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 
 _SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found

@@ -55,3 +55,16 @@ def falls_through(signal: Floats, top: int, level: float) -> tuple[float, float]
     if signal[right] < level:
         behind -= float((level - signal[right]) / (signal[right - 1] - signal[right]))
     return before, behind
+
+
+def find_high_tops(view: Floats, least: float) -> list[int]:
+    """Samples of the tops that are at least so high."""
+    tops = find_tops(view)
+    return [int(top) for top in tops[view[tops] >= least]]
+
+
+def parabola_vertex(signal: Floats, index: int) -> float:
+    """Return where the parabola through a peak and its neighbours is highest, in samples from the peak."""
+    left, middle, right = (float(value) for value in signal[index - 1 : index + 2])
+    curvature = left - 2.0 * middle + right
+    return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
