@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 from places import TUTORIAL
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
@@ -120,6 +121,18 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
     assert len(rings.get_xdata()) == sample.features.hertz_contacts
+
+
+def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: CampaignAnalysis) -> None:
+    """Between the grains at both walls, which is less than the width of the box."""
+    figure = next(entry for entry in CAMPAIGN_FIGURES if entry.name == "measurement").draw(analysis)
+    (label,) = [text.get_text() for text in figure.axes[0].texts if text.get_text().startswith("L = ")]
+    distance = float(analysis.cells["distance"].max())
+    assert label == f"L = {1e3 * distance:.3g} mm"
+    assert distance < analysis.campaign.packing().width
+    arrows = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
+    lengths = [abs(arrow.xy[0] - arrow.xyann[0]) for arrow in arrows if arrow.xy[1] == arrow.xyann[1]]
+    assert lengths == [pytest.approx(1e3 * distance)]
 
 
 def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -99,7 +100,7 @@ def draw_measurement(
     damped_layer
         Thickness of the strongly damped layers at floor and lid, m.
     arrival
-        The signals of a sample; none are drawn without.
+        The signals of a sample, and the distance L that its velocities are made of; none are drawn without.
     """
     packing = graph.packing
     width, height = packing.width * MM, packing.height * MM
@@ -120,22 +121,7 @@ def draw_measurement(
     scene.annotate("", (-0.08 * width, height / 2 + reach), (-0.08 * width, height / 2 - reach), arrowprops=arrow)
     scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
     scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
-    scene.annotate(
-        "",
-        (width, 0.33 * height),
-        (0, 0.33 * height),
-        arrowprops={"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0},
-        zorder=9,
-    )
-    scene.text(
-        width / 2,
-        0.335 * height,
-        f"L = {width:g} mm",
-        ha="center",
-        va="bottom",
-        zorder=9,
-        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5},
-    )
+    _draw_way(scene, graph, None if arrival is None else arrival.distance)
     draw_scale_bar(scene, 0.0, -4.0, 0.2 * width, f"{0.2 * width:g} mm")
     if arrival is None:
         signals.set_axis_off()
@@ -150,6 +136,18 @@ def draw_measurement(
         labels = [label + read.get(label, "") for label in labels]
         figure.legend(handles, labels, loc="outside lower right", ncols=2)
     return figure
+
+
+def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
+    """Draw the distance of which a velocity is made, between the grains at both walls; the width if it is not known."""
+    width, height = graph.packing.width * MM, graph.packing.height * MM
+    way = width if distance is None else distance * MM
+    left, right = ((width + side * way) / 2 for side in (-1.0, 1.0))
+    arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (right, 0.33 * height), (left, 0.33 * height), arrowprops=arrow, zorder=9)
+    label = f"width {width:.3g} mm" if distance is None else f"L = {way:.3g} mm"
+    box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
+    axes.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)
 
 
 @apply_style
