@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "b4ff50d5e9e68b380be403560ca08be1976c9af80b0d00ef87cc02d4dfad7a6f",
+        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
         "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
     (3, "examples/paper.toml"): (
-        "b4ff50d5e9e68b380be403560ca08be1976c9af80b0d00ef87cc02d4dfad7a6f",
+        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
         "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
     (3, "examples/paper-small-pulse.toml"): (
@@ -43,7 +43,7 @@ IDENTITIES = {
         "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "b4ff50d5e9e68b380be403560ca08be1976c9af80b0d00ef87cc02d4dfad7a6f",
+        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
         "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
     ),
 }

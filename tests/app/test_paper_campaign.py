@@ -38,10 +38,10 @@ def test_every_mean_is_near_the_published_one(content: float, printed: float) ->
 
 
 def test_few_samples_cannot_be_read() -> None:
-    """At most 5 % have no velocity, and nowhere more than an eighth: loud pulses are harder to read than small ones."""
-    read = calcidem.load_paper_campaign().vs.notnull()
-    assert float(read.mean()) >= 0.95
-    assert float(read.mean("seed").min()) >= 0.875
+    """At least 97 % at each content from 0.55 % up, and 90 % below: those that cannot be read are no random part."""
+    read = calcidem.load_paper_campaign().vs.notnull().mean("seed")
+    assert float(read.sel(content=slice(0.5, None)).min()) >= 0.97
+    assert float(read.min()) >= 0.9
 
 
 def test_scatter_grows_with_content_and_falls_again() -> None:
