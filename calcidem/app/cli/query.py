@@ -21,6 +21,7 @@ from calcidem.app.cli.terminal import printable
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
+from calcidem.sweep.progress import pluralize
 
 _DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_bound", "seconds")
 
@@ -124,7 +125,7 @@ def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
     Console(file=stream, width=100_000, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
-    return "\n".join([*lines, f"{len(rows)} cells", ""])
+    return "\n".join([*lines, pluralize(len(rows), "cell"), ""])
 
 
 def _format_value(value: object) -> str:
