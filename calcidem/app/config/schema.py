@@ -16,7 +16,7 @@ import numpy as np
 from calcidem.app.config.errors import quote
 from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.scene import Installation
-from calcidem.dem.kernels.features import LANES
+from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, Method, ReceivedSignal
@@ -283,7 +283,7 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         """Refuse what the kernel and the file system do not know."""
-        require(self.lanes in LANES, "lanes", self.lanes, "choose 1, 2, 4, 8, 16 or 32")
+        require(self.lanes in LANE_COUNTS, "lanes", self.lanes, "choose 1, 2, 4, 8, 16 or 32")
         limit = self.time_limit
         good_limit = limit is None or 0.0 < limit <= 1e9  # noqa: PLR2004 - clocks of some systems end at 2^31
         require(good_limit, "time_limit", limit, "give seconds above 0 and up to 1e9, or leave the key out")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-LANES = (1, 2, 4, 8, 16, 32)
+LANE_COUNTS = (1, 2, 4, 8, 16, 32)
 """Samples that can be advanced side by side, in whole registers: other numbers would be written beyond their ends."""
 
 ABREAST = 8
@@ -16,7 +16,7 @@ class Features:
     Attributes
     ----------
     lanes
-        Samples advanced side by side, one of `LANES`.
+        Samples advanced side by side, one of `LANE_COUNTS`.
     finite
         Normals and overlaps follow the displacements; otherwise they keep to the reference geometry.
     linear
@@ -74,7 +74,7 @@ class Features:
 
     def __post_init__(self) -> None:
         """Refuse combinations that contradict each other."""
-        if self.lanes not in LANES:
+        if self.lanes not in LANE_COUNTS:
             raise ValueError(f"lanes = {self.lanes}: choose 1, 2, 4, 8, 16 or 32")
         if self.linear:
             needless = [
