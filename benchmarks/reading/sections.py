@@ -1,6 +1,6 @@
 """How often travel times are read wrong in silence, and how often not at all, if stations on the way are read, too.
 
-    python benchmarks/reading/sections.py [--seed 63] [--signals 1400]
+    python benchmarks/reading/sections.py [--seed 65] [--signals 1400]
 
 The signals are those of run.py, with the same meaning of *wrong*, *refused* and *readable*. Stations on the way record the
 same waves: each at its own time, as far as it has come, with what swings at the receiver only near it, and scattered arrivals
