@@ -103,7 +103,10 @@ def _weigh_paths(
 
 
 def _motion_along(record: PreparedSignals, ridge: Ridge, end: int) -> float:
-    """Motion along the way over that across it on a path, in the median of the farther stations; 1 if not recorded."""
+    """Motion along the way over that across it on a path, in the median of the farther stations.
+
+    If it was not recorded it is 1, by which no wave is told from another.
+    """
     if record.section is None or record.along is None:
         return 1.0
     reach = int(_MOTION_WITHIN * record.period)
