@@ -103,10 +103,10 @@ def interpolate(x: float, places: Sequence[float], values: Sequence[float]) -> f
 
 
 def sliding_products(signal: Floats, weights: Floats) -> Floats:
-    """Sum of products of the weights and the part of a signal under them, at each place where they fit."""
+    """Sum of products of the weights and the part of a signal (T, ...) under them, at each place where they fit."""
     places = len(signal) - len(weights) + 1
-    total: Floats = np.zeros(places)
-    product = np.empty(places)
+    total: Floats = np.zeros((max(0, places), *signal.shape[1:]))
+    product = np.empty_like(total)
     for shift, weight in enumerate(weights.tolist()):
         np.multiply(signal[shift : shift + places], weight, out=product)
         total += product

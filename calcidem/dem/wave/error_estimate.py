@@ -10,9 +10,9 @@ import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity
-from calcidem.dem.wave.pick import Signals
-from calcidem.dem.wave.prepared import prepare_signals
+from calcidem.dem.wave.reading import ONSET, Arrival
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
+from calcidem.dem.wave.section import Section
 
 _SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
 _TURNING = 3.0  # over mean overlap / mean radius
@@ -111,35 +111,45 @@ def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
     return "lower amplitude, or choose regime = 'finite'"
 
 
-def estimate_error(
-    experiment: Experiment,
-    record: WaveRecord,
-    signals: Signals,
-    frequency: float,
-    travel_time: float,
-    *,
-    noisy: bool = False,
-) -> tuple[float, float, ErrorParts]:
-    """Relative error to expect of a velocity, its bound, and the bounds of its parts; Hz and s.
+class NumericalError(NamedTuple):
+    """Relative numerical error of a velocity.
 
-    The first is the order of its size, which ranks cells. A change of a signal by the part e of its height, as fast as
-    the pulse is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change
-    goes with the nonlinear share in the linear regime, and with how rough the signal is, since another step makes
-    another chatter. To this come an error of first order in the step over its limit, and a part of what else the bound
-    has. The bound is no less than what one of a hundred such errors exceeds; what the transmitter loses has its own.
-    ``noisy`` where noise hides the first arrival.
+    Attributes
+    ----------
+    expected
+        Order of its size, which ranks cells.
+    bound
+        Its bound.
+    parts
+        Bounds of its parts.
     """
-    shift, roughness = _shift_by_change(experiment, signals, frequency, travel_time)
-    parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=noisy)
+
+    expected: float
+    bound: float
+    parts: ErrorParts
+
+
+def estimate_error(experiment: Experiment, record: WaveRecord, arrival: Arrival) -> NumericalError:
+    """Relative numerical error of a velocity that was read.
+
+    What is expected is the order of its size. A change of a signal by the part e of its amplitude, as fast as the pulse
+    is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with
+    the nonlinear share in the linear regime, and with how rough the signal is, since another step makes another chatter.
+    To this come an error of first order in the step over its limit, and a part of what else the bound has. The bound is
+    no less than what one of a hundred such errors exceeds; what the transmitter loses has its own.
+    """
+    frequency, travel_time = record.section.frequency, arrival.travel_time
+    shift = _shift_by_change(record.section, arrival)
+    parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=arrival.roughness > ONSET)
     share = _largest_nonlinearity(record, frequency * travel_time).share
-    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * roughness
+    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced + parts.breaking
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
     usual = float(step + shift * change + _USUAL * others)
     loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
-    return usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts
+    return NumericalError(usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts)
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
@@ -151,29 +161,19 @@ def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
-def _shift_by_change(
-    experiment: Experiment, signals: Signals, frequency: float, travel_time: float
-) -> tuple[float, float]:
-    """Shift of the peak over the travel time by a change of the signal, over that change; and the signal's roughness.
+def _shift_by_change(section: Section, arrival: Arrival) -> float:
+    """Shift of the peak over the travel time by a change of the signal, over that change.
 
-    The first is ``2 pi f w^2 / travel time``, see `estimate_error`; w^2 is height over curvature of three smoothed
-    values a sixteenth of the sent period apart, and at most the square of that period; where they are not as a peak's,
-    it is that square. Roughness is the rms of what smoothing takes away, over the height.
+    It is ``2 pi f w^2 / travel time``, see `estimate_error`; w^2 is amplitude over curvature of three smoothed values a
+    sixteenth of the period apart, and at most the square of that period; where they are not as a peak's, it is that.
     """
-    prepared = prepare_signals(signals, experiment.pick)
-    interval = signals.sampling_interval
-    top, apart = round(prepared.sent_peak + travel_time / interval), max(1, int(prepared.period / _PART_OF_PERIOD))
-    widest = (prepared.period * interval) * (prepared.period * interval)
-    over_width = 2.0 * np.pi * frequency / travel_time
-    if not apart <= top < len(prepared.smooth) - apart:
-        return over_width * widest, 0.0
-    left, height, right = (float(prepared.smooth[top + shift]) for shift in (-apart, 0, apart))
-    bend = (2.0 * height - left - right) / (apart * interval) / (apart * interval)
-    if height <= 0.0 or bend <= 0.0:
-        return over_width * widest, 0.0
-    end = top + int(prepared.period)
-    roughness = float(np.std(prepared.received[:end] - prepared.smooth[:end])) / height
-    return over_width * min(widest, height / bend), roughness
+    apart, index = max(1, int(section.period / _PART_OF_PERIOD)), arrival.index
+    period = 1.0 / section.frequency
+    over_width = 2.0 * np.pi * section.frequency / arrival.travel_time
+    left, amplitude, right = (float(arrival.clean[index + shift, -1]) for shift in (-apart, 0, apart))
+    distance = apart * section.sampling_interval
+    bend = (2.0 * amplitude - left - right) / (distance * distance)
+    return float(over_width * (min(period * period, amplitude / bend) if bend > 0.0 else period * period))
 
 
 def _error_parts(
@@ -189,11 +189,11 @@ def _error_parts(
     geometry += _RESCALING * float(found.rescaling)
     return ErrorParts(
         step=0.5 * record.time_step / travel_time + coarse * coarse / 24.0,
-        sampling=_SAMPLING * record.sampling_interval / travel_time,
+        sampling=_SAMPLING * record.section.sampling_interval / travel_time,
         regime=shape * geometry,
         slip=_slip_error(record, shift, periods),
         precision=shape * (_SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
-        noise=experiment.pick.onset / (np.pi * periods) if noisy else 0.0,
+        noise=ONSET / (np.pi * periods) if noisy else 0.0,
         chatter=_chatter_error(experiment, record),
         unbalanced=_UNBALANCED * record.unbalanced_speed,
         breaking=shape * _breaking_error(record),

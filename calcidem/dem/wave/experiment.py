@@ -1,28 +1,33 @@
 """Everything that samples have in common: packing, materials, cement, wave and picking."""
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from calcidem.dem.engine.material import Cement, Sand, require
 from calcidem.dem.engine.portable import interpolate
-from calcidem.dem.engine.scene import Installation
+from calcidem.dem.engine.scene import Installation, Scene
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import listening_disks, station_disks
-from calcidem.dem.wave.pick import PickRule
+from calcidem.dem.wave.domain import Domain, domain_of, driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.pulse import excitation_frequency
+from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.scene import wave_scene
 
+_Found = TypeVar("_Found")
 Method = Literal["peak", "first_arrival", "cross_correlation"]
-ReceivedSignal = Literal["velocity", "force"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """Everything that samples of many seeds and contents have in common; equal to itself alone.
+
+    What takes long and is the same for all batches (`domain`, `bare_scene`, `places`, limits of the step) is computed
+    once, when it is first asked for, and kept as long as the experiment.
 
     Attributes
     ----------
@@ -37,13 +42,9 @@ class Experiment:
         See `scene.Bonds`.
     method
         Reading that becomes Vs.
-    least_quality
-        Readings of lower quality are not trusted.
     early_stop
         End a record as soon as its reading is settled, or what still moves cannot become one; it does not change the
         reading.
-    signal
-        Received signal that is read.
     frequencies
         (contents in percent, frequencies in Hz), interpolate between; None takes Table 2 of the paper.
     """
@@ -58,10 +59,9 @@ class Experiment:
     stiffness_factor: float = 1.0
     installation: Installation = "preserve"
     method: Method = "peak"
-    signal: ReceivedSignal = "velocity"
-    least_quality: float = 0.1
     early_stop: bool = True
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse what the linear regime cannot do and factors without meaning."""
@@ -79,13 +79,41 @@ class Experiment:
             return excitation_frequency(content)
         return interpolate(content, *self.frequencies)
 
+    def once(self, key: Hashable, compute: Callable[[], _Found]) -> _Found:
+        """What was computed under a key, now or before."""
+        if key not in self._kept:
+            self._kept[key] = compute()
+        found: _Found = self._kept[key]
+        return found
+
+    @cached_property
+    def domain(self) -> Domain:
+        """Part of the packing that is computed, stiffened."""
+        return domain_of(self.stiffen()[0], self.wave, self.installation)
+
+    @cached_property
+    def bare_scene(self) -> Scene:
+        """Scene of that part without cement."""
+        held = self.domain.held.copy()
+        held[driven_disks(self.domain.packing, self.wave)] = True
+        return replace(wave_scene(self.domain.packing, self.stiffen()[1], self.wave, None), held=held)
+
+    @cached_property
+    def places(self) -> tuple[float, ...]:
+        """Path from the transmitter to each station, and last to the receiver, m.
+
+        The recorded velocity is the plain mean of some disks, so a wave passes its middle at their mean x. Driven disks
+        send it from their mean x, a wall from its surface.
+        """
+        packing, wave = self.domain.packing, self.wave
+        driven, groups = driven_disks(packing, wave), (*station_disks(packing, wave), listening_disks(packing, wave))
+        begin = float(np.mean(packing.x[driven])) if len(driven) else 0.0
+        return tuple(float(np.mean(packing.x[disks])) - begin for disks in groups)
+
     @property
     def distance(self) -> float:
-        """Way of the wave, m: from the transmitter to the mean place of the disks that are listened to, or to the wall.
-
-        The received velocity is the plain mean of those disks, so a wave passes its middle at their mean x.
-        """
-        return self.packing.width if self.signal == "force" else _mean_place_of_listeners(self)
+        """Path from the transmitter to the receiver, m."""
+        return self.places[-1]
 
     def ordering(self, seed: int) -> CementOrdering:
         """Order in which the contacts and clusters of a seed are cemented."""
@@ -100,21 +128,3 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
-
-    @property
-    def stations(self) -> tuple[float, ...]:
-        """Where the stations are, as parts of the way."""
-        return _places_of_stations(self)
-
-
-@lru_cache(maxsize=8)
-def _places_of_stations(experiment: Experiment) -> tuple[float, ...]:
-    """Mean x of the disks of each station, over the distance."""
-    packing, way = experiment.packing, _mean_place_of_listeners(experiment)
-    return tuple(float(np.mean(packing.x[disks])) / way for disks in station_disks(packing, experiment.wave))
-
-
-@lru_cache(maxsize=8)  # it is asked for at each look at each record
-def _mean_place_of_listeners(experiment: Experiment) -> float:
-    """Mean x of the disks that are listened to, m."""
-    return float(np.mean(experiment.packing.x[listening_disks(experiment.packing, experiment.wave)]))

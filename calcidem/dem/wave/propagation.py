@@ -6,7 +6,6 @@ in their cement alone and are computed side by side.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -20,11 +19,11 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
-from calcidem.dem.wave.arrival import record_duration
-from calcidem.dem.wave.domain import Domain, domain_of, driven_disks, listening_disks, station_disks
+from calcidem.dem.wave.domain import driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.reading import record_duration
 from calcidem.dem.wave.recorder import Recorder, WaveRecord
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
@@ -87,12 +86,12 @@ def prepare_recorder(
     """Prepare a batch to be sent, once and with one step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     rule, installation, pulse = experiment.wave, experiment.installation, Pulse(experiment.wave.amplitude, frequency)
-    domain, bare = _bare_scene(experiment)
+    domain, bare = experiment.domain, experiment.bare_scene
     packing, driven = domain.packing, driven_disks(domain.packing, rule)
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
     skin = _wave_skin(packing, pulse) if rule.regime == "finite" else 0.0
     features = _wave_features(replace(bare, bonds=bonds), rule, skin, lanes)
-    single, scene = _bare_sample(experiment, features, skin)
+    single, scene = experiment.once((features, skin), lambda: _bare_sample(experiment, features, skin))
     scene = replace(scene, bonds=bonds)
     state = _start_at_rest(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
     if bonds is not None and installation != "preserve":
@@ -105,32 +104,23 @@ def prepare_recorder(
         pulse,
         stride=_samples_stride(experiment, bonds is not None, frequency),
         listeners=tuple(
-            np.sort(rank[disks]) for disks in (listening_disks(packing, rule), *station_disks(packing, rule))
+            np.sort(rank[disks]) for disks in (*station_disks(packing, rule), listening_disks(packing, rule))
         ),
+        places=experiment.places,
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
-        closing_gaps=0.0 if rule.regime == "finite" else _closing_gaps(experiment, pulse.stroke),
+        closing_gaps=0.0
+        if rule.regime == "finite"
+        else experiment.once(pulse.stroke, lambda: _closing_gaps(experiment.packing, pulse.stroke)),
         breakable=rule.most_broken_bonds,
-        along=rule.polarisation,
     )
 
 
-@lru_cache(maxsize=2)
-def _bare_scene(experiment: Experiment) -> tuple[Domain, Scene]:
-    """Part of the packing that is computed, and its scene without cement."""
-    whole, sand = experiment.stiffen()
-    domain = domain_of(whole, experiment.wave, experiment.installation)
-    held = domain.held.copy()
-    held[driven_disks(domain.packing, experiment.wave)] = True
-    return domain, replace(wave_scene(domain.packing, sand, experiment.wave, None), held=held)
-
-
-@lru_cache(maxsize=4)  # for all batches of a campaign, cemented or not, unless its lists of pairs hang on the frequency
 def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tuple[State, Scene]:
     """Sample without cement, in one lane, and its scene with the loads of samples that have these features."""
-    _, scene = _bare_scene(experiment)
+    scene = experiment.bare_scene
     bare = replace(features, lanes=1, bonds=False, linear_group=False, breakage=False)
     single = _start_at_rest(experiment, scene, bare, skin)
     if not features.linear and experiment.installation == "preserve":
@@ -149,7 +139,7 @@ def _start_at_rest(
         scene,
         features=features,
         precision=experiment.wave.precision,
-        preload=_bare_scene(experiment)[0].packing.preload,
+        preload=experiment.domain.packing.preload,
         step_fraction=experiment.wave.step_fraction,
         skin_fraction=skin,
         steps_per_contact=0.0,
@@ -160,7 +150,7 @@ def _start_at_rest(
 def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
     """Raise a `ValueError` if no sample of a packing stands a pulse: as far as this can be told without its cement."""
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
-    _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_whole_packing(experiment, cemented), frequency)
+    _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented), frequency)
 
 
 def _refuse_short_pulse(step: float, frequency: float) -> None:
@@ -176,26 +166,26 @@ def _refuse_short_pulse(step: float, frequency: float) -> None:
 def _samples_stride(experiment: Experiment, cemented: bool, frequency: float) -> int:
     """Steps between two samples, the same for all samples of one content."""
     rule = experiment.wave
-    limit = _limit_of_whole_packing(experiment, cemented)
+    limit = _limit_of_all_patterns(experiment, cemented)
     return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
-@lru_cache(maxsize=8)  # for all batches of a campaign: it takes a third of what a batch needs before its first step
-def _limit_of_whole_packing(experiment: Experiment, cemented: bool) -> float:
+def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
     """Stability limit with every contact cemented, or none, s: of no pattern, and of no batch."""
-    rule, installation = experiment.wave, experiment.installation
-    whole, sand = experiment.stiffen()
-    packing = domain_of(whole, rule, installation).packing
-    bonds = Bonds(packing.pairs, experiment.cement, installation=installation) if cemented else None
-    scene = wave_scene(packing, sand, rule, bonds)
-    features = choose_features(scene, rule.regime)
-    return float(start(scene, features=features, preload=packing.preload, steps_per_contact=0.0).critical_time_step[0])
+
+    def compute() -> float:
+        rule, packing = experiment.wave, experiment.domain.packing
+        bonds = Bonds(packing.pairs, experiment.cement, installation=experiment.installation) if cemented else None
+        scene = wave_scene(packing, experiment.stiffen()[1], rule, bonds)
+        features = choose_features(scene, rule.regime)
+        state = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0)
+        return float(state.critical_time_step[0])
+
+    return experiment.once(cemented, compute)
 
 
-@lru_cache(maxsize=32)
-def _closing_gaps(experiment: Experiment, stroke: float) -> float:
+def _closing_gaps(packing: Packing, stroke: float) -> float:
     """Pairs with a gap below the stroke of a pulse, over the contacts: they may touch while it passes."""
-    packing = experiment.packing
     near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
     return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 

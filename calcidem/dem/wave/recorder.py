@@ -7,19 +7,20 @@ import numpy as np
 
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
-from calcidem.dem.kernels.layout import LISTENED, RECEIVED, XY, Floats, Integers, Recording, X, Y
+from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
+from calcidem.dem.wave.section import Counts, Section, quantise
 
-SAMPLES_PER_CHUNK = 50  # between two looks at the signal
+SAMPLES_PER_CHUNK = 20  # between two looks at the section: half a period of the pulse
 LOOKS_APART = 2  # periods of the pulse between two looks at what the contact laws would change
 
 
 @dataclass(frozen=True, slots=True)
 class WaveRecord:
-    """What one sample recorded; all signals are (S,), sampled at `times`.
+    """What one sample recorded.
 
     Attributes
     ----------
@@ -27,21 +28,12 @@ class WaveRecord:
         Of the integration, s.
     stride
         Time steps between two samples.
-    sent
-        Velocity of the transmitter, m/s.
-    force
-        Shear force on the receiver, positive upwards, half a time step before the velocities, N/m.
-    velocity
-        Mean velocity along y of the disks before the receiver, m/s.
+    section
+        Motion at the receiver and the stations.
     stability_limit
         Critical time step at the start, s.
     steps
         Time steps done for this sample.
-    stations
-        (S, X) mean velocity along y of the disks of each station, m/s; None without stations.
-    along
-        (S, X + 1) mean velocity along x of the disks of each station and of those before the receiver, m/s; None if it
-        was not recorded.
     unbalanced_speed
         See `guards.unbalanced_speed`.
     closing_gaps
@@ -64,13 +56,9 @@ class WaveRecord:
 
     time_step: float
     stride: int
-    sent: Floats
-    force: Floats
-    velocity: Floats
+    section: Section
     stability_limit: float
     steps: int
-    stations: Floats | None = None
-    along: Floats | None = None
     unbalanced_speed: float = 0.0
     closing_gaps: float = 0.0
     broken_bonds: int = 0
@@ -80,34 +68,6 @@ class WaveRecord:
     slipped: float = 0.0
     problem: str = ""
     retry: str = ""
-
-    @property
-    def sampling_interval(self) -> float:
-        """Time between two samples, s."""
-        return self.stride * self.time_step
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first sample, s: half a time step before `sampling_interval`."""
-        return float(_sample_times(0, 1, self.stride, self.time_step)[0])
-
-    @property
-    def times(self) -> Floats:
-        """(S,) times of the samples, s."""
-        return _sample_times(0, len(self.sent), self.stride, self.time_step)
-
-    @property
-    def duration(self) -> float:
-        """Time that has been recorded, s."""
-        return len(self.sent) * self.sampling_interval
-
-
-def _sample_times(begin: int, end: int, stride: int, time_step: Floats | float) -> Floats:
-    """Times of some samples, s: (S,), or (L, S) for steps (L, 1).
-
-    A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
-    """
-    return np.asarray(((np.arange(begin, end) + 1) * stride - 0.5) * time_step)
 
 
 @dataclass(slots=True)
@@ -122,9 +82,9 @@ class Recorder:
         What the transmitter does.
     stride
         Time steps between two samples of the signals.
-    listeners
-        Disks whose mean velocity along y is recorded: those before the receiver, and those of each station; in memory
-        order.
+    listeners, places
+        Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
+        receiver; and their paths, see `Section.places`.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -137,11 +97,8 @@ class Recorder:
         See `WaveRecord`.
     breakable
         See `guards.problems_of`.
-    along
-        Whether their velocities along x are recorded, too.
-    signals
-        (L, 3 + X, S) so far: sent, force and velocity of `WaveRecord`, and velocities of its stations; then those along
-        x of receiver and stations, if they are recorded.
+    counts
+        (L, 2, X, S) motion across and along so far, see `Section`.
     nonlinear, slipped, bonds, broken
         See `WaveRecord`, for each sample and, the latter three, each lane; ``broken`` are its broken bonds.
     """
@@ -150,14 +107,14 @@ class Recorder:
     pulse: Pulse
     stride: int
     listeners: tuple[Integers, ...]
+    places: tuple[float, ...]
     driven_disks: Integers
     samples: int
     longest: float
     unbalanced_speed: Floats
     closing_gaps: float
     breakable: float = 0.0
-    along: bool = False
-    signals: Floats = field(init=False)
+    counts: Counts = field(init=False)
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
     bonds: Integers = field(init=False)
@@ -166,14 +123,9 @@ class Recorder:
     def __post_init__(self) -> None:
         """Know nothing of the wave yet."""
         self.nonlinear = [[] for _ in range(self.samples)]
-        self.signals = np.zeros((self.state.features.lanes, 2 + len(self.axes), 0))
+        self.counts = np.zeros((self.state.features.lanes, 2, len(self.listeners), 0), dtype=np.int32)
         self.slipped = np.zeros(self.state.features.lanes)
         self.bonds, self.broken = cemented_bonds(self.state), broken_bonds(self.state)
-
-    @property
-    def axes(self) -> Integers:
-        """(G,) component of each velocity that is recorded: of all listeners along y, then along x if at all."""
-        return np.repeat([Y, X] if self.along else [Y], len(self.listeners))
 
     @property
     def steps_per_look(self) -> int:
@@ -193,7 +145,7 @@ class Recorder:
             remaining = self._remaining_speeds()
             for lane in running:
                 record = self.record_of(lane, problems[lane], float(remaining[lane]))
-                if record.problem or record.duration >= self.longest or stop_when(record):
+                if record.problem or record.section.duration >= self.longest or stop_when(record):
                     records[lane] = record
         return [records[lane] for lane in sorted(records)]
 
@@ -212,9 +164,9 @@ class Recorder:
 
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> None:
         """Advance by so many samples."""
-        steps, begin = samples * self.stride, self.signals.shape[2]
+        steps = samples * self.stride
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
-        groups = self.listeners * (2 if self.along else 1)
+        groups = self.listeners * 2
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
             drive=self._sent_at(middle).astype(dtype),
@@ -225,17 +177,14 @@ class Recorder:
             receiver=RECEIVER,
             listeners=np.concatenate(groups),
             groups=np.cumsum([0, *map(len, groups)]),
-            axes=self.axes,
+            axes=np.repeat([Y, X], len(self.listeners)),
             samples=np.zeros((samples, 1 + len(groups), lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording)
         self.broken = broken_bonds(self.state)
-        times = _sample_times(begin, begin + samples, self.stride, self.state.time_step[:, None])
-        received = recording.samples.astype(float)
-        # The tangent of the right wall points down; a signal is positive when it pulls up, as it was sent.
-        velocities = received[:, LISTENED:].transpose(2, 1, 0)
-        chunk = self._sent_at(times)[:, None], -received[:, RECEIVED].T[:, None], velocities
-        self.signals = np.concatenate([self.signals, np.concatenate(chunk, axis=1)], axis=2)
+        recorded = recording.samples[:, LISTENED:].astype(float).transpose(2, 1, 0)
+        chunk = quantise(recorded, self.pulse.amplitude).reshape(lanes, 2, len(self.listeners), samples)
+        self.counts = np.concatenate([self.counts, chunk], axis=3)
 
     def _sent_at(self, times: Floats) -> Floats:
         """Velocities of the transmitter at times, m/s; all at once where it is at rest again."""
@@ -252,22 +201,28 @@ class Recorder:
         mass = self.state.scene.mass[self.state.assembly.order]
         velocity = self.state.motion.velocity[:, XY].astype(float)
         moving = (mass[:, None, None] * (velocity * velocity)).sum(axis=0).sum(axis=0)
-        return np.asarray(np.sqrt(moving / (len(self.listeners[0]) * mass[self.listeners[0]].min())))
+        return np.asarray(np.sqrt(moving / (len(self.listeners[-1]) * mass[self.listeners[-1]].min())))
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
-        sent, force = self.signals[lane, :2]
-        across, along = np.split(self.signals[lane, 2:], [len(self.listeners)])
+        step = float(self.state.time_step[lane])
+        across, along = (np.ascontiguousarray(motion.T) for motion in self.counts[lane])
+        section = Section(
+            sampling_interval=self.stride * step,
+            # A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
+            start_time=(self.stride - 0.5) * step,
+            frequency=self.pulse.frequency,
+            amplitude=self.pulse.amplitude,
+            places=self.places,
+            across=across,
+            along=along,
+        )
         return WaveRecord(
-            time_step=float(self.state.time_step[lane]),
+            time_step=step,
             stride=self.stride,
-            sent=sent,
-            force=force,
-            velocity=across[0],
+            section=section,
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
-            stations=across[1:].T if len(across) > 1 else None,
-            along=np.roll(along, -1, axis=0).T if len(along) else None,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             closing_gaps=self.closing_gaps,
             broken_bonds=int(self.broken[lane]),

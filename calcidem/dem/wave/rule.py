@@ -12,8 +12,7 @@ from calcidem.dem.wave.pulse import Pulse
 Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
-FEWEST_STATIONS = 4
-FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
+FEWEST_SAMPLES = 20  # in a period of the pulse; with 20 a peak moves by 0.1 % (docs/reading.md)
 _STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
 _LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
 _LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
@@ -48,17 +47,11 @@ class WaveRule:
     step_fraction
         Time step as a part of the stability limit.
     samples_per_period
-        Least number of samples in a period of the pulse. With 100 a parabola through a peak is good to 1e-5 of it.
+        Least number of samples of the section in a period of the pulse. With 40 a peak moves by 2e-4, with 20 by 1e-3.
     slowest
         Slowest velocity that is waited for, m/s.
     listening_depth
         Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
-    stations
-        Slices of the sample between transmitter and receiver whose mean velocities are recorded, too, to follow the S
-        wave on its way (see `ridge`); 0 for none.
-    polarisation
-        Record the motion along the way at receiver and stations, too, to tell P wave and S wave by it (see
-        `polarisation`).
     most_broken_bonds
         Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
     unbalanced_force_ratio
@@ -81,11 +74,9 @@ class WaveRule:
     regime: Regime = "linear"
     precision: Precision = "float64"
     step_fraction: float = 0.8
-    samples_per_period: int = 100
+    samples_per_period: int = 40
     slowest: float = 60.0
     listening_depth: float = 0.01
-    stations: int = 0
-    polarisation: bool = False
     most_broken_bonds: float = 0.0
     unbalanced_force_ratio: float = 1.0e-6
     most_settling_steps: int = 2_000_000
@@ -103,8 +94,6 @@ class WaveRule:
         deaf = "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
         smooth = "a smooth transmitter moves nothing; give a positive coefficient"
         coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
-        alone = f"polarisation is told at stations; give {FEWEST_STATIONS} and more, or polarisation = false"
-        few = f"give 0, or {FEWEST_STATIONS} and more: fewer tell no line from a bend"
         for name, possible, cure in (
             (
                 "damping",
@@ -112,8 +101,6 @@ class WaveRule:
                 f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
             ),
             ("band_friction", self.band_friction > 0.0, smooth),
-            ("stations", self.stations == 0 or self.stations >= FEWEST_STATIONS, few),
-            ("stations", self.stations > 0 or not self.polarisation, alone),
             ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
             ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
             ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),

@@ -1,0 +1,380 @@
+"""Reading the travel time of the shear wave from a space-time section.
+
+1. **The P wave is taken off.** It comes first and moves grains along the path. Where cement is uneven it arrives at a
+   slant, so that a part of its motion is across the path and looks like an early S wave. That part follows the motion
+   along. Its share is found by regression over the first swing along, at each station (polarisation analysis:
+   Montalbetti and Kanasewich 1970, doi:10.1111/j.1365-246X.1970.tb01771.x).
+2. **The section is stacked along straight lines** from the transmitted peak to each peak of the receiver (slant stack:
+   Stoffa et al. 1981, doi:10.1190/1.1441222). The S wave is the first peak whose stack is at least `LEAST_COHERENCE`,
+   and the largest of all peaks up to where a slower S wave would have come.
+3. **Its time is the receiver's own peak**, as in the paper (section 3.1.1).
+
+A candidate depends on no sample behind its horizon, so a record that is cut there gives the same bits.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from calcidem.dem.engine.material import require
+from calcidem.dem.engine.portable import arc_sine, sliding_products
+from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
+
+SILENCE = 0.01
+"""Velocity over v0 below which nothing is read; arrivals in real samples are above 0.02."""
+
+LARGER_SWING = 3.0
+"""A swing along the path that another one this many times as large follows within a period is a precursor of it."""
+
+STEEPEST = 0.5
+"""Largest motion across over that along which a P wave has: it arrives at 27 degrees to the path."""
+
+LEAST_COHERENCE = 0.5
+"""Smallest stack of an S wave: the mean over all stations of its amplitude over the largest one."""
+
+P_TO_S = 2.1
+"""Largest ratio of the speeds of P and S wave: up to so many travel times of a P wave the S wave may still come."""
+
+STRETCH = 0.04
+"""The line of a peak may be faster or slower by this part: the last grains delay or advance the receiver."""
+
+
+FEWEST_STATIONS = 4
+"""Stations that have to see the crest for a velocity of the path: fewer tell no line from a bend."""
+
+SMOOTHING = 0.3
+"""Half-width of the window of smoothing, of the period: grains pass on little of what is shorter."""
+
+LARGEST_ERROR = 0.06
+"""Standard error of a reading above which it is refused (docs/reading.md, "Wrong against refused")."""
+
+ONSET = 0.1
+"""Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
+
+
+class Verdict(StrEnum):
+    """Why a section gives no velocity."""
+
+    SILENT = "nothing above the noise arrived: send a stronger pulse, or record for longer"
+    TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
+    NO_LINE = "no peak of the receiver continues what the stations recorded: send another frequency"
+    UNCERTAIN = "the standard error of the reading is above pick.largest_error: send a higher frequency"
+
+
+@dataclass(frozen=True, slots=True)
+class PickRule:
+    """What counts as an arrival.
+
+    Attributes
+    ----------
+    smoothing
+        Half-width of the window in which cubics are fitted to the signals, as a part of the period.
+    largest_error
+        Relative standard error of a reading, above which it is refused.
+    """
+
+    smoothing: float = SMOOTHING
+    largest_error: float = LARGEST_ERROR
+
+    def __post_init__(self) -> None:
+        """Refuse windows without width and errors that say nothing."""
+        require(0.0 < self.smoothing <= 1.0, "smoothing", self.smoothing, "give a part of the period in (0, 1]")
+        require(0.0 < self.largest_error <= 1.0, "largest_error", self.largest_error, "give a part in (0, 1]")
+
+
+_DEFAULT_RULE = PickRule()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """The S wave in a section.
+
+    Attributes
+    ----------
+    travel_time
+        From the transmitted to the received peak, s.
+    coherence
+        Stack of the section along its line, from `LEAST_COHERENCE` to 1.
+    shifted
+        Change of the travel time by what was taken off as P wave, relative.
+    width
+        Of the peak at 0.9 of its amplitude, over the travel time.
+    roughness
+        What smoothing takes away from the receiver's motion (rms), over the amplitude of the peak.
+    path_velocity, path_error
+        Velocity of the crest from station to station (m/s) and its relative standard error; None where fewer than
+        `FEWEST_STATIONS` saw it.
+    index
+        Sample of the peak.
+    clean
+        (H, X) smoothed motion across without the P wave, up to the horizon, over v0.
+    """
+
+    travel_time: float
+    coherence: float
+    shifted: float
+    width: float
+    roughness: float
+    path_velocity: float | None
+    path_error: float | None
+    index: int
+    clean: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """What a section says.
+
+    Attributes
+    ----------
+    verdict
+        Why there is no velocity; None if there is one.
+    arrival
+        The S wave; None where none was found.
+    peak, first_arrival, cross_correlation
+        Velocities by three methods, m/s: from peak to peak, by the last rise through `ONSET` before both peaks, and by
+        the lag at which the pulse fits best. The latter two are None further than a quarter of a period from the first.
+    error
+        Relative standard error of these velocities, see `reading_error`.
+    """
+
+    verdict: Verdict | None
+    arrival: Arrival | None = None
+    peak: float | None = None
+    first_arrival: float | None = None
+    cross_correlation: float | None = None
+    error: float | None = None
+
+
+class _Prepared(NamedTuple):
+    """Smoothed section, in units of v0 and samples.
+
+    Attributes
+    ----------
+    across, along
+        (T, X) as far as a longer record does not change them.
+    parts
+        (X,) places over the distance.
+    period, peak
+        Duration of the pulse and time of its peak.
+    p_top, p_end, p_share
+        (X,) peak and end of the P wave's first swing, and motion across over along in it; -1 where there is none yet.
+    """
+
+    across: Floats
+    along: Floats
+    parts: Floats
+    period: float
+    peak: float
+    p_top: Integers
+    p_end: Integers
+    p_share: Floats
+
+
+def prepare(section: Section, smoothing: float) -> _Prepared:
+    """Smooth a section and find the first swing of the P wave at each station."""
+    half = smoothing * section.period
+    across, along = (smooth(motion * RESOLUTION, half) for motion in (section.across, section.along))
+    swings = [_first_swing(u, a, section.period) for u, a in zip(across.T, along.T, strict=True)]
+    top, end, share = (np.array(column) for column in zip(*swings, strict=True))
+    parts = np.array(section.places) / section.distance
+    return _Prepared(across, along, parts, section.period, section.transmitted_peak, top, end, share)
+
+
+def smooth(motion: Floats, half_width: float) -> Floats:
+    """Values of cubics fitted to each sample (T, ...) and its neighbours; the last ``half_width`` samples have none.
+
+    Neighbours count by ``(1 - (j / half_width)^2)^2`` (local regression: Cleveland 1979,
+    doi:10.1080/01621459.1979.10481038), which changes smoothly with the sampling. Before the record all was at rest.
+    """
+    reach = int(half_width)
+    if reach < 1:
+        return np.asarray(motion, dtype=float)
+    square = np.arange(-reach, reach + 1.0) ** 2
+    near = 1.0 - square / (half_width * half_width)
+    weight = near * near
+    sums = [float(np.sum(weight * power)) for power in (np.ones_like(square), square, square * square)]
+    weight = weight * (sums[2] - sums[1] * square) / (sums[0] * sums[2] - sums[1] * sums[1])
+    rest = np.zeros((reach, *motion.shape[1:]))
+    return sliding_products(np.concatenate([rest, motion]), weight)
+
+
+def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int, float]:
+    """Peak, end and share of the first swing along the path at one station; -1 where none is known yet."""
+    swing, soon = np.abs(along), int(period)
+    for top in find_tops(swing).tolist():
+        if swing[top] < SILENCE or top + soon >= len(swing):
+            continue
+        if swing[top : top + soon].max() > LARGER_SWING * swing[top]:
+            continue
+        # The last sample counts as far as the peak lies behind it: the share does not jump with the sampling.
+        weight = along[: top + 1].copy()
+        weight[-1] *= 0.5 + parabola_vertex(swing, top)
+        share = np.sum(weight * across[: top + 1]) / np.sum(weight * along[: top + 1])
+        over = along[top:] * along[top] <= 0.0
+        end = top + int(over.argmax()) if over.any() else len(along)
+        return top, end, float(np.clip(share, -STEEPEST, STEEPEST))
+    return -1, -1, 0.0
+
+
+def _without_p(prepared: _Prepared, before: Floats) -> Floats:
+    """Motion across (T, X) without the first swings of P that peak before these samples (X,)."""
+    sample = np.arange(len(prepared.across))[:, None]
+    taken = (prepared.p_top >= 0) & (prepared.p_top <= before) & (sample < prepared.p_end)
+    return prepared.across - np.where(taken, prepared.p_share * prepared.along, 0.0)
+
+
+def _receiver_peaks(prepared: _Prepared) -> list[int]:
+    """Peaks of the receiver behind the transmitted one: as they are up to the P wave's, and without it from there on."""
+    clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))[:, -1]
+    top, whole = int(prepared.p_top[-1]), prepared.across[:, -1]
+    found = [i for i in find_tops(whole).tolist() if (top < 0 or i < top) and whole[i] > SILENCE]
+    found += [i for i in find_tops(clean).tolist() if i >= top >= 0 and clean[i] > SILENCE]
+    return [i for i in found if i > prepared.peak]
+
+
+def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
+    """Read the travel time of the shear wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
+    arrival = find_arrival(section, rule.smoothing)
+    if isinstance(arrival, Verdict):
+        return Reading(arrival)
+    error = reading_error(section, arrival)
+    if error > rule.largest_error:
+        return Reading(Verdict.UNCERTAIN, arrival, error=error)
+    others = (_first_arrival(section, arrival), _cross_correlation(section, arrival))
+    near = 0.25 / section.frequency
+    first, correlated = (
+        section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
+        for time in others
+    )
+    return Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
+
+
+def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
+    """Length of record in which a pulse without dispersion is read, s; SI units."""
+    travel, period = distance / velocity, 1.0 / frequency
+    return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
+
+
+def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:
+    """Find the S wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
+    prepared = prepare(section, smoothing)
+    peaks = _receiver_peaks(prepared)
+    if not peaks:
+        return Verdict.SILENT
+    for peak in peaks:
+        found = _judge(prepared, section, peak)
+        if found is not None:
+            return found
+    return Verdict.NO_LINE
+
+
+def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdict | None:
+    """Judge a peak of the receiver: None if it is not the S wave's."""
+    early = _without_p(prepared, prepared.peak + (index - prepared.peak) * prepared.parts)
+    time = index + parabola_vertex(early[:, -1], index)
+    travel = time - prepared.peak
+    horizon = int(prepared.peak + max(P_TO_S * travel, travel + prepared.period)) + 1
+    if horizon > len(early):
+        return Verdict.TOO_SHORT
+    clean = early[:horizon]
+    largest = np.maximum(clean.max(axis=0), SILENCE * RESOLUTION)
+    rivals = []
+    for other in find_tops(clean[:, -1]).tolist():
+        if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
+            apart = other + parabola_vertex(clean[:, -1], other) - prepared.peak
+            rivals.append(_coherence(prepared, clean, largest, apart))
+    coherence = _coherence(prepared, clean, largest, travel)
+    rival = max(rivals, default=0.0)
+    if coherence < LEAST_COHERENCE or rival > coherence:
+        return None
+    whole = prepared.across[:horizon, -1]
+    with_p = [i + parabola_vertex(whole, i) for i in find_tops(whole).tolist() if i > prepared.peak]
+    shifted = min((abs(other - time) for other in with_p), default=travel) / travel
+    began, ended = falls_through(clean[:, -1], index, 0.9 * float(clean[index, -1]))
+    rough = section.across[:horizon, -1] * RESOLUTION - whole
+    slope = _crest(prepared, clean, travel)
+    interval = section.sampling_interval
+    return Arrival(
+        travel_time=travel * interval,
+        coherence=coherence,
+        shifted=shifted,
+        width=(ended - began) / travel,
+        roughness=float(np.sqrt(np.mean(rough * rough)) / clean[index, -1]),
+        path_velocity=None if slope is None else section.distance / (slope[0] * interval),
+        path_error=None if slope is None else slope[1],
+        index=index,
+        clean=clean,
+    )
+
+
+def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: float) -> float:
+    """Stack of a section along a line from the transmitted peak, each station over its largest value."""
+    stretch = np.linspace(1.0 - STRETCH, 1.0 + STRETCH, 9)[:, None]
+    time = prepared.peak + travel * stretch * prepared.parts
+    left = np.clip(time.astype(int), 0, len(clean) - 2)
+    share, station = time - left, np.arange(len(prepared.parts))
+    value = (1.0 - share) * clean[left, station] + share * clean[left + 1, station]
+    return float(np.clip(value / largest, -1.0, 1.0).mean(axis=1).max())
+
+
+def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, float] | None:
+    """Travel time of the whole distance by the crest between the stations, samples, and its relative standard error."""
+    place, time = [], []
+    for station, part in enumerate(prepared.parts[:-1].tolist()):
+        wanted = prepared.peak + travel * part
+        tops = [i + parabola_vertex(clean[:, station], i) for i in find_tops(clean[:, station]).tolist()]
+        near = [top for top in tops if abs(top - wanted) < 0.5 * prepared.period]
+        if near:
+            place.append(part)
+            time.append(min(near, key=lambda top: abs(top - wanted)))
+    if len(place) < FEWEST_STATIONS:
+        return None
+    x, t = np.array(place), np.array(time)
+    first, second = np.triu_indices(len(x), 1)
+    slope = _median((t[second] - t[first]) / (x[second] - x[first]))  # Theil and Sen: one stray station moves it little
+    rest = np.abs(t - slope * x - _median(t - slope * x))
+    spread = 1.4826 * _median(rest) * np.sqrt(len(x) / (len(x) - 2.0))
+    error = float(spread / np.sqrt(np.sum((x - x.mean()) * (x - x.mean()))))
+    return (slope, error / slope) if slope > 0.0 else None
+
+
+def _median(values: Floats) -> float:
+    """Median, as NumPy's, which takes five times as long for few."""
+    ordered, count = np.sort(values), len(values)
+    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
+
+
+def reading_error(section: Section, arrival: Arrival) -> float:
+    """Relative standard error of a velocity that was read."""
+    return float(np.hypot(arrival.shifted, arrival.width / 4.0) / 2.0)
+
+
+def _first_arrival(section: Section, arrival: Arrival) -> float | None:
+    """Time between the last rises through the onset level before both peaks, s."""
+    received = arrival.clean[: arrival.index + 1, -1]
+    level = ONSET * float(received[-1])
+    below = np.flatnonzero(received < level)
+    if not len(below):
+        return None
+    last = int(below[-1])
+    low, high = received[last], received[last + 1]
+    arrived = section.start_time + (last + float((level - low) / (high - low))) * section.sampling_interval
+    # 1 - cos 2 pi f t = 2 ONSET
+    return arrived - float(arc_sine(np.sqrt(ONSET))) / (np.pi * section.frequency)
+
+
+def _cross_correlation(section: Section, arrival: Arrival) -> float | None:
+    """Lag at which the pulse fits the received signal best, within half a period of the peak's, s."""
+    pulse = section.transmitted[: int(section.period)]
+    received, lag = arrival.clean[:, -1], round(arrival.travel_time / section.sampling_interval)
+    begin = max(0, lag - int(section.period / 2.0))
+    products = sliding_products(received[begin : lag + int(1.5 * section.period)], pulse)
+    best = int(np.argmax(products)) if len(products) else 0
+    if not 0 < best < len(products) - 1:
+        return None
+    return float((begin + best + parabola_vertex(products, best)) * section.sampling_interval)
