@@ -14,12 +14,10 @@ from calcidem.app.studies.accuracy.findings import MeasuredErrors
 from calcidem.app.studies.accuracy.reference import measure_and_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.accuracy.study import ROUNDS
-from calcidem.dem.wave.domain import domain_of, most_stations
+from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.rule import FEWEST_STATIONS, WHOLE_DOMAIN
-
-_STATIONS, _THICKNESS = 10, 2.0  # at most so many, in slices at least so many disks thick
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +118,7 @@ def alternatives_of(experiment: Experiment, content: float) -> list[Alternative]
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
     found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
-    found += [_local_damping(experiment), _wall_or_disks(experiment), _stations(experiment)]
-    return [*found, *_polarisation(experiment)]
+    return [*found, _local_damping(experiment), _wall_or_disks(experiment)]
 
 
 def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
@@ -188,30 +185,6 @@ def _wall_or_disks(experiment: Experiment) -> Alternative:
     wall = experiment.wave.transmitter == "wall"
     why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
     return Alternative("driven disks", not wall, why, with_wave(experiment, transmitter="driven" if wall else "wall"))
-
-
-def _stations(experiment: Experiment) -> Alternative:
-    """Slices of the sample that are recorded, and in which the S wave is followed."""
-    wave, packing = experiment.wave, experiment.packing
-    if wave.stations:
-        why = "the S wave is followed from slice to slice to its top (docs/reading.md)"
-        alone = with_wave(experiment, stations=0, polarisation=False)
-        return Alternative("stations", needed=True, why=why, opposite=alone)
-    possible = most_stations(packing.width, wave.listening_depth, _THICKNESS * 2.0 * float(packing.radius.max()))
-    fits = possible >= FEWEST_STATIONS and experiment.signal == "velocity"
-    other = with_wave(experiment, stations=min(possible, _STATIONS)) if fits else None
-    why = "the receiver alone tells which top is the S wave's"
-    return Alternative("stations", needed=False, why=why, opposite=other)
-
-
-def _polarisation(experiment: Experiment) -> list[Alternative]:
-    """Motion along the way, by which P wave and S wave are told apart; nothing to say without stations."""
-    wave = experiment.wave
-    if not wave.stations:
-        return []
-    why = "P waves are told by their motion along the way" if wave.polarisation else "motion across the way is followed"
-    other = with_wave(experiment, polarisation=not wave.polarisation)
-    return [Alternative("motion along the way", wave.polarisation, why, other)]
 
 
 def _early_stop(experiment: Experiment) -> Alternative:

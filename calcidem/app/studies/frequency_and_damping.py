@@ -11,9 +11,10 @@ import xarray as xr
 from calcidem.app.campaign.packing import readable_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.experiment import Experiment, Method
-from calcidem.dem.wave.measurement import Measurement, interpret_record, measure, signals_of
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, interpret_record, measure
 from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.reading import Method
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.campaign import open_stored_campaign
 
@@ -105,7 +106,7 @@ def damping_study(
     Returns
     -------
     xarray.Dataset
-        `received` (the signal that the experiment reads, in its unit) along (content, damping, sample), `time`
+        `received` (velocity of the receiver, m/s) along (content, damping, sample), `time`
         (s) along (content, sample), and `vs_peak` (m/s) along (content, damping), NaN where nothing trustworthy
         was read.
     """
@@ -119,35 +120,34 @@ def damping_study(
             if record.problem:
                 received[row, column] = np.nan
                 continue
-            received[row, column] = np.interp(time[row], record.times, signals_of(record, damped).received)
-            velocity[row, column] = _velocity(damped, "peak", damped.frequency(content), record)
+            received[row, column] = np.interp(time[row], record.section.times, record.section.received)
+            velocity[row, column] = _velocity(damped, "peak", record)
     study = xr.Dataset(
         {"received": (("content", "damping", "sample"), received), "vs_peak": (("content", "damping"), velocity)},
         coords={"content": list(contents), "damping": list(factors), "time": (("content", "sample"), time)},
         attrs={"seed": seed},
     )
     _set_units(study)
-    study["received"].attrs["units"] = "m/s" if experiment.signal == "velocity" else "N/m"
     return study
 
 
 def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
     """Give what could be trusted of a measurement: vs by each method in m/s, and the received frequency in Hz."""
     record, frequency = measurement.record, measurement.frequency
-    found = {f"vs_{method}": _velocity(experiment, method, frequency, record) for method in _METHODS}
+    found = {f"vs_{method}": _velocity(experiment, method, record) for method in _METHODS}
     if np.isfinite(found["vs_peak"]):
         found["received_frequency"] = pulse_frequency(
-            signals_of(record, experiment).received,
-            record.sampling_interval,
-            measurement.distance / found["vs_peak"] + 0.5 / frequency - record.start_time,
+            record.section.received,
+            record.section.sampling_interval,
+            record.section.distance / found["vs_peak"] + 0.5 / frequency - record.section.start_time,
             reach=0.1 / frequency,
         )
     return found
 
 
-def _velocity(experiment: Experiment, method: Method, frequency: float, record: WaveRecord) -> float:
+def _velocity(experiment: Experiment, method: Method, record: WaveRecord) -> float:
     """Give what a campaign that reads by this method would store, m/s; NaN where it would store a reason."""
-    return interpret_record(replace(experiment, method=method), frequency, record)[2] or np.nan
+    return interpret_record(replace(experiment, pick=replace(experiment.pick, method=method)), record).vs or np.nan
 
 
 def pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
@@ -191,7 +191,7 @@ def _long_record(
     bonded = [experiment.ordering(seed).at(content).bonded]
     frequency = experiment.frequency(content)
     return send_waves(
-        patient, bonded, frequency, stop_when=lambda record: record.duration >= duration, lanes=1, check=check
+        patient, bonded, frequency, stop_when=lambda record: record.section.duration >= duration, lanes=1, check=check
     )[0]
 
 

@@ -134,8 +134,8 @@ def estimate_error(experiment: Experiment, record: WaveRecord, arrival: Arrival)
 
     What is expected is the order of its size. A change of a signal by the part e of its amplitude, as fast as the pulse
     is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with
-    the nonlinear share in the linear regime, and with how rough the signal is, since another step makes another chatter.
-    To this come an error of first order in the step over its limit, and a part of what else the bound has. The bound is
+    the nonlinear share in the linear regime, and with how rough the signal is: another step makes another chatter. To
+    this come an error of first order in the step over its limit, and a part of what else the bound has. The bound is
     no less than what one of a hundred such errors exceeds; what the transmitter loses has its own.
     """
     frequency, travel_time = record.section.frequency, arrival.travel_time

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.scene import wave_scene
 
 _Found = TypeVar("_Found")
-Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +39,6 @@ class Experiment:
         stage. 1 is the packing as it was made; anything else is a calibration.
     installation
         See `scene.Bonds`.
-    method
-        Reading that becomes Vs.
     early_stop
         End a record as soon as its reading is settled, or what still moves cannot become one; it does not change the
         reading.
@@ -58,7 +55,6 @@ class Experiment:
     root_seed: int = 0
     stiffness_factor: float = 1.0
     installation: Installation = "preserve"
-    method: Method = "peak"
     early_stop: bool = True
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)

@@ -34,7 +34,7 @@ class Interpretation:
     outcome, reason
         What became of the sample, and why if there is no velocity.
     vs
-        Shear-wave velocity by the experiment's method, m/s; None where it cannot be trusted.
+        Shear-wave velocity by the method of `PickRule`, m/s; None where it cannot be trusted.
     reading
         Everything that was read, with its standard error; None if the run was unstable.
     error
@@ -162,9 +162,9 @@ def interpret_record(experiment: Experiment, record: WaveRecord) -> Interpretati
     if reading.arrival is None or reading.verdict is not None:
         return Interpretation(Outcome.NO_ARRIVAL, str(reading.verdict), reading=reading)
     error = estimate_error(experiment, record, reading.arrival)
-    vs: float | None = getattr(reading, experiment.method)
+    vs: float | None = getattr(reading, experiment.pick.method)
     if vs is None:
-        reason = f"the {experiment.method.replace('_', ' ')} cannot be read; pick.method = \"peak\" can"
+        reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
         return Interpretation(Outcome.NO_ARRIVAL, reason, reading=reading, error=error)
     if error.bound > LARGEST_BOUND:
         reason = f"{_INEXACT}: {cure_of(experiment, error.parts, LARGEST_BOUND)}"

@@ -14,7 +14,7 @@ A candidate depends on no sample behind its horizon, so a record that is cut the
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
+
+Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 SILENCE = 0.01
 """Velocity over v0 below which nothing is read; arrivals in real samples are above 0.02."""
@@ -71,12 +73,15 @@ class PickRule:
 
     Attributes
     ----------
+    method
+        Reading that becomes Vs, see `Reading`.
     smoothing
         Half-width of the window in which cubics are fitted to the signals, as a part of the period.
     largest_error
         Relative standard error of a reading, above which it is refused.
     """
 
+    method: Method = "peak"
     smoothing: float = SMOOTHING
     largest_error: float = LARGEST_ERROR
 
@@ -229,7 +234,7 @@ def _without_p(prepared: _Prepared, before: Floats) -> Floats:
 
 
 def _receiver_peaks(prepared: _Prepared) -> list[int]:
-    """Peaks of the receiver behind the transmitted one: as they are up to the P wave's, and without it from there on."""
+    """Peaks of the receiver after the transmitted one: as they are up to the P wave's, and without it from there on."""
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))[:, -1]
     top, whole = int(prepared.p_top[-1]), prepared.across[:, -1]
     found = [i for i in find_tops(whole).tolist() if (top < 0 or i < top) and whole[i] > SILENCE]

@@ -209,7 +209,7 @@ class Recorder:
         across, along = (np.ascontiguousarray(motion.T) for motion in self.counts[lane])
         section = Section(
             sampling_interval=self.stride * step,
-            # A sample is taken at the end of every stride-th step: leapfrog velocities belong to the middle of that step.
+            # A sample is taken at the end of every stride-th step; leapfrog velocities belong to its middle.
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,

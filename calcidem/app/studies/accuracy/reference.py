@@ -191,10 +191,10 @@ def cell_error(
         vs=found.vs,
         reference_vs=exact.vs,
         vs_error=relative_deviation(found.vs, exact.vs),
-        arrival_error=relative_deviation(_first_arrival(found), _first_arrival(exact)),
+        arrival_error=relative_deviation(_first_arrival(exact), _first_arrival(found)),
         signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
-        expected=found.expected_error,
-        bound=found.error_bound,
+        expected=found.result.error and found.result.error.expected,
+        bound=found.result.error and found.result.error.bound,
     )
 
 
@@ -204,8 +204,8 @@ def relative_deviation(found: float | None, exact: float | None) -> float | None
 
 
 def _first_arrival(measurement: Measurement) -> float | None:
-    """Travel time of the first arrival, s."""
-    return None if measurement.picks is None else measurement.picks.first_arrival.travel_time
+    """Velocity by the first arrival, m/s."""
+    return None if measurement.result.reading is None else measurement.result.reading.first_arrival
 
 
 def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exact_amplitude: float) -> float:
@@ -213,12 +213,12 @@ def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exac
 
     ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
     """
-    times = [record.times for record in (found, exact)]
+    times = [record.section.times for record in (found, exact)]
     coarser = max(times, key=lambda time: float(time[1] - time[0]))
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = coarser[(coarser >= begin) & (coarser <= end)]
-    first = _at_times(common, times[0], found.velocity / amplitude)
-    second = _at_times(common, times[1], exact.velocity / exact_amplitude)
+    first = _at_times(common, times[0], found.section.received / amplitude)
+    second = _at_times(common, times[1], exact.section.received / exact_amplitude)
     return float(np.linalg.norm(first - second) / np.linalg.norm(second))
 
 
@@ -275,9 +275,9 @@ def measure_convergence(
 
 def _signal_changes(records: Sequence[WaveRecord]) -> Floats:
     """Change from each record to the next, at the times of the first."""
-    times = [record.times for record in records]
+    times = [record.section.times for record in records]
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = times[0][(times[0] >= begin) & (times[0] <= end)]
-    signals = [_at_times(common, time, record.velocity) for time, record in zip(times, records, strict=True)]
+    signals = [_at_times(common, time, record.section.received) for time, record in zip(times, records, strict=True)]
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])

@@ -19,8 +19,8 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule, make_packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.pick import PickRule
 from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 
 _RADIUS = 1.25e-3  # m, of the largest disks
@@ -55,7 +55,7 @@ PLAUSIBLE = {
 }
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
-_PICK = PickRule(precursor=1.0, horizon=1.5, signal_to_noise=1.0, fewest_periods=0.0)
+_PICK = PickRule(largest_error=1.0)
 """The boxes are short against the wave: what is judged is whether the reading hangs on the step, not what it is of."""
 _POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore

@@ -117,8 +117,8 @@ def _judge_experiment(
         found = _measure_sample(experiment, content, scene)
     except ValueError as error:
         return Judgement(scene, StabilityVerdict.REFUSED, str(error))
-    if found.outcome != Outcome.DONE or found.vs is None:
-        return Judgement(scene, StabilityVerdict.DETECTED, found.reason)
+    if found.result.outcome != Outcome.DONE or found.vs is None:
+        return Judgement(scene, StabilityVerdict.DETECTED, found.result.reason)
     finer = replace(
         experiment.wave,
         step_fraction=experiment.wave.step_fraction / _FINER,
@@ -146,11 +146,13 @@ def _compare_with_finer(
         amplitude = experiment.wave.amplitude
         distance = signal_distance(found.record, amplitude, exact.record, amplitude)
         verdict = StabilityVerdict.STABLE if distance < _ALIKE else StabilityVerdict.WRONG
-        return Judgement(scene, verdict, f"{exact.reason} with a smaller step, signals {distance:.2g} apart", found.vs)
+        return Judgement(
+            scene, verdict, f"{exact.result.reason} with a smaller step, signals {distance:.2g} apart", found.vs
+        )
     error = found.vs / exact.vs - 1.0
     # What a regime leaves out is no less than its bound says; 5 % are for what a step does to a reading.
     tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
-    right = abs(error) <= max(tolerance, found.error_bound or 0.0)
+    right = abs(error) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
     return Judgement(
         scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, found.record.retry, found.vs, error
     )
