@@ -5,7 +5,7 @@
    along. Its share is found by regression over the first swing along, at each station (polarisation analysis:
    Montalbetti and Kanasewich 1970, doi:10.1111/j.1365-246X.1970.tb01771.x).
 2. **The section is stacked along straight lines** from the transmitted peak to each peak of the receiver (slant stack:
-   Stoffa et al. 1981, doi:10.1190/1.1441222). The S wave is the first peak whose stack is at least `LEAST_COHERENCE`,
+   Stoffa et al. 1981, Geophysics 46:255). The S wave is the first peak whose stack is at least `LEAST_COHERENCE`,
    and the largest of all peaks up to where a slower S wave would have come.
 3. **Its time is the receiver's own peak**, as in the paper (section 3.1.1).
 
@@ -51,8 +51,26 @@ FEWEST_STATIONS = 4
 SMOOTHING = 0.3
 """Half-width of the window of smoothing, of the period: grains pass on little of what is shorter."""
 
-LARGEST_ERROR = 0.06
-"""Standard error of a reading above which it is refused (docs/reading.md, "Wrong against refused")."""
+LARGEST_ERROR = 0.15
+"""Standard error of a reading above which it is refused; a smaller bound refuses fast samples first."""
+
+LEAST_ERROR = 0.014
+"""Standard error of the clearest reading: dispersion and scattering move any peak by so much."""
+
+P_LEFT = 0.75
+"""Standard error over the shift that taking the P wave off makes."""
+
+BLUR = 0.17
+"""Standard error over the relative width of the peak at 0.9 of its amplitude."""
+
+NEAR_FIELD = 0.066
+"""Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
+
+EDGE_SPEED = 1.5
+"""Speed, over that of the S wave, of the P waves from the edges of the transmitter: that of sand and of lattices."""
+
+CREST = 1.8
+"""Standard error of the path's velocity over the one that the scatter of the stations about their line gives."""
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
@@ -110,9 +128,9 @@ class Arrival:
         Of the peak at 0.9 of its amplitude, over the travel time.
     roughness
         What smoothing takes away from the receiver's motion (rms), over the amplitude of the peak.
-    path_velocity, path_error
-        Velocity of the crest from station to station (m/s) and its relative standard error; None where fewer than
-        `FEWEST_STATIONS` saw it.
+    path_velocity, path_scatter
+        Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
+        stations about their line; None where fewer than `FEWEST_STATIONS` saw it.
     index
         Sample of the peak.
     clean
@@ -125,7 +143,7 @@ class Arrival:
     width: float
     roughness: float
     path_velocity: float | None
-    path_error: float | None
+    path_scatter: float | None
     index: int
     clean: Floats
 
@@ -145,6 +163,9 @@ class Reading:
         the lag at which the pulse fits best. The latter two are None further than a quarter of a period from the first.
     error
         Relative standard error of these velocities, see `reading_error`.
+    path, path_error
+        Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
+        error; None where too few stations saw the crest.
     """
 
     verdict: Verdict | None
@@ -153,6 +174,8 @@ class Reading:
     first_arrival: float | None = None
     cross_correlation: float | None = None
     error: float | None = None
+    path: float | None = None
+    path_error: float | None = None
 
 
 class _Prepared(NamedTuple):
@@ -256,7 +279,9 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
         section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
         for time in others
     )
-    return Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
+    velocity, scatter = section.distance / arrival.travel_time, arrival.path_scatter
+    path_error = None if scatter is None else float(np.sqrt(error * error + CREST * CREST * scatter * scatter))
+    return Reading(None, arrival, velocity, first, correlated, error, arrival.path_velocity, path_error)
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
@@ -311,7 +336,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdi
         width=(ended - began) / travel,
         roughness=float(np.sqrt(np.mean(rough * rough)) / clean[index, -1]),
         path_velocity=None if slope is None else section.distance / (slope[0] * interval),
-        path_error=None if slope is None else slope[1],
+        path_scatter=None if slope is None else slope[1],
         index=index,
         clean=clean,
     )
@@ -333,7 +358,7 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
     for station, part in enumerate(prepared.parts[:-1].tolist()):
         wanted = prepared.peak + travel * part
         tops = [i + parabola_vertex(clean[:, station], i) for i in find_tops(clean[:, station]).tolist()]
-        near = [top for top in tops if abs(top - wanted) < 0.5 * prepared.period]
+        near = [top for top in tops if abs(top - wanted) < 0.25 * prepared.period]
         if near:
             place.append(part)
             time.append(min(near, key=lambda top: abs(top - wanted)))
@@ -355,8 +380,19 @@ def _median(values: Floats) -> float:
 
 
 def reading_error(section: Section, arrival: Arrival) -> float:
-    """Relative standard error of a velocity that was read."""
-    return float(np.hypot(arrival.shifted, arrival.width / 4.0) / 2.0)
+    """Relative standard error of a velocity that was read: root of the sum of squares of independent parts.
+
+    What was taken off as P wave may leave a part of it, a broad peak may be two waves, and near a transmitter of finite
+    height the wave is not plane. There P and S wave are one within the first wavelengths (Arroyo et al. 2003,
+    Geotechnique 53:337), unless the transmitter is so high that the P waves from its edges come half a period after the
+    S wave. The factors were fitted to sections with a known delay (docs/reading.md).
+    """
+    periods = arrival.travel_time * section.frequency
+    edge = section.aperture / section.distance * periods
+    later = max(0.0, float(np.sqrt(periods * periods + edge * edge)) / EDGE_SPEED - periods)
+    near = NEAR_FIELD / (periods * float(np.sqrt(periods))) * max(0.0, 1.0 - 2.0 * later)
+    shifted, blurred = P_LEFT * arrival.shifted, BLUR * arrival.width
+    return float(np.sqrt(LEAST_ERROR * LEAST_ERROR + shifted * shifted + blurred * blurred + near * near))
 
 
 def _first_arrival(section: Section, arrival: Arrival) -> float | None:

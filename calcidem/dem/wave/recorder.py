@@ -85,6 +85,8 @@ class Recorder:
     listeners, places
         Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
         receiver; and their paths, see `Section.places`.
+    aperture
+        Half the height of the transmitter, m.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -108,6 +110,7 @@ class Recorder:
     stride: int
     listeners: tuple[Integers, ...]
     places: tuple[float, ...]
+    aperture: float
     driven_disks: Integers
     samples: int
     longest: float
@@ -213,6 +216,7 @@ class Recorder:
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,
+            aperture=self.aperture,
             places=self.places,
             across=across,
             along=along,
