@@ -11,11 +11,10 @@ import numpy as np
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks, most_stations
+from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse
 from calcidem.dem.wave.pulse import cutoff_frequency
-from calcidem.dem.wave.rule import FEWEST_STATIONS
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
@@ -104,18 +103,6 @@ def _check_bands(configuration: Configuration) -> Iterator[Problem]:
             f"wave.listening_depth = {depth}: has to hold disks that do not touch the receiver; give more than the "
             f"largest diameter, {largest} m, and at most {DEEPEST_LISTENING:g} of packing.width, {deepest:.4g} m",
             ("wave.listening_depth", "packing.width", "packing.diameter"),
-        )
-    elif configuration.wave.stations > (most := most_stations(width, depth, largest)):
-        yield Problem(
-            f"wave.stations = {configuration.wave.stations}: slices thinner than the largest disk; "
-            f"give {f'at most {most}' if most >= FEWEST_STATIONS else '0, or a wider box'}",
-            ("wave.stations", "packing.width", "packing.diameter", "wave.listening_depth"),
-        )
-    if configuration.wave.stations and configuration.velocity_choice.signal == "force":
-        yield Problem(
-            f"wave.stations = {configuration.wave.stations}: they lead to no force; "
-            'give 0, or pick.signal = "velocity"',
-            ("wave.stations", "pick.signal"),
         )
 
 

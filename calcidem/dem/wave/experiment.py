@@ -7,7 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation, Scene
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement

@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calcidem.dem.engine.material import require
+from calcidem.dem.engine.fields import PositivePart, require_fields
 from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.section import RESOLUTION, Section
@@ -100,13 +100,12 @@ class PickRule:
     """
 
     method: Method = "peak"
-    smoothing: float = SMOOTHING
-    largest_error: float = LARGEST_ERROR
+    smoothing: PositivePart = SMOOTHING
+    largest_error: PositivePart = LARGEST_ERROR
 
     def __post_init__(self) -> None:
         """Refuse windows without width and errors that say nothing."""
-        require(0.0 < self.smoothing <= 1.0, "smoothing", self.smoothing, "give a part of the period in (0, 1]")
-        require(0.0 < self.largest_error <= 1.0, "largest_error", self.largest_error, "give a part in (0, 1]")
+        require_fields(self)
 
 
 _DEFAULT_RULE = PickRule()
