@@ -6,8 +6,7 @@ import os
 import re
 import tomllib
 import unicodedata
-import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
@@ -18,7 +17,6 @@ from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
 from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
-    FORMER_KEYS,
     Bonding,
     Calibration,
     CampaignPlan,
@@ -171,7 +169,7 @@ def _read_section(
     }
     problems: list[Problem] = []
     good: dict[str, Any] = {}
-    for key, value in _rename_former_keys(section, values, owner.keys(), problems).items():
+    for key, value in values.items():
         if key not in owner:
             problems.append(_unknown_name(key, f"key of [{section}]", list(owner), section))
             continue
@@ -180,26 +178,6 @@ def _read_section(
         own = {key: value for key, value in good.items() if owner[key] is kind}
         parts[attribute] = _build(section, kind, own, problems)
     return problems
-
-
-def _rename_former_keys(
-    section: str, values: Mapping[str, Any], known: Collection[str], problems: list[Problem]
-) -> dict[str, Any]:
-    """Values by their present keys: a former one is warned of, and a problem if both are given."""
-    renamed = dict(values)
-    for former, present in FORMER_KEYS.items():
-        if former not in values or present not in known:
-            continue
-        value = renamed.pop(former)
-        if present in values:
-            problem = f"is the former name of {section}.{present}, which is given too; leave {former} out"
-            places = (f"{section}.{former}", f"{section}.{present}")
-            problems.append(Problem(f"{section}.{former} = {quote(value)}: {problem}", places))
-        else:
-            renamed[present] = value
-            message = f"{section}.{former} is now called {section}.{present}; rename the key in the configuration."
-            warnings.warn(message, FutureWarning, stacklevel=2)
-    return renamed
 
 
 def _read_value(
