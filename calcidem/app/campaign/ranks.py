@@ -84,7 +84,7 @@ def _lead(
         view.say(f"{request}: ended before the packing was made; run it again to go on.")
         code = EXIT_RESUMABLE
     except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-        code = view.refuse(error)
+        code, session.obstacle = view.refuse(error), type(error).__name__
     session.broadcast(code)
     if work is None:
         return code, None

@@ -14,6 +14,7 @@ from calcidem.storage.errors import (
     LeaseHeldError,
     LeaseLostError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
 )
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
@@ -45,7 +46,7 @@ _CURE_OF_ERRNO = {
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
-    if isinstance(error, StoreLockedError):
+    if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
     if isinstance(error, OSError):
         return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR

@@ -1,10 +1,11 @@
 """Connections to a store: address, pragmas of SQLite, real transactions, errors of databases as errors of the store."""
 
 import os
+import sqlite3
 import time
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from calcidem.storage.errors import (
     InvalidRecordError,
     ReadOnlyStoreError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
     StoreUnavailableError,
 )
@@ -76,6 +78,7 @@ _CURE_OF_ERROR: dict[type[StoreError], str] = {
     DiskFullError: "Free some space and continue; nothing of this was stored, all before it is safe.",
     ReadOnlyStoreError: "Check the permissions of the file and of its folder, or work on a copy.",
     StoreUnavailableError: "Check the name, the permissions and, for a server, that it runs.",
+    StoreInterruptedError: "Run the same command again once the server can be reached; what was stored is safe.",
     ForeignDatabaseError: "Choose another file name; this file was left as it is.",
     InvalidRecordError: "Nothing of this was stored; the values, or the program that made them, are wrong.",
     DamagedStoreError: "Check the disk; 'sqlite3 FILE .recover' saves what can be read, and an exported "
@@ -156,7 +159,9 @@ def make_engine(address: Address, *, read_only: bool) -> Engine:
 
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
-    query: dict[str, str] = {"uri": "true", "mode": "ro" if read_only else "rwc"}
+    # A reader may not create a file either. It opens one as a writer would, so that, if it is the last one to close it,
+    # SQLite brings what a killed writer has left in its log into the database, and leaves no other file beside it.
+    query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
@@ -173,6 +178,8 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
             connection.execute(f"PRAGMA journal_mode={journal}")
             connection.execute("PRAGMA synchronous=FULL")
             connection.execute(f"PRAGMA journal_size_limit={WAL_SIZE_LIMIT_BYTES}")
+        else:
+            connection.execute("PRAGMA query_only=ON")
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
@@ -193,6 +200,15 @@ def may_be_damage(error: BaseException) -> bool:
     if not isinstance(error, DBAPIError):
         return True
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
+
+
+def bring_log_into_file(engine: Engine) -> None:
+    """Copy what is in the write-ahead log into the database file, as far as no reader still needs the older pages.
+
+    Without a log nothing happens. An error is none: what the log holds is stored, and the next attempt may succeed.
+    """
+    with suppress(SQLAlchemyError, sqlite3.Error), closing(engine.raw_connection()) as connection:
+        connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
 
 
 @contextmanager
@@ -228,7 +244,8 @@ def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Se
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store that an error of the database means."""
     original = error.orig if isinstance(error, DBAPIError) else error
-    kind = _kind(original)
+    broken = isinstance(error, DBAPIError) and error.connection_invalidated  # it was there before
+    kind = StoreInterruptedError if broken else _kind(original)
     problem = f"{address}: {str(original).strip().rstrip('.')}."
     if kind is None:
         return StoreError(problem, "This is not expected; please report it with this message.")

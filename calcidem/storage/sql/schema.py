@@ -6,13 +6,13 @@ from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, Olde
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.models import Base
 
-SCHEMA = 1
+_SCHEMA = 1
 """Version of the tables in `calcidem.storage.sql.models`."""
 
 _VERSION = Table("calcidem_schema", Base.metadata, Column("version", Integer, primary_key=True))
 """Holds the version, and is the mark by which a database is recognised as calcidem's."""
 
-_CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
 
 def prepare_schema(connection: Connection, address: Address, *, read_only: bool) -> None:
@@ -28,10 +28,10 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
             raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
         return
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
-        connection.execute(select(func.pg_advisory_xact_lock(_CREATION_LOCK)))
+        connection.execute(select(func.pg_advisory_xact_lock(CREATION_LOCK)))
     if is_empty(connection, address):
         Base.metadata.create_all(connection)
-        connection.execute(insert(_VERSION).values(version=SCHEMA))
+        connection.execute(insert(_VERSION).values(version=_SCHEMA))
 
 
 def is_empty(connection: Connection, address: Address) -> bool:
@@ -59,7 +59,7 @@ def is_empty(connection: Connection, address: Address) -> bool:
             "Use that version, or compute the campaign in a new database; it was left as it is.",
         )
     version = connection.scalar(select(func.max(_VERSION.c.version)))
-    if version != SCHEMA:
+    if version != _SCHEMA:
         raise NewerSchemaError(
             f"{address} has schema {version}, which this calcidem doesn't know: a later one wrote it.",
             "Use that version (pip install --upgrade calcidem); the database was left as it is.",
