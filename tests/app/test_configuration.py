@@ -1,5 +1,6 @@
 """Configurations: what is right is read, what is wrong is refused as a whole before anything is done."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,9 @@ from calcidem.app.config import schema
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import SECTIONS, load_configuration, read_configuration
+from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, RunOptions
+from calcidem.dem.sample.packing import PackingRule
 from calcidem.storage.records.canonical import canonical_hash
 
 if TYPE_CHECKING:
@@ -62,15 +65,18 @@ WRONG = {
         ("pattern.sand_density: unknown key", "sand.density says it"),
     ),
     "value instead of section": ("wave = 3\n", ("wave = 3: is not a section", "write [wave]")),
-    "no seeds": ("[campaign]\nseeds = 0\n", ("campaign.seeds = 0", "give at least one seed")),
-    "empty seeds": ("[campaign]\nseeds = []\n", ("campaign.seeds = []", "give at least one seed")),
-    "double seed": ("[campaign]\nseeds = [1, 2, 1]\n", ("campaign.seeds = [1, 2, 1]", "list every seed once")),
-    "negative seed": ("[campaign]\nseeds = [-1]\n", ("campaign.seeds = [-1]", "give seeds of 0 to 2^63 - 1")),
+    "no seeds": ("[campaign]\nseeds = 0\n", ("campaign.seeds = 0", "give a number n for the seeds 1 to n, or a list")),
+    "empty seeds": (
+        "[campaign]\nseeds = []\n",
+        ("campaign.seeds = []", "give a number n for the seeds 1 to n, or a list"),
+    ),
+    "double seed": ("[campaign]\nseeds = [1, 2, 1]\n", ("campaign.seeds = [1, 2, 1]", "has every seed once")),
+    "negative seed": ("[campaign]\nseeds = [-1]\n", ("campaign.seeds = [-1]", "seeds of 0 to 2^63 - 1")),
     "broken seed": ("[campaign]\nseeds = [1.5]\n", ("campaign.seeds = [1.5]", "a number n for the seeds 1 to n")),
     "negative content": ("[campaign]\ncontents = [-1.0]\n", ("campaign.contents = [-1.0]", "percentages of 0 to 100")),
     "double content": (
         "[campaign]\ncontents = [0.3, 0.30000000000000004]\n",
-        ("campaign.contents = [0.3, 0.30000000000000004]", "list every content once"),
+        ("campaign.contents = [0.3, 0.30000000000000004]", "has every content once"),
     ),
     "content in quotes": ('[campaign]\ncontents = ["5"]\n', ('campaign.contents = ["5"]', "a list of percentages")),
     "content without frequency": (
@@ -79,8 +85,8 @@ WRONG = {
     ),
     "content not finite": ("[campaign]\ncontents = [nan]\n", ("campaign.contents = [nan]", "a list of percentages")),
     "name with a slash": ('[campaign]\nname = "a/b"\n', ('campaign.name = "a/b"', "part of a file name")),
-    "negative root": ("[campaign]\nroot_seed = -3\n", ("campaign.root_seed = -3", "give 0 or more")),
-    "negative width": ("[packing]\nwidth = -0.1\n", ("packing.width = -0.1", "give a positive width in m")),
+    "negative root": ("[campaign]\nroot_seed = -3\n", ("campaign.root_seed = -3", "give a whole number of 0 or more")),
+    "negative width": ("[packing]\nwidth = -0.1\n", ("packing.width = -0.1", "give a positive number, in m")),
     "infinite height": ("[packing]\nheight = inf\n", ("packing.height = inf", "is not finite")),
     "three diameters": (
         "[packing]\ndiameter = [1e-3, 2e-3, 3e-3]\n",
@@ -95,10 +101,13 @@ WRONG = {
         ("packing.diameter", "at least 4 disks have to fit across the box"),
     ),
     "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.5")),
-    "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give 0 or more")),
+    "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give a whole number of 0 or more")),
     "text for a number": ('[sand]\nfriction = "high"\n', ('sand.friction = "high"', "is not a number")),
     "truth for a number": ("[sand]\nfriction = true\n", ("sand.friction = true", "is not a number")),
-    "negative modulus": ("[sand]\nshear_modulus = -1.0\n", ("sand.shear_modulus = -1.0", "positive modulus in Pa")),
+    "negative modulus": (
+        "[sand]\nshear_modulus = -1.0\n",
+        ("sand.shear_modulus = -1.0", "give a positive number, in Pa"),
+    ),
     "impossible Poisson ratio": ("[sand]\npoisson_ratio = 0.5\n", ("sand.poisson_ratio = 0.5", "(-1, 0.5)")),
     "no stiffness": (
         "[sand]\nwave_stiffness_factor = 0.0\n",
@@ -106,7 +115,7 @@ WRONG = {
     ),
     "unknown installation": (
         '[cement]\ninstallation = "presrve"\n',
-        ('cement.installation = "presrve"', 'choose "preserve", "zero" or "pfc_absolute"'),
+        ('cement.installation = "presrve"', 'give "preserve", "zero" or "pfc_absolute"'),
     ),
     "installation that the regime cannot do": (
         '[cement]\ninstallation = "zero"\n',
@@ -137,7 +146,10 @@ WRONG = {
         ("wave.frequency = 500000", "lattice cut-off", "give a lower frequency"),
     ),
     "negative frequency": ("[wave]\nfrequency = -1.0\n", ("wave.frequency = -1.0", "positive frequency in Hz")),
-    "frequency in words": ('[wave]\nfrequency = "8 kHz"\n', ('wave.frequency = "8 kHz"', "give a number in Hz")),
+    "frequency in words": (
+        '[wave]\nfrequency = "8 kHz"\n',
+        ('wave.frequency = "8 kHz"', "give a positive frequency in Hz"),
+    ),
     "uneven table of frequencies": (
         "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3]\n",
         ("wave.frequency.frequency = [4000.0]", "one positive frequency in Hz for each of the 2 contents"),
@@ -146,9 +158,22 @@ WRONG = {
         "[wave.frequency]\ncontent = [0.0, 9.0]\n",
         ("wave.frequency.frequency: is missing", "add it"),
     ),
+    "a table with another key": (
+        "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3, 8e3]\nunit = 1\n",
+        ("wave.frequency.unit: unknown key of [wave.frequency]", "there are content, frequency"),
+    ),
+    "a table with one wrong number": (
+        "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3, true]\n",
+        ("wave.frequency.frequency = [4000.0, true]: entry 2 is not a number; give a list of positive frequencies",),
+    ),
+    "a table that is not rising": (
+        "[wave.frequency]\ncontent = [9.0, 0.0]\nfrequency = [4e3, 8e3]\n",
+        ("wave.frequency.content = [9.0, 0.0]", "give increasing contents in percent"),
+    ),
+    "a date": ("[campaign]\nseeds = [2001-01-01]\n", ("campaign.seeds = [", "is a date, which no key takes")),
     "step above the limit": (
         "[wave]\nstep_fraction = 1.2\n",
-        ("wave.step_fraction = 1.2", "above 1 the scheme is unstable", "choose 0.05 to 0.95"),
+        ("wave.step_fraction = 1.2", "above 1 the scheme is unstable", "give 0.05 to 0.95"),
     ),
     "transmitter larger than the sample": (
         "[wave]\ntransmitter_half_width = 0.15\n",
@@ -179,7 +204,7 @@ WRONG = {
         "[wave]\nstations = 26\n",
         ("wave.stations = 26", "thinner than the largest disk", "give at most 25"),
     ),
-    "unknown regime": ('[wave]\nregime = "big"\n', ('wave.regime = "big"', 'choose "finite", "small" or "linear"')),
+    "unknown regime": ('[wave]\nregime = "big"\n', ('wave.regime = "big"', 'give "finite", "small" or "linear"')),
     "amplitude of zero": ("[wave]\namplitude = 0.0\n", ("wave.amplitude = 0.0", "give a positive number")),
     "window upside down": (
         "[pick]\nslowest = 300.0\nfastest = 200.0\n",
@@ -187,11 +212,11 @@ WRONG = {
     ),
     "periods below none": (
         "[pick]\nfewest_periods = -1.0\n",
-        ("pick.fewest_periods = -1.0", "give a finite number of 0 or more"),
+        ("pick.fewest_periods = -1.0", "give a number of 0 or more"),
     ),
     "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
     "quality out of reach": ("[pick]\nleast_quality = 1.5\n", ("pick.least_quality = 1.5", "give a number in [0, 1)")),
-    "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "choose 1, 2, 4, 8, 16 or 32")),
+    "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "give 1, 2, 4, 8, 16 or 32")),
     "truth as a number": ("[run]\nstore_signals = 1\n", ("run.store_signals = 1", "neither true nor false")),
     "no time": ("[run]\ntime_limit = 0.0\n", ("run.time_limit = 0.0", "give seconds above 0")),
     "database is a folder": ('[run]\ndatabase = "."\n', ('run.database = "."', "is a folder", "give a file name")),
@@ -264,6 +289,31 @@ def test_all_problems_are_said_at_once() -> None:
         "packing.damping",
         "pattern.c_diameter",
     }
+
+
+def test_a_rule_of_several_fields_is_told_beside_what_is_wrong_with_others() -> None:
+    """Fields that a class refuses together are all blamed, and so is the one beside them that is wrong by itself."""
+    with pytest.raises(ConfigurationError) as refused:
+        read_configuration({"pick": {"slowest": 300.0, "fastest": 200.0, "onset": 2.0}, "packing": {"width": 0.008}})
+    assert {problem.fields for problem in refused.value.problems} == {
+        ("pick.onset",),
+        ("packing.diameter", "packing.width", "packing.height"),
+        ("pick.slowest", "pick.fastest"),
+    }
+
+
+def test_a_class_refuses_in_the_words_of_the_reference() -> None:
+    """What the page says of a key is what the reader says of a wrong value, and the class that is made in Python."""
+    accepted = next(key.accepted for key in key_references() if key.name == "porosity")
+    for make in (lambda: read_configuration({"packing": {"porosity": 0.9}}), lambda: PackingRule(porosity=0.9)):
+        with pytest.raises(ValueError, match=re.escape(f"porosity = 0.9: give {accepted}")):
+            make()
+
+
+@given(st.floats(min_value=1e-30, max_value=1e30))
+def test_numbers_are_read_to_the_last_bit(amplitude: float) -> None:
+    """No digit of a number is lost on its way into the class that uses it."""
+    assert read_configuration({"wave": {"amplitude": amplitude}}).wave.amplitude == amplitude
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -17,6 +17,7 @@ from calcidem.storage.errors import (
     StoreInterruptedError,
     StoreLockedError,
 )
+from calcidem.storage.passwords import hide_passwords
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _EXIT_BAD_INPUT = 2
@@ -66,7 +67,7 @@ def tell_error(error: Exception) -> int:
             if path
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
-    sys.stderr.write(printable(f"Error: {text}\n"))
+    sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
     return exit_code_of(error)
 
 

@@ -27,6 +27,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
+from calcidem.storage.passwords import hide_passwords, password_of
 from calcidem.storage.sql.filesystem import is_network_filesystem
 
 BUSY_TIMEOUT_SECONDS = 30.0
@@ -103,7 +104,7 @@ class Address:
 
     def __str__(self) -> str:
         """Return the path, or the URL without its password."""
-        return str(self.path) if self.path else self.url.render_as_string(hide_password=True)
+        return str(self.path) if self.path else hide_passwords(self.url.render_as_string(hide_password=True))
 
 
 def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
@@ -122,12 +123,14 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
         url = make_url(text)
     except (ArgumentError, ValueError) as error:
         raise StoreUnavailableError(
-            f"'{text}' is not a database URL.", "Give a file name or dialect+driver://user@host/database."
+            f"'{hide_passwords(text)}' is not a database URL.",
+            "Give a file name or dialect+driver://user@host/database.",
         ) from error
     if url.get_backend_name() == "postgresql" and url.drivername == "postgresql":
         url = url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() != "sqlite":
-        return Address(url, None)
+        password = password_of(text)
+        return Address(url if password is None else url.set(password=password), None)
     if not url.database or url.database == ":memory:":
         raise StoreUnavailableError(f"'{text}' names no file.", "Give a file name; a store in memory would be lost.")
     return parse_address(url.database)
