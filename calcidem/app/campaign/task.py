@@ -20,7 +20,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.pick import Reading
+from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.records import (
@@ -92,34 +92,31 @@ def cell_result(
 
     Path features and graph summary are left out where there is no ``graph`` of the packing.
     """
-    cement, record, picks = measurement.cement, measurement.record, measurement.picks
+    cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
     features, summary = (None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
-        measurement.vs, measurement.frequency, measurement.distance, _median_diameter(packing)
+        result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
     )
-    readings = (Reading(),) * 3 if picks is None else (picks.peak, picks.first_arrival, picks.cross_correlation)
-    peak, first_arrival, cross_correlation = readings
+    reading, error = result.reading or Reading(None), result.error
     return CellResult(
         key=CellKey(measurement.seed, measurement.content),
-        status=CellStatus(measurement.outcome.value),
-        reason=measurement.reason,
-        vs=measurement.vs,
-        vs_peak=peak.velocity,
-        vs_first_arrival=first_arrival.velocity,
-        vs_cross_correlation=cross_correlation.velocity,
-        quality_peak=peak.quality if picks else None,
-        quality_first_arrival=first_arrival.quality if picks else None,
-        quality_cross_correlation=cross_correlation.quality if picks else None,
+        status=CellStatus(result.outcome.value),
+        reason=result.reason,
+        vs=result.vs,
+        vs_peak=reading.peak,
+        vs_first_arrival=reading.first_arrival,
+        vs_cross_correlation=reading.cross_correlation,
+        quality_peak=reading.arrival.coherence if reading.arrival else None,
         frequency=measurement.frequency,
-        distance=measurement.distance,
+        distance=record.section.distance,
         wavelengths_on_path=on_path,
         wavelength_over_d50=over_d50,
         time_step=record.time_step,
         stability_limit=record.stability_limit,
         steps=record.steps,
-        expected_error=measurement.expected_error,
-        error_bound=measurement.error_bound,
+        expected_error=error and error.expected,
+        error_bound=error and error.bound,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,
@@ -148,15 +145,14 @@ def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
 
 
 def stored_signal(record: WaveRecord) -> Signal | None:
-    """Signals as the store keeps them; None for a record with numbers that are not finite."""
-    if not (np.all(np.isfinite(record.force)) and np.all(np.isfinite(record.velocity))):
-        return None
+    """Signals as the store keeps them."""
+    section = record.section
     return Signal(
-        sampling_interval=record.sampling_interval,
-        start_time=record.start_time,
-        sent_velocity=record.sent.astype(float),
-        received_force=record.force.astype(float),
-        received_velocity=record.velocity.astype(float),
+        sampling_interval=section.sampling_interval,
+        start_time=section.start_time,
+        sent_velocity=section.transmitted,
+        received_force=np.zeros_like(section.received),
+        received_velocity=section.received,
     )
 
 
