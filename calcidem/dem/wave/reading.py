@@ -126,7 +126,7 @@ class Arrival:
     width
         Of the peak at 0.9 of its amplitude, over the travel time.
     roughness
-        What smoothing takes away from the receiver's motion (rms), over the amplitude of the peak.
+        What smoothing takes away from the receiver's motion (rms) until a period after the peak, over its amplitude.
     path_velocity, path_scatter
         Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
         stations about their line; None where fewer than `FEWEST_STATIONS` saw it.
@@ -325,7 +325,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdi
     with_p = [i + parabola_vertex(whole, i) for i in find_tops(whole).tolist() if i > prepared.peak]
     shifted = min((abs(other - time) for other in with_p), default=travel) / travel
     began, ended = falls_through(clean[:, -1], index, 0.9 * float(clean[index, -1]))
-    rough = section.across[:horizon, -1] * RESOLUTION - whole
+    rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
     slope = _crest(prepared, clean, travel)
     interval = section.sampling_interval
     return Arrival(
