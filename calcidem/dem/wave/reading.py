@@ -289,6 +289,41 @@ def record_duration(distance: float, velocity: float, frequency: float, smoothin
     return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
 
 
+def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
+    """Return whether a longer record changes no reading.
+
+    Parameters
+    ----------
+    section, rule
+        What was recorded so far, and how it is read.
+    remaining_speed
+        What no place of the section will exceed from now on, m/s.
+
+    Notes
+    -----
+    The S wave is there, or no later peak can be one: its stack would be too small. On its line each station is later
+    than on that of the present, so what is known of it and ``remaining_speed`` bound the stack.
+    """
+    verdict = read_section(section, rule).verdict
+    if verdict is None or verdict is Verdict.UNCERTAIN:
+        return True
+    if verdict is Verdict.TOO_SHORT:
+        return False
+    prepared = prepare(section, rule.smoothing)
+    loudest = float(np.sqrt(1.0 + STEEPEST * STEEPEST)) * remaining_speed / section.amplitude
+    unsmoothed = section.across[len(prepared.across) :]
+    tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
+    if max(loudest, float(tail[-1])) < SILENCE:
+        return True
+    if (prepared.p_top < 0).any():
+        return False
+    clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
+    now = (1.0 - STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
+    later = np.arange(len(clean))[:, None] >= now
+    highest = np.maximum(np.where(later, clean, 0.0).max(axis=0), np.maximum(tail, loudest))
+    return float(np.minimum(highest / np.maximum(clean.max(axis=0), SILENCE), 1.0).mean()) < LEAST_COHERENCE
+
+
 def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:
     """Find the S wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
     prepared = prepare(section, smoothing)
