@@ -205,7 +205,8 @@ def invoke(tmp_path: Path) -> Callable[..., str]:
     def run(*arguments: object, exit_code: int = 0) -> str:
         words = [str(argument) for argument in arguments]
         used = {path.parent.resolve() for path in map(Path, words) if path.is_file()}
-        with unchanged_if_refused(tmp_path, *used) as codes:
+        scratch = tmp_path.parents[1]  # of all tests, and no device or part of the checkout
+        with unchanged_if_refused(tmp_path, *(folder for folder in used if scratch in folder.parents)) as codes:
             result = CliRunner().invoke(build_application(), words)
             codes.append(result.exit_code)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
