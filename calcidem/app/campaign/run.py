@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
-from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.campaign.identity import choose_campaign, record_of
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing, readable_packing
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
@@ -20,9 +20,8 @@ from calcidem.app.campaign.workers import describe_unlike, describe_worker, grou
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, OlderSchemaError, StoreError
-from calcidem.storage.records import CampaignRecord, WorkerRecord
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
+from calcidem.storage.records import WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import LeaseGrant, Store
 from calcidem.sweep import (
@@ -182,20 +181,11 @@ class CampaignRun:
         path = parse_address(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - SQLAlchemy, which workers do not need
 
         store = open_store(configuration.database)
         try:
-            store.begin_campaign(
-                CampaignRecord(
-                    hash=configuration.hash,
-                    name=configuration.campaign.name,
-                    config=canonical_json(configuration.physics),
-                    contents=(),
-                    seeds=(),
-                    created=datetime.now(UTC),
-                )
-            )
+            store.begin_campaign(record_of(configuration))
             grant = _acquire_lease(store, tell, check)
         except BaseException:
             store.close()
@@ -280,11 +270,8 @@ def _refuse_before_writing(configuration: Configuration) -> None:
         return
     from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
 
-    # An empty database, or one that has to be upgraded, is judged when it is opened for writing.
-    with (
-        suppress(ForeignDatabaseError, OlderSchemaError),
-        open_store(configuration.database, read_only=True) as store,
-    ):
+    # An empty database is foreign to who reads, and new to who writes.
+    with suppress(ForeignDatabaseError), open_store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
             check_against_packing(configuration, readable_packing(store, 0))
 

@@ -5,7 +5,6 @@ import io
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import netCDF4
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from unchanged import unchanged_if_refused
 
+from calcidem.app.campaign.identity import record_of
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
@@ -27,8 +27,7 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import open_store
 
 Change = Callable[[Configuration], Configuration]
@@ -40,11 +39,8 @@ def begun(tmp_path: Path, small_configuration: Configuration, small_packing: Pac
     path = tmp_path / "begun.db"
     plan = small_configuration.campaign
     with open_store(path) as store:
-        config = canonical_json(small_configuration.physics)
-        now = datetime.now(UTC)
-        store.begin_campaign(
-            CampaignRecord(small_configuration.hash, plan.name, config, plan.contents, plan.seed_numbers, now)
-        )
+        store.begin_campaign(record_of(small_configuration))
+        store.extend(plan.seed_numbers, plan.contents)
         store.save_packing(packing_record(small_packing, index=0, packing_hash=small_configuration.packing_hash))
     return replace(small_configuration, run=RunOptions(database=str(path), output=str(tmp_path / "results")))
 
