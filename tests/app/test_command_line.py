@@ -135,7 +135,7 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
 def test_the_packing_can_be_made_alone(workshop: "Workshop") -> None:
     """`packing` reports on the packing and makes no database."""
     workshop.configure()
-    done = workshop.run("packing", "c.toml")
+    done = workshop.run("run", "c.toml", "--packing-only")
     assert done.code == 0, done.errors
     assert "porosity" in done.output
     assert not workshop.database.exists()
@@ -167,7 +167,7 @@ def test_wrong_arguments_are_refused_without_a_traceback(
 def test_a_former_key_is_warned_of_in_one_line(workshop: "Workshop") -> None:
     """The warning comes first, without a place in the sources, and whatever follows does."""
     (workshop.folder / "c.toml").write_text("[packing]\nbalance = 1e-6\nporosity = 0.9\n", encoding="utf-8")
-    warning, error, *_ = workshop.run("packing", "c.toml").errors.splitlines()
+    warning, error, *_ = workshop.run("run", "c.toml", "--packing-only").errors.splitlines()
     assert warning.startswith("Warning: packing.balance is now called packing.unbalanced_force_ratio")
     assert error.startswith("Error: c.toml: 1 problem")
 

@@ -5,6 +5,7 @@ there are two, one comes from `calcidem.dem` and the other holds what a campaign
 """
 
 import itertools
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -271,7 +272,10 @@ class RunOptions:
     output
         Folder for the database and the NetCDF file; made if it is missing.
     database
-        SQLite file or database URL; ``<output>/<name>.db`` by default.
+        SQLite file or database URL; ``<output>/<name>.db`` by default, ``<output>/<name>-part-3-of-8.db`` for a part.
+    part
+        Which part of the cells to compute: "3/8" is the third of eight of about equal effort. Each part needs its own
+        database, which `calcidem merge` joins. By default all cells are computed.
     """
 
     lanes: int = 8
@@ -280,6 +284,13 @@ class RunOptions:
     time_limit: float | None = None
     output: str = "results"
     database: str | None = None
+    part: str | None = None
+
+    @property
+    def part_numbers(self) -> tuple[int, int]:
+        """Number of the part, from 1, and of all parts."""
+        number, _, parts = (self.part or "1/1").partition("/")
+        return int(number), int(parts)
 
     def __post_init__(self) -> None:
         """Refuse what the kernel and the file system do not know."""
@@ -289,6 +300,10 @@ class RunOptions:
         require(good_limit, "time_limit", limit, "give seconds above 0 and up to 1e9, or leave the key out")
         require(bool(self.output), "output", quote(self.output), 'give the name of a folder, "." for the present one')
         require(self.database != "", "database", quote(self.database), "give a file name, or leave the key out")
+        good_part = re.fullmatch(r"[0-9]{1,6}/[0-9]{1,6}", self.part or "1/1", re.ASCII) is not None
+        good_part = good_part and 1 <= self.part_numbers[0] <= self.part_numbers[1]
+        cure = 'give "3/8" for the third of eight, counted from 1 (of a Slurm array: --array=1-8)'
+        require(good_part and self.part != "", "part", quote(self.part), cure)
 
 
 @dataclass(frozen=True)
@@ -407,7 +422,9 @@ class Configuration:
     @property
     def database(self) -> str:
         """File name or URL of the database."""
-        return self.run.database or str(self.output / f"{self.campaign.name}.db")
+        number, parts = self.run.part_numbers
+        part = "" if self.run.part is None else f"-part-{number}-of-{parts}"
+        return self.run.database or str(self.output / f"{self.campaign.name}{part}.db")
 
     @property
     def netcdf(self) -> Path:
