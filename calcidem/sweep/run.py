@@ -174,7 +174,7 @@ class _Master:
 
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
-            self._beat(workers.count, workers.running)
+            self._beat(workers.count, min(workers.running, workers.count))  # others wait in the queue of an executor
             if outcomes or handed_out or losses:
                 backoff.reset()
             backoff.sleep()

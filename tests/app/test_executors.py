@@ -26,18 +26,18 @@ from concurrent.futures import ProcessPoolExecutor
 def run():
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         def kill(progress):
-            if progress.finished >= 2:
-                os.kill(next(iter(pool._processes)), signal.SIGKILL)
-        calcidem.run("c.toml", executor=pool, progress=kill if not killed else None).close()
+            if progress.finished >= 2 and not killed:
+                killed.append(next(iter(pool._processes)))
+                os.kill(killed[0], signal.SIGKILL)
+        calcidem.run("c.toml", executor=pool, progress=kill).close()
 if __name__ == "__main__":
     killed = []
     try:
         run()
     except calcidem.WorkersLostError as error:
         print(error)
-        killed.append(error)
-    run()
     assert killed
+    run()
 """
 
 MPI_POOL = """
