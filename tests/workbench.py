@@ -1,6 +1,7 @@
 """A folder with files of many kinds, in which commands are used up to where they would begin to compute."""
 
 import io
+import os
 import shutil
 import sys
 import warnings
@@ -103,6 +104,7 @@ class Workbench:
 
     def judge(self, *words: str, **files: bytes) -> str:
         """Use a command on the files and some more; whatever happens is told in sentences."""
+        os.chdir(self.folder)
         self.restore()
         for name, content in files.items():
             (self.folder / name.replace("_", ".")).write_bytes(content)

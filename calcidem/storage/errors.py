@@ -42,6 +42,10 @@ class StoreUnavailableError(StoreError):
     """The file can't be opened, or the database server can't be reached."""
 
 
+class StoreInterruptedError(StoreUnavailableError):
+    """The server ended a connection that it had accepted: it was restarted, or the network between failed."""
+
+
 class ForeignDatabaseError(StoreError):
     """The file or database exists but was not made by calcidem."""
 

@@ -5,12 +5,14 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import create_engine, text
 
+from calcidem.app.cli.exit_codes import exit_code_of
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -20,11 +22,14 @@ from calcidem.storage.errors import (
     OlderSchemaError,
     ReplacedStoreError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
+from calcidem.storage.sql.schema import UPGRADE_LOCK
 from calcidem.storage.sql.store import open_store
+from calcidem.sweep import EXIT_RESUMABLE
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -210,6 +215,23 @@ def test_read_only_folder(database: Path, records: "Records") -> None:
             os.seteuid(os.getuid())
             copy.parent.chmod(0o755)
     assert found == [records.done(0)]
+
+
+def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
+    postgresql_template: str, postgresql_socket: Path
+) -> None:
+    """A connection that breaks may come back, other than a name that is wrong: the same command continues."""
+    url = f"postgresql+psycopg://postgres@/{postgresql_template}?host={postgresql_socket}"
+    wait = "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
+    with create_engine(url).connect() as holder, ThreadPoolExecutor(1) as thread:
+        holder.execute(text(f"SELECT pg_advisory_lock({UPGRADE_LOCK})"))
+        opening = thread.submit(open_store, url)
+        while not (waiting := holder.scalar(text(wait))):
+            holder.rollback()
+        holder.execute(text(f"SELECT pg_terminate_backend({waiting})"))
+        with pytest.raises(StoreInterruptedError) as caught:
+            opening.result()
+    assert exit_code_of(caught.value) == EXIT_RESUMABLE
 
 
 def test_errors_can_travel(database: Path) -> None:

@@ -26,7 +26,7 @@ from calcidem.storage.errors import LeaseHeldError, StoreError
 from calcidem.storage.records import CampaignRecord, WorkerRecord
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.store import Store
+from calcidem.storage.store import LeaseGrant, Store
 from calcidem.sweep import (
     StopRequest,
     SweepEnd,
@@ -217,12 +217,14 @@ class CampaignRun:
                     created=datetime.now(UTC),
                 )
             )
-            former = _acquire_lease(store, tell, check)
+            grant = _acquire_lease(store, tell, check)
         except BaseException:
             store.close()
             raise
-        if former is not None:
-            tell(f"Taken over from {former}, which ended without saying so.")
+        if grant.taken_over_from is not None:
+            tell(f"Taken over from {grant.taken_over_from}, which ended without saying so.")
+        if grant.lost is not None:
+            tell(f"{grant.lost} This run computes them anew.")
         return store
 
     def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
@@ -260,13 +262,8 @@ class CampaignRun:
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
 
 
-def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> str | None:
+def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> LeaseGrant:
     """Become the only master, as soon as one on another machine has been silent for so long that it must have died.
-
-    Returns
-    -------
-    str or None
-        The former master whose lease this one took over.
 
     Raises
     ------
@@ -276,7 +273,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> str |
     first = None
     while True:
         try:
-            return store.acquire_lease().taken_over_from
+            return store.acquire_lease()
         except LeaseHeldError:
             holder = store.lease_holder()
             if holder is None or holder.host == socket.gethostname() or holder != (first or holder):

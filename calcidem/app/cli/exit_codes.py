@@ -14,8 +14,10 @@ from calcidem.storage.errors import (
     LeaseHeldError,
     LeaseLostError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
 )
+from calcidem.storage.passwords import hide_passwords
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _EXIT_BAD_INPUT = 2
@@ -45,7 +47,7 @@ _CURE_OF_ERRNO = {
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
-    if isinstance(error, StoreLockedError):
+    if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
     if isinstance(error, OSError):
         return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR
@@ -65,7 +67,7 @@ def tell_error(error: Exception) -> int:
             if path
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
-    sys.stderr.write(printable(f"Error: {text}\n"))
+    sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
     return exit_code_of(error)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.cell import canonical_content, checked_seed
 
@@ -192,7 +193,7 @@ class RunRecord:
     ranks : int
         Size of the MPI world, 1 without MPI.
     launch_line : str
-        Command line.
+        Command line; a password in it is not kept.
     started : datetime
         With time zone; kept as UTC.
     mpi_library : str or None
@@ -226,6 +227,7 @@ class RunRecord:
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
+        object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
         object.__setattr__(self, "started", as_utc(self.started))
         if self.ended is not None:
             object.__setattr__(self, "ended", as_utc(self.ended))

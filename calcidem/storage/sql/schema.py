@@ -51,7 +51,7 @@ _READ_AS_CURRENT = {
 
 _FIRST_WITH_CHECKSUMS = "0006"
 
-_UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+UPGRADE_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
 
 def _configuration(connection: Connection | None = None) -> Config:
@@ -70,7 +70,7 @@ def prepare_schema(connection: Connection, address: Address) -> None:
         As `read_revision`.
     """
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
-        connection.execute(select(func.pg_advisory_xact_lock(_UPGRADE_LOCK)))
+        connection.execute(select(func.pg_advisory_xact_lock(UPGRADE_LOCK)))
     revision = read_revision(connection, address)
     if revision != head_revision():
         command.upgrade(_configuration(connection), "head")

@@ -1,8 +1,10 @@
 """The store on a SQL database: SQLite by default, PostgreSQL by URL."""
 
 import os
+import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -33,10 +35,20 @@ from calcidem.storage.records import (
 from calcidem.storage.records.campaign import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
 from calcidem.storage.sql.checksums import checksum_of
-from calcidem.storage.sql.engine import Address, execute_on_connect, make_engine, parse_address, transaction
+from calcidem.storage.sql.engine import (
+    Address,
+    bring_log_into_file,
+    execute_on_connect,
+    make_engine,
+    parse_address,
+    transaction,
+)
 from calcidem.storage.sql.models import CampaignRow, LeaseRow, PackingRow, RunRow
 from calcidem.storage.sql.schema import prepare_reading, prepare_schema, read_revision
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
+
+_CHECKPOINT_INTERVAL = 10.0
+"""Seconds after which a writer's next transaction brings the write-ahead log into the file, for whoever copies that."""
 
 _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
@@ -76,6 +88,7 @@ class SqlStore(Store):
         self._campaign_id: int | None = None
         self._run_id: int | None = None
         self._token: str | None = None
+        self._next_checkpoint = 0.0
         self._lock = lease.FileLock(address.path) if address.path and not read_only else None
         _check_file(address, read_only=read_only)
         if not read_only:
@@ -107,9 +120,21 @@ class SqlStore(Store):
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
         with transaction(self._engine, self.address, write=True) as session:
-            if self._token is not None:
-                lease.renew_lease(session, self._token)
+            heartbeat = None if self._token is None else lease.renew_lease(session, self._token)
             yield session
+        if self._lock is not None and self._token is not None and heartbeat is not None:
+            self._lock.note(self._token, heartbeat)
+        if time.monotonic() > self._next_checkpoint:
+            self._bring_log_into_file()
+
+    def _bring_log_into_file(self) -> None:
+        if self.address.path is not None and not self.read_only:
+            bring_log_into_file(self._engine)
+            self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
+
+    def _acknowledged(self) -> lease.Acknowledged | None:
+        """What the last master was told to be stored, unless it has ended in order."""
+        return None if self.address.path is None else lease.Acknowledged.noted_beside(self.address.path)
 
     def _refuse_replaced(self) -> None:
         """Raise `ReplacedStoreError` if what is written would be in no file, or not in that of the name."""
@@ -204,15 +229,21 @@ class SqlStore(Store):
         if self._lock is not None and not self._lock.acquire():
             raise lease.lease_held_error(self.lease_holder())
         locked = self._lock is not None and self._lock.held
+        noted = self._acknowledged() if locked else None
         try:
             with self._writing() as session:
-                grant = lease.claim_lease(session, self._campaign, former_is_dead=locked)
+                lost = None if noted is None else noted.describe_loss(session)
+                grant, heartbeat = lease.claim_lease(session, self._campaign, former_is_dead=locked)
+                if self._lock is not None:
+                    self._lock.forget()
         except BaseException:
             if self._lock is not None:
                 self._lock.release()
             raise
         self._token = grant.token
-        return grant
+        if self._lock is not None:
+            self._lock.note(grant.token, heartbeat)
+        return replace(grant, lost=lost)
 
     @override
     def lease_holder(self) -> LeaseHolder | None:
@@ -231,6 +262,8 @@ class SqlStore(Store):
             token, self._token = self._token, None
             try:
                 self._refuse_replaced()
+                if self._lock is not None:
+                    self._lock.forget()
                 with transaction(self._engine, self.address, write=True) as session:
                     lease.drop_lease(session, token)
             finally:
@@ -341,6 +374,7 @@ class SqlStore(Store):
 
     @override
     def integrity(self) -> Integrity:
+        noted = self._acknowledged()
         outcomes = self.results(with_arrays=True)
         damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
         others = [
@@ -353,6 +387,8 @@ class SqlStore(Store):
                 others.append(f"Packing {index}: {error.problem}")
         with self._reading() as session:
             others += reading.other_damage(session, self._campaign)
+            lost = None if noted is None else noted.describe_loss(session)
+            others += [] if lost is None else [lost]
             late = reading.count_late_checksums(session, self._campaign)
         return Integrity(damaged, tuple(others), late)
 
@@ -376,6 +412,7 @@ class SqlStore(Store):
             with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
                 self.release_lease()
         finally:
+            self._bring_log_into_file()
             self._engine.dispose()
 
 
