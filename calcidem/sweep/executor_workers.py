@@ -33,7 +33,7 @@ _BEFORE_IN_QUEUE = 2
 _MEMORY = 60.0
 """Seconds without an answer after which a worker no longer counts, or ten batches if these take longer."""
 
-_Worker: TypeAlias = tuple[str, int, int]
+_Identity: TypeAlias = tuple[str, int, int]
 """Host, process and thread."""
 
 
@@ -86,8 +86,8 @@ class ExecutorWorkers(Generic[CellT]):
         self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
         self._held: Batch[CellT] | None = None
         self._given_up: set[Future[bytes]] = set()
-        self._rank_of: dict[_Worker, int] = {}
-        self._last_answer: dict[_Worker, float] = {}
+        self._rank_of: dict[_Identity, int] = {}
+        self._last_answer: dict[_Identity, float] = {}
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
         self._start = time.monotonic()
@@ -171,7 +171,7 @@ class ExecutorWorkers(Generic[CellT]):
 
     def _answer(self, answer: bytes, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
         """Outcome in a worker's answer, None if it lacks the computation."""
-        worker: _Worker
+        worker: _Identity
         worker, packed = pickle.loads(answer)  # noqa: S301 - written by a worker of the same program
         self._last_answer[worker] = time.monotonic()
         place = Place(self._rank_of.setdefault(worker, len(self._rank_of) + 1), worker[0])
@@ -258,7 +258,7 @@ _loading = threading.Lock()
 
 def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], options: SweepOptions) -> bytes:
     """Compute a batch in a worker; return who it is and, if it has the computation, seconds, results and failure."""
-    worker: _Worker = (platform.node(), os.getpid(), threading.get_ident())
+    worker: _Identity = (platform.node(), os.getpid(), threading.get_ident())
     with _loading:
         if key not in _computations:
             if computation is None:

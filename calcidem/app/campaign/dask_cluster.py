@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 
 from calcidem.sweep import LaunchError
 
-_TIME_TO_CONNECT = 10.0
+_CONNECT_TIMEOUT = 10.0
 """Seconds in which the scheduler has to answer."""
 
 _TIME_TO_CLOSE = 3.0
@@ -27,7 +27,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     except ImportError as error:
         raise LaunchError(f"--dask {address}: Dask is missing ({error}); pip install 'calcidem[dask]'") from error
     try:
-        client = Client(address, timeout=_TIME_TO_CONNECT, set_as_default=False)
+        client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:  # a time-out is an OSError
         raise LaunchError(
             f"--dask {address}: no scheduler answers there ({error}); give the address that `dask scheduler` writes, "

@@ -84,8 +84,9 @@ class CellComputation:
         return tuple(map(pack_result, results))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Be prepared by the process that unpickles it."""
-        return _prepared_computation, (self.configuration, self.packing, _version())
+        """Be prepared by the process that unpickles it; the URL of the database, with its password, stays here."""
+        told = replace(self.configuration, run=replace(self.configuration.run, database=None))
+        return _prepared_computation, (told, self.packing, _version())
 
     @cached_property
     def _experiment(self) -> Experiment:

@@ -38,9 +38,7 @@ def test_seed_ranges_join_to_the_whole(
         assert len(campaign.runs()) == 1  # both parts have it of the same database
 
 
-def test_what_no_part_has_is_named(
-    part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path
-) -> None:
+def test_what_no_part_has_is_named(part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path) -> None:
     """Planned cells without an outcome are listed by content, with their seeds as ranges."""
     first, second = part("a.db", {1, 2}), part("b.db", {6})
     with open_store(first) as store:
