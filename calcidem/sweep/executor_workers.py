@@ -242,9 +242,7 @@ class ExecutorWorkers(Generic[CellT]):
 
     def _patience(self, flight: _Flight[CellT]) -> float:
         """Seconds after which a batch counts as lost; others of the queue may have come before it."""
-        options, cost = self._options, flight.batch.cost
-        limit = options.watchdog_limit or max(options.silence_floor, options.silence_factor * self._slowest * cost)
-        return (1 + _BEFORE_IN_QUEUE) * limit
+        return (1 + _BEFORE_IN_QUEUE) * self._options.patience(flight.batch.cost, self._slowest)
 
     def _end(self, reason: str) -> None:
         self.exhausted = self.exhausted or reason

@@ -163,7 +163,9 @@ class MPIWorkers(Generic[CellT]):
         if now >= self._next_watchdog:
             self._next_watchdog = now + _WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
-                if worker.batch is not None and now - worker.since > (limit := self._patience(worker.batch)):
+                if worker.batch is not None and now - worker.since > (
+                    limit := self._options.patience(worker.batch.cost, self._slowest)
+                ):
                     reasons.setdefault(rank, f"no answer within {limit:.3g} s")
         return reasons
 
@@ -213,15 +215,6 @@ class MPIWorkers(Generic[CellT]):
         if hard is None or watchdog is None or not hard <= seconds < watchdog:
             return reason
         return f"{reason} at the hard time limit of {hard:g} s"
-
-    def _patience(self, batch: Batch[CellT]) -> float:
-        """Seconds after which a worker that computes this batch counts as lost."""
-        options = self._options
-        if options.watchdog_limit is not None:
-            return options.watchdog_limit
-        if not self._slowest:
-            return 10.0 * options.silence_floor
-        return max(options.silence_floor, options.silence_factor * self._slowest * batch.cost)
 
     def _gone(self) -> set[int]:
         return self._watch.find_ended() | self._failed()

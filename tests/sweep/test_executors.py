@@ -169,7 +169,7 @@ def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "Memor
     """Four workers for its batch, four for the cell: all are counted, and its company is computed."""
     end = run_sweep(Scripted(KilledWorker), planned(), Fault("", tmp_path), sink)
     assert end.state is SweepState.COMPLETE
-    assert end.tally.lost_workers == len(sink.losses) // 1 == 8
+    assert end.tally.lost_workers == len(sink.losses) == 8
     assert end.tally.quarantined == 1
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
@@ -192,7 +192,21 @@ def test_a_worker_that_does_not_answer_is_given_up(sink: "MemorySink", tmp_path:
 def test_the_computation_travels_with_the_first_batches_only(sink: "MemorySink", tmp_path: Path) -> None:
     """Once a worker has answered, a batch is sent without the packing."""
     executor = Scripted(hang)
-    batches = [batch for batch in planned() if BAD_CELL not in batch.cells] * 1
+    batches = [batch for batch in planned() if BAD_CELL not in batch.cells]
     more = [Batch(100 + number, ((number, 1.0),)) for number in range(50)]
     run_sweep(executor, [*batches, *more], Fault("", tmp_path), sink)
     assert executor.with_computation < 20
+
+
+@pytest.mark.full
+def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "MemorySink", tmp_path: Path) -> None:
+    """Nannies replace eight killed workers; the deadly cell is given up and all others are computed, in one sweep."""
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        end = run_sweep(client.get_executor(), planned(), Fault("kill", tmp_path), sink)
+    assert end.state is SweepState.COMPLETE
+    assert end.tally.lost_workers == 8
+    failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
+    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}

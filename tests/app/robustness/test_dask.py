@@ -101,7 +101,10 @@ def test_workers_may_come_and_go(workshop: "Workshop", expected: "Cells", cluste
     process = workshop.start("run", "c.toml", "--dask", cluster.address)
     workshop.wait_for_cells(1)
     if event == "joins":
+        cluster.workers[0].send_signal(signal.SIGSTOP)  # what comes now is by the other one, however slow its start
         cluster.start_worker()
+        workshop.wait_for_cells(5)
+        cluster.workers[0].send_signal(signal.SIGCONT)
     else:
         cluster.workers[0].send_signal(signal.SIGKILL if event == "is killed" else signal.SIGTERM)
     done = workshop.wait(process)
