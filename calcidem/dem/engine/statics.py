@@ -6,8 +6,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
