@@ -256,9 +256,9 @@ class VelocityChoice:
         require_fields(self)
 
 
-def _is_part(text: str) -> bool:
-    """Whether a text is a part's number and the number of parts."""
-    found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", text, re.ASCII)
+def _is_part(value: object) -> bool:
+    """Whether a value is the text of a part's number and of the number of parts."""
+    found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", value, re.ASCII) if isinstance(value, str) else None
     return found is not None and 1 <= int(found[1]) <= int(found[2])
 
 
