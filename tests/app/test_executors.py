@@ -52,7 +52,7 @@ if __name__ == "__main__":
 FROM_FILE = "import runpy; runpy.run_path('pool.py', run_name='__main__')"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_process_pool_gives_the_same_bits(workshop: "Workshop", expected: "Cells") -> None:
     """Every outcome equals that of one process, signals and cement included; each process is told apart."""
     workshop.configure()

@@ -153,6 +153,7 @@ def test_a_signal_ends_the_command_and_the_same_one_goes_on(
     assert workshop.cells() == expected
 
 
+@FULL
 def test_no_scheduler_is_bad_input(workshop: "Workshop") -> None:
     """The command ends with 2 and what to give, before it makes a database."""
     workshop.configure()
