@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VELOCITIES = 400  # of the grid, evenly spaced by their logarithm
-_HIGHEST = 1.5  # over the pulse's frequency, up to which the long-wave limit is fitted
+_FINEST = 1e-3  # of a velocity, which a parabola over that grid resolves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ def dispersion(
     frequency: float,
     velocities: tuple[float, float],
     *,
-    shares: Sequence[float] = tuple(np.arange(0.4, 2.01, 0.1).round(2).tolist()),
+    shares: Sequence[float] = tuple(np.arange(0.4, 1.81, 0.1).round(2).tolist()),
 ) -> Dispersion:
     """Find the phase velocity of shear waves from sections of samples of one content.
 
@@ -81,7 +81,7 @@ def dispersion(
     velocities
         Slowest and fastest phase velocity that is looked for, m/s.
     shares
-        Frequencies of the result over that of the pulse.
+        Frequencies of the result over that of the pulse, whose spectrum is zero at 2.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def dispersion(
     At each frequency the spectra of all places, each over its own absolute value, are shifted by the phase of a plane
     wave and summed (phase-shift method: Park, Miller and Xia 1998, SEG Expanded Abstracts 17:1377). The power of this
     sum is averaged over the samples. The long-wave limit is the intercept of the phase velocity over the square of the
-    frequency, up to 1.5 times that of the pulse: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
+    frequency, each weighted by its standard error: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
     """
     if len(sections) < 3:  # noqa: PLR2004 - fewer have no jackknife
         raise ValueError(f"sections: {len(sections)} given; give those of three samples and more")
@@ -104,15 +104,16 @@ def dispersion(
     powers = np.array([_power(section, wanted, velocity) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
-    limit = _long_wave(wanted, found, frequency)
-    limits = np.array([_long_wave(wanted, ridge, frequency) for ridge in left_out])
+    error = _jackknife(left_out)
+    known = np.maximum(error, _FINEST * found)  # the grid tells no less
+    limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,
         velocity=velocity,
         power=total / count,
         phase_velocity=found,
-        standard_error=_jackknife(left_out),
-        long_wave=limit,
+        standard_error=error,
+        long_wave=_long_wave(wanted, found, known),
         long_wave_error=float(_jackknife(limits)),
         samples=count,
     )
@@ -141,10 +142,11 @@ def _ridge(power: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray
     return np.asarray(velocity[best] * np.exp(np.clip(shift, -1.0, 1.0) * step))
 
 
-def _long_wave(frequency: NDArray[np.float64], phase_velocity: NDArray[np.float64], pulse: float) -> float:
+def _long_wave(
+    frequency: NDArray[np.float64], phase_velocity: NDArray[np.float64], error: NDArray[np.float64]
+) -> float:
     """Limit of the phase velocity at frequency zero, m/s."""
-    low = frequency <= _HIGHEST * pulse
-    _, intercept = np.polyfit(frequency[low] ** 2, phase_velocity[low], 1)
+    _, intercept = np.polyfit(frequency**2, phase_velocity, 1, w=1.0 / error)
     return float(intercept)
 
 

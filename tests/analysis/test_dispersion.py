@@ -23,23 +23,23 @@ def section(speed: float, spacing: float, seed: int, noise: float = 0.0) -> Sect
 
 
 def test_phase_velocities_of_a_chain_are_those_of_its_dispersion_relation() -> None:
-    """With a grid of 1 % between velocities and a parabola over them, 0.3 % are left."""
+    """A tenth of the grid's step of 0.6 % is left, and half of a percent where the fit in f^2 leaves out f^4."""
     speed, spacing = 700.0, 5.0e-3
     found = dispersion([section(speed, spacing, seed) for seed in range(3)], FREQUENCY, (200.0, 2000.0))
     argument = np.pi * found.frequency * spacing / speed
     expected = speed * argument / np.arcsin(argument)
-    np.testing.assert_allclose(found.phase_velocity, expected, rtol=3e-3)
-    assert found.long_wave == pytest.approx(speed, rel=3e-3)
+    np.testing.assert_allclose(found.phase_velocity, expected, rtol=1e-3)
+    assert found.long_wave == pytest.approx(speed, rel=5e-3)
 
 
 def test_the_error_of_the_long_wave_limit_covers_what_noise_does() -> None:
-    """Of twenty noisy sets of eight samples the limit is within two standard errors in fifteen and more."""
+    """Of ten noisy sets of eight samples the limit is within two standard errors in seven and more."""
     inside = 0
-    for trial in range(20):
+    for trial in range(10):
         sections = [section(700.0, 5.0e-3, 100 * trial + seed, noise=0.3) for seed in range(8)]
         found = dispersion(sections, FREQUENCY, (200.0, 2000.0))
         inside += abs(found.long_wave - 700.0) < 2.0 * found.long_wave_error
-    assert inside >= 15
+    assert inside >= 7
 
 
 def test_power_is_one_where_all_places_move_in_phase() -> None:
