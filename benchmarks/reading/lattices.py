@@ -143,7 +143,7 @@ def sections_of_seed(seed: int) -> list[Section]:
             else:
                 delay, error = twins[lane].delay(receiver, path)
             stations = _draw_stations(generator, receiver)
-            noise = float(generator.uniform()) < _NOISY
+            noise = _by_chance(generator, _NOISY)
             if not (error < KNOWN_TO and _PATHS[0] <= delay * frequency <= _PATHS[1]):
                 continue
             rows = [*stations, receiver]
@@ -164,14 +164,16 @@ def sections_of_seed(seed: int) -> list[Section]:
                 aperture=trial.half_aperture / wavelength,
                 readable=False,
             )
-            sections.append(_disturbed(generator, clean) if noise else replace(clean, readable=_is_readable(clean, 0.0)))
+            sections.append(
+                _disturbed(generator, clean) if noise else replace(clean, readable=_is_readable(clean, 0.0))
+            )
     return sections
 
 
 def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Trial]:
     """Draw a lattice of a kind, and how waves are sent through it."""
-    square = kind == "square" or (kind != "hexagonal" and generator.uniform() < 0.35)
-    upright = not square and generator.uniform() < 0.5  # rows of touching disks up instead of along the path
+    square = kind == "square" or (kind != "hexagonal" and _by_chance(generator, 0.35))
+    upright = not square and _by_chance(generator, 0.5)  # rows of touching disks up instead of along the path
     tilt = float(np.radians(generator.uniform(4.0, 26.0))) if kind == "tilted" else 0.0
     columns = int(generator.integers(46, 60)) if kind in KINDS[:3] else int(generator.integers(36, 46))
     cell_height = SPACING * (2.0 if kind in KINDS[:2] else columns * float(generator.uniform(0.7, 0.9)))
@@ -180,7 +182,7 @@ def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Tria
     wavelengths = path / np.minimum(most, path / (9.0 * SPACING))
     # So long that what its end throws back finds the peak gone.
     length = columns + int(0.5 * wavelengths.max() / SPACING)
-    sand = Sand(shear_modulus=1.0e9, poisson_ratio=float(generator.uniform(0.2 if square else -0.6, 0.49)))
+    sand = Sand(shear_modulus=1.0e12, poisson_ratio=float(generator.uniform(0.2 if square else -0.6, 0.49)))
     lowest, highest = {"jittered": (1.0, 1.0), "mixed": (0.2, 10.0), "patches": (0.2, 25.0)}.get(kind, (0.5, 4.0))
     contrast = float(np.exp(generator.uniform(np.log(lowest), np.log(highest))))
     normal = _hertz_stiffness(sand, RADIUS, RADIUS, OVERLAP)
@@ -196,18 +198,18 @@ def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Tria
     lattice = replace(lattice, cemented=_draw_cement(generator, kind, lattice))
     whole = copies * lattice.height
     frequencies = _long_wave_speeds(lattice) / wavelengths
-    plane = generator.uniform() < 0.35
+    plane = _by_chance(generator, 0.35)
     narrow = float(wavelengths.mean() * np.exp(generator.uniform(np.log(0.08), np.log(1.5))))
     half_aperture = 0.48 * whole if plane else max(2.0 * SPACING, min(narrow, 0.45 * whole))
-    rubbed = kind not in {"tilted", "jittered"} and generator.uniform() < 0.3
-    slanted = not rubbed and generator.uniform() < 0.35
-    lossy = kind != "tilted" and not slanted and generator.uniform() < 0.6
+    rubbed = kind not in {"tilted", "jittered"} and _by_chance(generator, 0.3)
+    slanted = not rubbed and _by_chance(generator, 0.35)
+    lossy = kind != "tilted" and not slanted and _by_chance(generator, 0.6)
     return lattice, Trial(
         kind=kind,
         tilt=tilt,
         slant=float(np.radians(generator.uniform(-30.0, 30.0))) if slanted else 0.0,
-        rubbed=bool(rubbed),
-        closed=bool(generator.uniform() < 0.4),
+        rubbed=rubbed,
+        closed=_by_chance(generator, 0.4),
         half_aperture=half_aperture,
         half_band=float(generator.uniform(0.06, 0.3)) * lattice.width,
         damping=float(generator.uniform(0.0, 0.5)) if lossy else 0.0,
@@ -216,9 +218,12 @@ def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Tria
     )
 
 
-def _places(
-    columns: int, height: float, *, square: bool, upright: bool, tilt: float
-) -> tuple[Floats, Floats, float]:
+def _by_chance(generator: np.random.Generator, share: float) -> bool:
+    """True in this share of the cases."""
+    return bool(generator.uniform() < share)
+
+
+def _places(columns: int, height: float, *, square: bool, upright: bool, tilt: float) -> tuple[Floats, Floats, float]:
     """Places of the disks of a lattice, and the height of the cell: an even number of its rows unless tilted."""
     rise = SPACING if square else SPACING * np.sqrt(0.75)
     if tilt:
@@ -226,7 +231,7 @@ def _places(
         column, row = np.meshgrid(np.arange(-count, count), np.arange(-count, count))
         x, y = (column + (0.0 if square else 0.5) * (row % 2)) * SPACING, row * rise
         x, y = np.cos(tilt) * x - np.sin(tilt) * y, np.sin(tilt) * x + np.cos(tilt) * y
-        inside = (x > -1e-9) & (x < columns * SPACING) & (y > -1e-9) & (y < height)
+        inside = (x >= 0.0) & (x < columns * SPACING) & (y >= 0.0) & (y < height)
         return x[inside], y[inside], height
     step_x, step_y = (rise, SPACING) if upright else (SPACING, rise)
     across = round(columns * SPACING / step_x)
@@ -630,7 +635,14 @@ def shear_branch(lattice: Lattice, tilt: float, cemented: bool, numbers: Floats)
     """
     angles = tilt + np.pi * (np.arange(4) / 2.0 if lattice.square else np.arange(6) / 3.0)
     radius, mass = RADIUS, lattice.sand.density * np.pi * RADIUS**2
-    pair = replace(lattice, x=np.array([0.0, SPACING]), y=np.zeros(2), radius=np.full(2, radius), image=np.zeros(1), pairs=np.array([[0, 1]]))
+    pair = replace(
+        lattice,
+        x=np.array([0.0, SPACING]),
+        y=np.zeros(2),
+        radius=np.full(2, radius),
+        image=np.zeros(1),
+        pairs=np.array([[0, 1]]),
+    )
     normal, shear, twist = (float(value[0]) for value in contact_stiffness(pair, np.array([cemented])))
     matrix = np.zeros((len(numbers), 3, 3), dtype=complex)
     for angle in angles.tolist():
@@ -674,7 +686,7 @@ def _draw_stations(generator: np.random.Generator, receiver: int) -> list[int]:
     """Six to ten slices from an eighth of the path on, before that of the receiver."""
     first = max(2, round(0.14 * receiver))
     wanted = int(generator.integers(6, 11))
-    return sorted({int(round(place)) for place in np.linspace(first, receiver - 1, wanted)})
+    return sorted({round(place) for place in np.linspace(first, receiver - 1, wanted).tolist()})
 
 
 def _resampled(times: Floats, signals: Floats, even: Floats) -> Floats:
@@ -700,10 +712,10 @@ def _disturbed(generator: np.random.Generator, clean: Section) -> Section:
     loudest = float(np.abs(clean.across[-1]).max())
     frequency, interval = clean.frequency, float(clean.times[1] - clean.times[0])
     x = np.fft.rfftfreq(8 * samples, interval) / frequency
-    low, high = (0.15, 0.6) if generator.uniform() < 0.25 else (0.0, float(generator.uniform(1.0, 6.0)))
+    low, high = (0.15, 0.6) if _by_chance(generator, 0.25) else (0.0, float(generator.uniform(1.0, 6.0)))
     spectrum = np.exp(-((x / high) ** 2)) * (x >= low)
     level = float(generator.uniform(0.0, 0.04)) * loudest
-    common = generator.uniform() < 0.3  # the same hum everywhere
+    common = _by_chance(generator, 0.3)  # the same hum everywhere
     both = []
     for signals in (clean.across, clean.along):
         white = generator.standard_normal((1 if common else columns, 8 * samples))
@@ -726,7 +738,9 @@ def main() -> None:
     first, last = chosen.seeds
     sections = lattice_sections(range(first, last + 1))
     save_sections(chosen.file, sections)
-    print(f"{len(sections)} of {3 * LANES * (last - first + 1)} sections, the others without a known delay: {chosen.file}")
+    print(
+        f"{len(sections)} of {3 * LANES * (last - first + 1)} sections, the others without a known delay: {chosen.file}"
+    )
 
 
 if __name__ == "__main__":

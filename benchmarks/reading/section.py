@@ -10,7 +10,6 @@ from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.wave.pulse import Pulse
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """Motion at stations and at the receiver, and the delay of the S wave that a reading is to find.
@@ -110,7 +109,9 @@ def load_sections(path: Path) -> list[Section]:
         scalars = {name: data[name][index].item() for name in _SCALARS}
         times = data["first_time"][index] + data["interval"][index] * np.arange(samples)
         places = data["places"][place : place + columns]
-        sections.append(Section(str(data["kind"][index]), times=times, places=places, across=across, along=along, **scalars))
+        sections.append(
+            Section(str(data["kind"][index]), times=times, places=places, across=across, along=along, **scalars)
+        )
         signal, place = signal + 2 * size, place + columns
     return sections
 

@@ -15,6 +15,7 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import PlacedCement, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
@@ -22,7 +23,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.pick import Reading
 from calcidem.dem.wave.recorder import WaveRecord
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
@@ -77,12 +78,18 @@ def cell_computation(
         results = [cell_result(measurement, experiment, store_signals, graph) for measurement in measurements]
         if configuration.run.static_speed:
             results = [
-                replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
+                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
         return tuple(map(pack_result, results))
 
     return compute
+
+
+def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
+    """Static speed of a sample, m/s; None where its inner part does not tell it."""
+    found = static_speed(experiment, bonded)
+    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
 
 def cell_result(
