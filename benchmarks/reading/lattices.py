@@ -197,7 +197,7 @@ def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Tria
         lattice = _jittered(generator, lattice)
     lattice = replace(lattice, cemented=_draw_cement(generator, kind, lattice))
     whole = copies * lattice.height
-    frequencies = _long_wave_speeds(lattice) / wavelengths
+    frequencies = long_wave_speeds(lattice) / wavelengths
     plane = _by_chance(generator, 0.35)
     narrow = float(wavelengths.mean() * np.exp(generator.uniform(np.log(0.08), np.log(1.5))))
     half_aperture = 0.48 * whole if plane else max(2.0 * SPACING, min(narrow, 0.45 * whole))
@@ -342,7 +342,7 @@ def _mass(lattice: Lattice) -> Floats:
     return np.asarray(lattice.sand.density * np.pi * lattice.radius**2)
 
 
-def _long_wave_speeds(lattice: Lattice) -> Floats:
+def long_wave_speeds(lattice: Lattice) -> Floats:
     """(L,) speeds of S waves by closed forms, m/s, with the geometric mean of the stiffnesses where these differ."""
     speeds = []
     for cemented in lattice.cemented.T:
@@ -382,7 +382,7 @@ def _origin(lattice: Lattice, trial: Trial) -> float:
 
 def _longest(lattice: Lattice, trial: Trial) -> float:
     """Time that all sections of a trial need, s."""
-    speeds = _long_wave_speeds(lattice)
+    speeds = long_wave_speeds(lattice)
     return max(
         _duration(1.35 * lattice.width / speed, frequency)
         for speed, frequency in zip(speeds, trial.frequencies, strict=True)
