@@ -18,6 +18,7 @@ from typer.models import OptionInfo
 from calcidem.app.cli.main import PANELS, command_function
 from calcidem.app.config.reader import SECTIONS
 from calcidem.app.config.reference import KeyReference, key_references, written
+from calcidem.app.config.schema import Configuration
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -58,18 +59,18 @@ def configuration_page() -> str:
 
 def json_schema() -> str:
     """JSON schema of a configuration, with the meaning of each key."""
-    meanings = {(key.section, key.name): key for key in key_references()}
-    definitions: dict[str, Any] = {}
-    sections = {}
+    whole = TypeAdapter(Configuration).json_schema(ref_template="#/$defs/{model}")
+    definitions, sections = whole["$defs"], {}
+    classes = {kind.__name__ for kinds in SECTIONS.values() for kind in kinds.values()}
     for section, kinds in SECTIONS.items():
-        properties = {}
+        described = {}
         for kind in kinds.values():
-            schema = TypeAdapter(kind).json_schema(ref_template="#/$defs/{model}")
-            definitions |= schema.pop("$defs", {})
-            for name, described in schema["properties"].items():
-                if (key := meanings.get((section, name))) is not None:
-                    accepted = f" Accepted: {key.accepted}." if key.accepted else ""
-                    properties[name] = described | {"description": key.meaning + accepted}
+            described |= definitions[kind.__name__]["properties"]
+        properties = {}
+        for key in key_references():
+            if key.section == section:
+                accepted = f" Accepted: {key.accepted}." if key.accepted else ""
+                properties[key.name] = described[key.name] | {"description": key.meaning + accepted}
         sections[section] = {"type": "object", "additionalProperties": False, "properties": properties}
     whole = {
         "$schema": "http://json-schema.org/draft-07/schema#",
@@ -77,7 +78,7 @@ def json_schema() -> str:
         "type": "object",
         "additionalProperties": False,
         "properties": sections,
-        "$defs": definitions,
+        "$defs": {name: table for name, table in definitions.items() if name not in classes},
     }
     return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
 
@@ -97,8 +98,7 @@ def commands_page() -> str:
 def _row(key: KeyReference) -> str:
     """Row of a key."""
     default = "" if key.default is None else f"`{written(key.default)}`"
-    kind = " or ".join(f"`{word}`" for word in key.kind.split(", ")) if '"' in key.kind else key.kind
-    accepted = f"{kind}: {key.accepted}" if key.accepted else kind
+    accepted = key.accepted if key.kind in key.accepted else f"{key.kind}: {key.accepted}".removesuffix(": ")
     unit = key.unit.replace("^2", "²").replace("^3", "³")
     return f"| `{key.name}` | {default} | {unit} | {_cell(key.meaning)} | {_cell(accepted)} |"
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,6 +35,43 @@ SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)
 NOT_COMPUTED = (6, 0.34)
 FAILED = (6, 9.0)
+
+
+CALLERS = ("CALCIDEM_", "PG", "SLURM_", "XDG_")
+"""Beginnings of the names of variables that would let a test see what its caller does."""
+
+
+@contextmanager
+def _own_folders() -> Iterator[pytest.MonkeyPatch]:
+    """Work in a new folder, with another one as home; subprocesses do so, too."""
+    with (
+        tempfile.TemporaryDirectory(prefix="calcidem-test-", ignore_cleanup_errors=True) as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        for name in ("work", "home"):
+            (Path(folder) / name).mkdir()
+        patch.chdir(Path(folder) / "work")
+        patch.setenv("HOME", str(Path(folder) / "home"))
+        yield patch
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let fixtures that many tests share see neither the tree's results nor the caller's variables, caches and home."""
+    with _own_folders() as patch:
+        for name in os.environ:
+            if name.startswith(CALLERS):
+                patch.delenv(name)
+        # Kernels stay where numba keeps them, beside the sources; fonts are listed once for all tests.
+        patch.setenv("MPLCONFIGDIR", str(tmp_path_factory.mktemp("matplotlib")))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _own_surroundings(_own_session: None) -> Iterator[None]:
+    """Let each test begin in an empty folder, with an empty home."""
+    with _own_folders():
+        yield
 
 
 @pytest.fixture(scope="session")

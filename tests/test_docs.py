@@ -70,12 +70,12 @@ def test_a_full_configuration_is_its_preset(preset: str, tmp_path: Path) -> None
 
 
 def test_the_schema_for_editors_accepts_what_the_reader_accepts() -> None:
-    """All presets, short and full, fit the JSON schema; an unknown key and a wrong type do not."""
+    """All presets, short and full, fit the JSON schema; what is unknown, of a wrong type or out of bounds does not."""
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
     validator = jsonschema.Draft7Validator(json.loads((DOCS / "configuration.schema.json").read_text(encoding="utf-8")))
     for text in (*map(preset_text, PRESETS), *map(full_text, PRESETS)):
         assert not list(validator.iter_errors(tomllib.loads(text)))
-    for wrong in ("[wave]\nampltude = 1e-3", "[wave]\namplitude = 'loud'", "[weve]"):
+    for wrong in ("[wave]\nampltude = 1e-3", "[wave]\namplitude = 'loud'", "[weve]", "[packing]\nporosity = 0.9"):
         assert list(validator.iter_errors(tomllib.loads(wrong))), wrong
 
 

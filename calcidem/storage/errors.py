@@ -42,16 +42,20 @@ class StoreUnavailableError(StoreError):
     """The file can't be opened, or the database server can't be reached."""
 
 
+class StoreInterruptedError(StoreUnavailableError):
+    """The server ended a connection that it had accepted: it was restarted, or the network between failed."""
+
+
 class ForeignDatabaseError(StoreError):
     """The file or database exists but was not made by calcidem."""
 
 
 class NewerSchemaError(StoreError):
-    """The database was written by a later calcidem, whose schema this one doesn't know."""
+    """The database or file was written by a later calcidem, whose tables this one doesn't know."""
 
 
 class OlderSchemaError(StoreError):
-    """The database was written by an earlier calcidem and has to be upgraded before it is read."""
+    """The database or file was written by an earlier calcidem, whose tables this one doesn't read."""
 
 
 class DamagedStoreError(StoreError):

@@ -76,10 +76,13 @@ class LeaseGrant:
     taken_over_from : str or None
         ``host, process N, last heard of at T`` of a dead master whose lease this one took over; to be
         reported.
+    lost : str or None
+        A sentence on what the dead master stored and is no longer there; to be reported.
     """
 
     token: str
     taken_over_from: str | None
+    lost: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +130,10 @@ class Integrity:
         Damaged cells, and what is damaged of each.
     others : tuple of str
         Sentences on all other damage: packings, runs, attempts, the file as such.
-    late : int
-        Rows stored by an earlier calcidem, whose checksums are of what was there when the database was upgraded.
     """
 
     cells: dict[CellKey, str]
     others: tuple[str, ...]
-    late: int
 
 
 class Closable(ABC):

@@ -1,9 +1,14 @@
 """NetCDF export and the way back."""
 
+import contextlib
 import dataclasses
 import json
+import os
 import shutil
+import signal
 import subprocess
+import sys
+import time
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -14,28 +19,33 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.import_ import ERRORS_OF_DAMAGE
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
     DiskError,
     ForeignDatabaseError,
     NewerSchemaError,
+    OlderSchemaError,
+    StoreError,
     StoreUnavailableError,
     UnknownCampaignError,
 )
-from calcidem.storage.netcdf import export
+from calcidem.storage.netcdf import export, trial
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
-from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import SqlStore, open_store
 
 if TYPE_CHECKING:
     from conftest import Records
 
-# Also files that calcidem exported of schema_0003.db and schema_0005.db when the layouts 1 and 2 were the current ones.
 ASSETS = Path(__file__).parent / "assets"
+
+ENDLESS = ((2121, 2381), (204, 912), (970, 2409))
+"""Blocks of 64 bytes of calcidem_0.1.0.nc; with two of them swapped the library loops for ever when it opens it."""
 
 Filled = tuple[SqlStore, CampaignRecord]
 
@@ -76,20 +86,6 @@ def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
 
 
-@pytest.mark.parametrize(("layout", "schema"), [("1", "0003"), ("2", "0005")])
-def test_a_file_of_a_former_layout_is_imported(tmp_path: Path, layout: str, schema: str) -> None:
-    """What an earlier calcidem exported of a database is what that database holds once it is upgraded."""
-    shutil.copy(ASSETS / f"schema_{schema}.db", tmp_path / "upgraded.db")
-    with open_store(tmp_path / "upgraded.db") as upgraded, open_store(tmp_path / "imported.db") as imported:
-        assert import_netcdf(ASSETS / f"layout_{layout}.nc", imported) == upgraded.use_campaign()
-        found = list(imported.results(with_arrays=True))
-        assert found == list(upgraded.results(with_arrays=True))
-        assert any(result.signal is not None for result in found)
-        assert {result.error_bound for result in found} == {None, 2e-3}
-        assert imported.load_packing() == upgraded.load_packing()
-        assert imported.statuses() == upgraded.statuses()
-
-
 def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> None:
     """Importing twice leaves cells and attempts as they are."""
     with open_store(tmp_path / "copy.db") as copy:
@@ -116,12 +112,10 @@ def test_import_into_the_campaign_by_another_name(exported: Path, tmp_path: Path
 
 
 def test_an_edited_configuration_is_refused(exported: Path, tmp_path: Path) -> None:
-    """A file whose configuration is no longer the one of its hash is refused; both hashes are named."""
+    """A file whose configuration was changed is refused."""
     with netCDF4.Dataset(exported, "a") as file:
         file.calcidem_config = file.calcidem_config.replace("0.2", "0.3")
-        named = (
-            f"has the hash {canonical_hash(json.loads(file.calcidem_config))}, .* hash {file.calcidem_campaign_hash}"
-        )
+        named = f"its configuration, or the hash {file.calcidem_campaign_hash} of its cells, is not what was exported"
     with open_store(tmp_path / "copy.db") as copy:
         with pytest.raises(DamagedStoreError, match=named):
             import_netcdf(exported, copy)
@@ -255,17 +249,79 @@ def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, e
 
 
 def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
-    """Text, other NetCDF files and later layouts are refused with the store left empty."""
+    """Text, other NetCDF files, former and later layouts are refused with the store left empty."""
     (tmp_path / "text.nc").write_text("hello")
     netCDF4.Dataset(tmp_path / "other.nc", "w").close()
+    shutil.copy(ASSETS / "calcidem_0.1.0.nc", tmp_path)
     with netCDF4.Dataset(exported, "a") as file:
-        file.calcidem_format = 99
+        file.calcidem_layout = 99
     with open_store(tmp_path / "copy.db") as copy:
         for name, error in (
             ("text.nc", StoreUnavailableError),
             ("other.nc", ForeignDatabaseError),
+            ("calcidem_0.1.0.nc", OlderSchemaError),
             (exported.name, NewerSchemaError),
         ):
             with pytest.raises(error):
                 import_netcdf(tmp_path / name, copy)
         assert copy.campaigns() == ()
+
+
+def endless_file(folder: Path, blocks: tuple[int, int]) -> Path:
+    """Make a file that the library for NetCDF cannot open to its end."""
+    content = (ASSETS / "calcidem_0.1.0.nc").read_bytes()
+    first, second = (slice(64 * block, 64 * block + 64) for block in blocks)
+    changed = bytearray(content)
+    changed[first], changed[second] = content[second], content[first]
+    path = folder / "endless.nc"
+    path.write_bytes(changed)
+    return path
+
+
+@pytest.mark.parametrize("blocks", [ENDLESS[0], *(pytest.param(b, marks=pytest.mark.full) for b in ENDLESS[1:])])
+def test_a_file_that_the_library_never_finishes_is_refused(
+    blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
+    monkeypatch.setattr(trial, "_PATIENCE", 1.0)
+    path = endless_file(tmp_path, blocks)
+    with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
+        import_netcdf(path, store)
+    assert exit_code_of(caught.value) == 2
+    assert export.belongs_to_another(path, "the hash of any campaign")
+
+
+@pytest.mark.slow
+def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
+    """Ctrl-C ends the import of a file that the library never finishes, long before the time for it is over."""
+    path = endless_file(tmp_path, ENDLESS[0])
+    command = [sys.executable, "-m", "calcidem", "import", str(path), "--db", str(tmp_path / "new.db")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not (child := children.read_text().strip()):
+        time.sleep(0.05)
+    status = Path(f"/proc/{child}/stat")
+    while int(status.read_text().split()[13]) < 2 * os.sysconf("SC_CLK_TCK"):  # it has been in the library for long
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20.0) != 0
+    assert not status.exists() or status.read_text().split()[2] == "Z"  # ended, if not yet buried
+
+
+@pytest.mark.full
+def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
+    monkeypatch.setattr(trial, "_PATIENCE", 2.0)
+    last = (ASSETS / "calcidem_0.1.0.nc").stat().st_size // 64
+    random = np.random.default_rng(7)
+    for number in range(100):
+        path = endless_file(tmp_path, tuple(random.integers(last, size=2).tolist()))
+        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *ERRORS_OF_DAMAGE):
+            import_netcdf(path, store)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    """Only a file is opened: a pipe that nobody writes would never be."""
+    os.mkfifo(tmp_path / "pipe.nc")
+    with open_store(tmp_path / "new.db") as store, pytest.raises(StoreUnavailableError, match="is not a file"):
+        import_netcdf(tmp_path / "pipe.nc", store)

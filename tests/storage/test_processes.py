@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from sqlalchemy import text
@@ -19,9 +21,14 @@ from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
 
+if TYPE_CHECKING:
+    from conftest import Records
+
 WRITER = Path(__file__).parent / "programs" / "writer.py"
 SEEDS = 150
 CELLS = 2 * SEEDS
+ACKNOWLEDGED = 12
+"""Cells that are stored before the writer is killed."""
 
 StartWriter = Callable[[], "subprocess.Popen[str]"]
 
@@ -104,6 +111,78 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     assert largest_log < 30e6
     with open_stored_campaign(database) as campaign:
         assert int(campaign.vs().count()) == CELLS
+
+
+@pytest.fixture
+def killed(database: Path, start_writer: StartWriter) -> Path:
+    """Database whose writer was killed, so that its last transactions are in the write-ahead log."""
+    process = start_writer()
+    assert process.stdout is not None
+    for _ in range(ACKNOWLEDGED + 1):
+        process.stdout.readline()
+    process.kill()
+    process.wait()
+    return database
+
+
+def test_a_reader_leaves_one_file(killed: Path, tmp_path: Path) -> None:
+    """Who reads a database leaves no log beside it, also what a kill has left: the file alone is the campaign."""
+    assert Path(f"{killed}-wal").stat().st_size > 0
+    for _ in range(2):
+        with open_stored_campaign(killed) as campaign:
+            assert int(campaign.vs().count()) >= ACKNOWLEDGED
+        assert {path.name for path in tmp_path.iterdir()} == {killed.name, f"{killed.name}.lock"}
+
+
+def test_the_file_alone_has_what_a_living_writer_stored(database: Path, tmp_path: Path, records: "Records") -> None:
+    """The log is brought into the file at intervals and at the end, while a reader keeps it from being removed."""
+    copy = tmp_path / "copy.db"
+
+    def copied() -> int:
+        shutil.copy(database, copy)
+        with open_stored_campaign(copy) as campaign:
+            return int(campaign.vs().count())
+
+    with open_store(database) as store:
+        store.begin_campaign(records.campaign())
+        assert copied() == 0
+        with open_stored_campaign(database) as reader:
+            assert reader.vs().count() == 0
+            store.record_results([records.done(0)])
+            store._next_checkpoint = 0.0  # as if the interval were over
+            store.record_results([records.done(1)])
+            assert copied() == 2
+            store.record_results([records.done(2)])
+            store.close()
+            assert copied() == 3
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5])
+def test_acknowledged_transactions_that_a_damaged_log_loses_are_told(killed: Path, part: float) -> None:
+    """SQLite drops a damaged log from the damage on without a word: a note beside the log tells what was in it."""
+    with Path(f"{killed}-wal").open("r+b") as log:
+        log.seek(32 + int(part * (log.seek(0, os.SEEK_END) - 32)))
+        byte = log.read(1)
+        log.seek(-1, os.SEEK_CUR)
+        log.write(bytes([byte[0] ^ 1]))
+    with open_stored_campaign(killed) as campaign:
+        assert int(campaign.vs().count()) < ACKNOWLEDGED
+        assert any("write-ahead log was damaged" in text for text in campaign.store.integrity().others)
+    with open_store(killed) as store:
+        store.use_campaign()
+        assert "no longer in the database" in str(store.acquire_lease().lost)
+    with open_store(killed) as store:
+        store.use_campaign()
+        assert store.integrity().others == ()
+        assert store.acquire_lease().lost is None
+
+
+def test_an_undamaged_log_loses_nothing(killed: Path) -> None:
+    """After a kill alone nothing is missing, and nothing is told."""
+    with open_store(killed) as store:
+        store.use_campaign()
+        assert store.integrity().others == ()
+        assert store.acquire_lease().lost is None
 
 
 def test_second_master_is_refused_while_the_first_lives(database: Path, start_writer: StartWriter) -> None:

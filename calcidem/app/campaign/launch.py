@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FrameType
 
 from calcidem.app.campaign.screen import CommandScreen
+from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
 from calcidem.sweep.rank_watch import RankWatch
@@ -45,8 +46,14 @@ _TIME_FOR_LAST_WORDS = 10.0
 _PATIENCE_OF_USERS = 10.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
 
-_FORWARDED_VARIABLES = (*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR")
-"""What ranks on other hosts must know, too; ssh takes no variables along."""
+_FORWARDED_VARIABLES = (
+    *(*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR"),
+    PASSWORDS_VARIABLE,
+)
+"""What ranks on other hosts must know, too: ssh takes no variables along. Command lines show names, never values."""
+
+_LIBPQ = "PG"
+"""Beginning of the names of the variables that PostgreSQL's own library reads: PGPASSWORD, PGPASSFILE, PGSERVICE."""
 
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
 # the same request but has the time to obey it.
@@ -165,7 +172,7 @@ class Launch:
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {starter.COMMAND_VARIABLE: address}
         if sys.stdout.isatty():
             environment[TERMINAL_VARIABLE] = str(shutil.get_terminal_size().columns)
-        forwarded = [name for name in _FORWARDED_VARIABLES if name in environment]
+        forwarded = [name for name in environment if name in _FORWARDED_VARIABLES or name.startswith(_LIBPQ)]
         return subprocess.Popen(  # noqa: S603 - our own program
             [
                 *(mpirun, *launcher_options(mpirun, ranks, forwarded)),

@@ -1,7 +1,7 @@
 """One campaign on all the ranks there are: rank 0 prepares, hands out, stores and tells, the others compute."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn, Protocol
 
@@ -84,12 +84,14 @@ def _lead(
         view.say(f"{request}: ended before the packing was made; run it again to go on.")
         code = EXIT_RESUMABLE
     except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-        code = view.refuse(error)
+        code, session.obstacle = view.refuse(error), type(error).__name__
     session.broadcast(code)
     if work is None:
         return code, None
     with work:
-        orders = session.broadcast(_Orders(work.configuration, work.packing, bool(work.batches)))
+        # The address of the database, which may have a password, stays on this rank.
+        told = replace(work.configuration, run=replace(work.configuration.run, database=None))
+        orders = session.broadcast(_Orders(told, work.packing, bool(work.batches)))
         view.begin(work)
         if orders.anything_to_do:
             reporter.begin(RunStage.COMPILING)

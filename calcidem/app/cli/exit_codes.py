@@ -14,8 +14,10 @@ from calcidem.storage.errors import (
     LeaseHeldError,
     LeaseLostError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
 )
+from calcidem.storage.passwords import hide_passwords
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _EXIT_BAD_INPUT = 2
@@ -28,6 +30,9 @@ _BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSE
 
 _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError)
 """Errors of the store that no other input would cure."""
+
+_NO_THREAD = "can't start new thread"
+"""What Python says, as a RuntimeError, where there is no memory for the stack of a thread."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -45,7 +50,7 @@ _CURE_OF_ERRNO = {
 
 def exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
-    if isinstance(error, StoreLockedError):
+    if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
     if isinstance(error, OSError):
         return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR
@@ -55,7 +60,12 @@ def exit_code_of(error: BaseException) -> int:
 
 def tell_error(error: Exception) -> int:
     """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
-    if isinstance(error, (*_BAD_INPUT, PackingError)):
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+        text = (
+            f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
+            "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
+        )
+    elif isinstance(error, (*_BAD_INPUT, PackingError)):
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
         text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"
@@ -65,7 +75,7 @@ def tell_error(error: Exception) -> int:
             if path
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
-    sys.stderr.write(printable(f"Error: {text}\n"))
+    sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
     return exit_code_of(error)
 
 

@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import print_any_text, printable, strange_argument
+from calcidem.storage.passwords import keep_passwords_back
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -83,6 +84,7 @@ def main() -> None:
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
     try:
+        sys.argv[1:] = keep_passwords_back(sys.argv[1:])
         build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message
         from calcidem.app.cli.exit_codes import tell_error

@@ -47,13 +47,13 @@ class TerminalView:
 
         configuration, plan = work.configuration, work.configuration.campaign
         self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
-        path = parse_address(configuration.database).path
-        self.say(f"Database: {configuration.database if path is None else path.absolute()}")
+        address = parse_address(configuration.database)
+        self.say(f"Database: {address}")
         netcdf = configuration.netcdf
         if belongs_to_another(netcdf, work.record.hash):  # two campaigns of one database, or of one name
             netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.record.hash[:8]}")
         if in_haste:
-            self.say(f"NetCDF:   not written, to end quickly; calcidem export {configuration.database} OUT.nc does it")
+            self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:
             self.say(f"Wrote {export_netcdf(work.store, work.record, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:

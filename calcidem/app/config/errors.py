@@ -5,15 +5,19 @@ from dataclasses import dataclass
 
 from pydantic_core import ErrorDetails
 
-_CURE_BY_ERROR_TYPE = {
-    "float_type": "is not a number; write for example 0.5",
-    "int_type": "is not a whole number; write for example 4",
-    "bool_type": "is neither true nor false; write one of the two, without quotes",
-    "string_type": 'is not a string; put it in quotes "..."',
-    "tuple_type": "is not a list; write for example [1.0, 2.0]",
-    "finite_number": "is not finite; give a number",
+_BY_ERROR_TYPE = {
+    "float_type": ("is not a number", "write for example 0.5"),
+    "int_type": ("is not a whole number", "write for example 4"),
+    "bool_type": ("is neither true nor false", "write one of the two, without quotes"),
+    "string_type": ("is not a string", 'put it in quotes "..."'),
+    "tuple_type": ("is not a list", "write for example [1.0, 2.0]"),
+    "finite_number": ("is not finite", "give a number"),
+    "literal_error": ("is not one of the choices", ""),
+    "missing": ("has the wrong number of entries", ""),
+    "too_long": ("has the wrong number of entries", ""),
+    "unexpected_keyword_argument": ("is not known", "leave it out"),
 }
-"""Problem and cure for each kind of error that pydantic tells apart."""
+"""What is wrong, and a cure where the field names none, for each kind of error that pydantic tells apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +76,16 @@ def quote(value: object) -> str:
     return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}..."
 
 
-def phrase(error: ErrorDetails) -> str:
+def phrase(error: ErrorDetails, accepted: str = "") -> str:
     """Put one error of pydantic into words: problem and cure.
 
     Parameters
     ----------
     error
         An entry of ``ValidationError.errors()``.
+    accepted
+        What the field accepts, see `fields.accepted_values`.
     """
-    kind = error["type"]
-    if kind == "literal_error":
-        choices = error["ctx"]["expected"].replace("'", '"')
-        return f"is not one of the choices; choose {choices}"
-    if kind in {"missing", "too_long"}:
-        return "has the wrong number of entries"
-    where = f"entry {error['loc'][0] + 1} " if error["loc"] and isinstance(error["loc"][0], int) else ""
-    return where + _CURE_BY_ERROR_TYPE.get(kind, error["msg"])
+    what, cure = _BY_ERROR_TYPE.get(error["type"], ("" if accepted else error["msg"], ""))
+    entry = next((f"entry {word + 1} " for word in error["loc"] if isinstance(word, int)), "") if what else ""
+    return "; ".join(filter(None, (entry + what, f"give {accepted}" if accepted else cure)))

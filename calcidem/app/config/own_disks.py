@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 
 from calcidem.app.config.errors import Problem, quote
-from calcidem.app.config.schema import SETTLED_BY_FILE
+from calcidem.app.config.schema import SETTLED_BY_FILE, Configuration
 from calcidem.dem.sample.packing_file import checked_disks
 
 _CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
 """Fields that nothing else can be compared with when the file is not as it should be."""
 
 
-def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path) -> list[Problem]:
-    """Look at the file of ``[packing]``, if there is one, and put what it settles into the parts.
+def take_own_disks(
+    configuration: Configuration, given: Mapping[str, Any], folder: Path
+) -> tuple[Configuration, list[Problem]]:
+    """Look at the file of ``[packing]``, and put what it settles into the configuration.
 
     Parameters
     ----------
-    parts
-        Of the configuration: ``packing`` and ``packing_draw`` are replaced.
+    configuration
+        With ``packing_draw.file``.
     given
         The section as it was given.
     folder
@@ -30,12 +32,11 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
 
     Returns
     -------
-    list of Problem
+    configuration
+        With the size of the box and of the disks, where the file is as it should be.
+    problems
         What is wrong with the file or contradicts it.
     """
-    rule, draw = parts["packing"], parts["packing_draw"]
-    if draw.file is None:
-        return []
     problems = [
         Problem(
             f"packing.{key} = {quote(given[key])}: the disks in packing.file settle it; leave one of the two out",
@@ -44,12 +45,13 @@ def take_own_disks(parts: dict[str, Any], given: Mapping[str, Any], folder: Path
         for key in SETTLED_BY_FILE
         if key in given
     ]
+    rule, draw = configuration.packing, configuration.packing_draw
     try:
-        path = (folder / Path(draw.file).expanduser()).absolute()
+        path = (folder / Path(str(draw.file)).expanduser()).absolute()
         _, y, radius = checked_disks(path, rule.width)
         smallest, largest = (2.0 * float(value) for value in (radius.min(), radius.max()))
-        parts["packing"] = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
-        parts["packing_draw"] = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
+        rule = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
+        draw = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError also where ~ has no folder
         problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", _CONCERNED))
-    return problems
+    return replace(configuration, packing=rule, packing_draw=draw), problems

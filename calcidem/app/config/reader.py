@@ -1,24 +1,25 @@
 """From a TOML file to a `Configuration`, or to a list of everything that is wrong with it."""
 
 import difflib
+import itertools
+import json
 import math
 import os
-import re
 import tomllib
 import unicodedata
-import warnings
-from collections.abc import Collection, Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import is_dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
 from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
-    FORMER_KEYS,
     Bonding,
     Calibration,
     CampaignPlan,
@@ -28,6 +29,7 @@ from calcidem.app.config.schema import (
     RunOptions,
     VelocityChoice,
 )
+from calcidem.dem.engine.fields import accepted_values, field_hints
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import PackingRule
@@ -37,8 +39,6 @@ from calcidem.dem.wave.rule import WaveRule
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
-
-_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
     "campaign": {"campaign": CampaignPlan},
@@ -134,17 +134,27 @@ def read_configuration(
         With everything that is wrong.
     """
     problems = [_unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
-    parts: dict[str, Any] = {}
-    for name, types in SECTIONS.items():
-        values = document.get(name, {})
+    given: dict[str, dict[str, Any]] = {part: {} for parts in SECTIONS.values() for part in parts}
+    for section, parts in SECTIONS.items():
+        values = document.get(section, {})
         if not isinstance(values, Mapping):
-            cure = f"write [{name}] and its keys below it"
-            problems.append(Problem(f"{name} = {quote(values)}: is not a section; {cure}", (name,)))
-            values = {}
-        problems += _read_section(name, values, types, parts)
-        if name == "packing":
-            problems += take_own_disks(parts, values, folder)
-    configuration = Configuration(**parts)
+            cure = f"write [{section}] and its keys below it"
+            problems.append(Problem(f"{section} = {quote(values)}: is not a section; {cure}", (section,)))
+            continue
+        owner = {name: part for part, kind in parts.items() for name in field_hints(kind)}
+        known = [name for name in owner if f"{section}.{name}" not in TAKEN_FROM_ELSEWHERE]
+        for key, value in values.items():
+            if key not in known:
+                problems.append(_unknown_name(key, f"key of [{section}]", known, section))
+            elif words := _impossible(value):
+                problems.append(Problem(f"{section}.{key} = {quote(value)}: {words}", (f"{section}.{key}",)))
+            else:
+                given[owner[key]][key] = value
+    configuration, wrong = _validate(given)
+    problems += wrong
+    if configuration.packing_draw.file is not None:
+        configuration, wrong = take_own_disks(configuration, document["packing"], folder)
+        problems += wrong
     configuration = replace(
         configuration, pattern=replace(configuration.pattern, sand_density=configuration.sand.density)
     )
@@ -156,107 +166,91 @@ def read_configuration(
     return configuration
 
 
-def _read_section(
-    section: str, values: Mapping[str, Any], types: Mapping[str, type["DataclassInstance"]], parts: dict[str, Any]
-) -> list[Problem]:
-    """Read one section into objects of its types, put them into ``parts``, and return what is wrong.
+def _validate(given: dict[str, dict[str, Any]]) -> tuple[Configuration, list[Problem]]:
+    """Make a configuration of the values of its parts, and tell what is wrong with them.
 
-    What is wrong is replaced by its default, so that reading goes on and finds all problems.
+    What is wrong is left out, so that it has its default, until nothing is: what a class says of several of its fields,
+    it says only once each of them is right.
     """
-    owner = {
-        field.name: kind
-        for kind in types.values()
-        for field in fields(kind)
-        if f"{section}.{field.name}" not in TAKEN_FROM_ELSEWHERE
-    }
     problems: list[Problem] = []
-    good: dict[str, Any] = {}
-    for key, value in _rename_former_keys(section, values, owner.keys(), problems).items():
-        if key not in owner:
-            problems.append(_unknown_name(key, f"key of [{section}]", list(owner), section))
+    while True:
+        # The text of a file has the types of JSON. Of Python's objects, pydantic would strictly take instances alone.
+        text = json.dumps(given)
+        try:
+            return _validator().validate_json(text), problems
+        except ValidationError as error:
+            found = error.errors(include_url=False)
+        for (part, *key), details in itertools.groupby(found, key=lambda detail: detail["loc"][:2]):
+            section = next(section for section, parts in SECTIONS.items() if part in parts)
+            if key:
+                hint = field_hints(SECTIONS[section][part])[key[0]]
+                new = _value_problems(f"{section}.{key[0]}", given[part].pop(key[0]), hint, list(details))
+            else:
+                new = [_refusal(section, detail) for detail in details]
+                named = {name.rpartition(".")[2] for problem in new for name in problem.fields}
+                given[part] = {name: value for name, value in given[part].items() if name not in named}
+            problems += new
+
+
+@cache
+def _validator() -> TypeAdapter[Configuration]:
+    """What pydantic makes of the classes; it takes a moment."""
+    return TypeAdapter(Configuration)
+
+
+def _refusal(place: str, detail: ErrorDetails) -> Problem:
+    """Problem of values that a class refuses together."""
+    refused = detail["ctx"]["error"]
+    return Problem(f"{place}.{refused}", tuple(f"{place}.{name}" for name in refused.fields))
+
+
+def _value_problems(place: str, value: object, hint: Any, details: list[ErrorDetails]) -> list[Problem]:  # noqa: ANN401 - a type hint
+    """Problems of one value; of a table, which is one of the types it may have, those of its keys."""
+    table = _table_in(hint)
+    if table is None or not isinstance(value, dict):
+        branches = {word for detail in details for word in detail["loc"][2:3] if isinstance(word, str)}
+        accepted = accepted_values(hint)
+        words = [f"give {accepted}"] if len(branches) > 1 else [phrase(detail, accepted) for detail in details]
+        return [Problem(f"{place} = {quote(value)}: {'; '.join(dict.fromkeys(words))}", (place,))]
+    problems = []
+    for detail in details:
+        _, _, branch, *inner = detail["loc"]
+        key = str(inner[0]) if inner else ""
+        if branch != table.__name__:
             continue
-        good |= _read_value(section, key, value, owner[key], problems)
-    for attribute, kind in types.items():
-        own = {key: value for key, value in good.items() if owner[key] is kind}
-        parts[attribute] = _build(section, kind, own, problems)
+        if not key:
+            problem = _refusal(place, detail)
+        elif key not in field_hints(table):
+            problem = _unknown_name(key, f"key of [{place}]", list(field_hints(table)), place)
+        elif key not in value:
+            problem = Problem(f"{place}.{key}: is missing; add it", (f"{place}.{key}",))
+        else:
+            problem = _value_problems(f"{place}.{key}", value[key], field_hints(table)[key], [detail])[0]
+        problems.append(replace(problem, fields=(place, *problem.fields)))
     return problems
 
 
-def _rename_former_keys(
-    section: str, values: Mapping[str, Any], known: Collection[str], problems: list[Problem]
-) -> dict[str, Any]:
-    """Values by their present keys: a former one is warned of, and a problem if both are given."""
-    renamed = dict(values)
-    for former, present in FORMER_KEYS.items():
-        if former not in values or present not in known:
-            continue
-        value = renamed.pop(former)
-        if present in values:
-            problem = f"is the former name of {section}.{present}, which is given too; leave {former} out"
-            places = (f"{section}.{former}", f"{section}.{present}")
-            problems.append(Problem(f"{section}.{former} = {quote(value)}: {problem}", places))
-        else:
-            renamed[present] = value
-            message = f"{section}.{former} is now called {section}.{present}; rename the key in the configuration."
-            warnings.warn(message, FutureWarning, stacklevel=2)
-    return renamed
-
-
-def _read_value(
-    section: str, key: str, value: object, kind: type["DataclassInstance"], problems: list[Problem]
-) -> dict[str, Any]:
-    """Read the value of a key; an empty mapping, and a problem more, if it has the wrong type."""
-    hint = get_type_hints(kind)[key]
-    place = f"{section}.{key}"
-    table = next((choice for choice in get_args(hint) if is_dataclass(choice)), None)
-    if isinstance(value, Mapping) and isinstance(table, type):
-        found: dict[str, Any] = {}
-        wrong = _read_section(place, value, {key: table}, found)
-        problems += [Problem(problem.message, (place, *problem.fields)) for problem in wrong]
-        return {} if wrong else found
-    if words := _impossible(value):
-        problems.append(Problem(f"{place} = {quote(value)}: {words}", (place,)))
-        return {}
-    try:
-        return {key: TypeAdapter(hint, config=_STRICT).validate_python(_freeze_lists(value))}
-    except ValidationError as error:
-        cure = next(field for field in fields(kind) if field.name == key).metadata.get("cure")
-        words = cure or "; ".join(phrase(detail) for detail in error.errors())
-        problems.append(Problem(f"{place} = {quote(value)}: {words}", (place,)))
-        return {}
+def _table_in(hint: Any) -> type["DataclassInstance"] | None:  # noqa: ANN401 - as above
+    """Class of the tables that an annotation accepts."""
+    if is_dataclass(hint) and isinstance(hint, type):
+        return hint
+    return next(filter(None, map(_table_in, get_args(hint))), None)
 
 
 def _impossible(value: object) -> str:
     """Problem and cure of a value that no field can have, whatever its type; empty for all others."""
-    if isinstance(value, list):
-        return next(filter(None, map(_impossible, value)), "")
+    if isinstance(value, list | tuple | dict):
+        return next(filter(None, map(_impossible, value.values() if isinstance(value, dict) else value)), "")
+    if not isinstance(value, str | int | float | None):
+        return f"is a {type(value).__name__}, which no key takes; give a number, true or false, text or a list"
     if isinstance(value, int) and abs(value) > _LARGEST_WHOLE_NUMBER:
         return f"has more than 64 bits; give at most {_LARGEST_WHOLE_NUMBER}"
     # NaN and infinity are the type's business.
     if isinstance(value, float) and (0.0 < abs(value) < _SMALLEST_NUMBER or _LARGEST_NUMBER < abs(value) < math.inf):
         return f"is out of range; give 0, or a number of {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g} in SI units"
-    if isinstance(value, str) and any(unicodedata.category(character) == "Cc" for character in value):
+    if isinstance(value, str) and any(unicodedata.category(character) in {"Cc", "Cs"} for character in value):
         return "has control characters; write it without"
     return ""
-
-
-def _build(
-    section: str, kind: type["DataclassInstance"], values: dict[str, Any], problems: list[Problem]
-) -> "DataclassInstance | None":
-    """Make the object; a value that it refuses becomes a problem, and then its default is taken instead."""
-    required = [field.name for field in fields(kind) if field.default is MISSING]
-    missing = [name for name in required if name not in values]
-    problems += [Problem(f"{section}.{name}: is missing; add it", (f"{section}.{name}",)) for name in missing]
-    while all(name in values for name in required):
-        try:
-            return kind(**values)
-        except ValueError as error:
-            message = str(error)
-            # Several fields may be compared with one another, and the one that is named may not be the wrong one.
-            named = [key for key in values if re.search(rf"\b{key}\b", message)] or list(values)
-            problems.append(Problem(f"{section}.{message}", tuple(f"{section}.{key}" for key in named)))
-            values = {key: value for key, value in values.items() if key not in named}
-    return None
 
 
 def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
@@ -271,8 +265,3 @@ def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> 
     else:
         cure = f"there are {', '.join(known)}"
     return Problem(f"{place}: unknown {what}; {cure}", (place,))
-
-
-def _freeze_lists(value: object) -> object:
-    """Lists as tuples, all the way down: what is frozen stays as it is."""
-    return tuple(_freeze_lists(item) for item in value) if isinstance(value, list) else value

@@ -5,21 +5,17 @@ import re
 import textwrap
 import tomllib
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import SECTIONS, TAKEN_FROM_ELSEWHERE, read_configuration
+from calcidem.dem.engine.fields import accepted_values, field_hints, unit_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
-
-_UNIT = re.compile(r"(?<!\w)(m/s|m\^2|kg/m\^3|Pa|Hz|degrees|percent|seconds|m)(?!\w)", re.IGNORECASE)
-
-_TRIED = {int: (-1, 0, 1, 10**12), float: (-1.0, 0.0, 1.0, 1e12), str: ("",)}
-"""Values that show what a key refuses, by type."""
 
 _WORDS = {int: "whole number", float: "number", bool: "true or false", str: "text"}
 
@@ -33,7 +29,7 @@ class KeyReference:
     section, name
         Of the key.
     kind
-        What is written: ``number``, ``list of numbers``, or the choices there are.
+        What is written: ``number``, ``list of numbers``, ``text``.
     default
         What holds where the key is left out; None if nothing does.
     unit
@@ -41,7 +37,7 @@ class KeyReference:
     meaning
         What it is, from the docstring of the class that has it.
     accepted
-        What that class says when it refuses a value.
+        What it takes, in the words with which another value is refused; empty if all that is of its kind.
     """
 
     section: str
@@ -50,7 +46,7 @@ class KeyReference:
     default: Any
     unit: str
     meaning: str
-    accepted: str = field(default="")
+    accepted: str
 
 
 @cache
@@ -72,8 +68,7 @@ def full_text(preset: str) -> str:
                 continue
             owner = next(part for part, kind in parts.items() if key.name in {entry.name for entry in fields(kind)})
             value = getattr(getattr(configuration, owner), key.name)
-            accepted = key.kind if '"' in key.kind else key.accepted
-            words = key.meaning.replace("`", "") + (f" Accepted: {accepted}." if accepted else "")
+            words = key.meaning.replace("`", "") + (f" Accepted: {key.accepted}." if key.accepted else "")
             lines += textwrap.wrap(words, 110, initial_indent="# ", subsequent_indent="# ")
             lines.append(f"# {key.name} =" if value is None else f"{key.name} = {written(value)}")
     return "\n".join(lines) + "\n"
@@ -95,22 +90,12 @@ def written(value: object) -> str:
 
 def _keys(section: str, kind: type["DataclassInstance"]) -> Iterator[KeyReference]:
     """Keys of one class."""
-    meanings, hints = dict(_meanings(kind)), get_type_hints(kind)
+    meanings, hints = dict(_meanings(kind)), field_hints(kind)
     for entry in fields(kind):
-        if f"{section}.{entry.name}" in TAKEN_FROM_ELSEWHERE:
-            continue
-        meaning = meanings[entry.name]
-        found = _UNIT.search(meaning)
-        default = entry.default if entry.default_factory is MISSING else entry.default_factory()
-        yield KeyReference(
-            section=section,
-            name=entry.name,
-            kind=_in_words(hints[entry.name]),
-            default=default,
-            unit="" if found is None else {"seconds": "s"}.get(found[0].lower(), found[0]),
-            meaning=meaning,
-            accepted="; ".join(_refusals(kind, entry.name, hints[entry.name], entry.metadata.get("cure"))),
-        )
+        if f"{section}.{entry.name}" not in TAKEN_FROM_ELSEWHERE:
+            hint = hints[entry.name]
+            words = _kind_in_words(hint), entry.default, unit_of(hint), meanings[entry.name], accepted_values(hint)
+            yield KeyReference(section, entry.name, *words)
 
 
 def _meanings(kind: type) -> Iterator[tuple[str, str]]:
@@ -121,47 +106,14 @@ def _meanings(kind: type) -> Iterator[tuple[str, str]]:
             yield name, " ".join(words.replace("``", "`").split())
 
 
-def _in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type of its own
+def _kind_in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type of its own
     """What is written for a type."""
-    if hint in _WORDS:
-        return _WORDS[hint]
     if is_dataclass(hint):
         return "table"
     inner = [argument for argument in get_args(hint) if argument not in (NoneType, ...)]
-    if get_origin(hint) is Literal:
-        return ", ".join(f'"{choice}"' for choice in inner)
+    if get_origin(hint) is Annotated:
+        return _kind_in_words(inner[0])
     if get_origin(hint) is tuple:
-        listed = {"whole number": "whole numbers", "number": "numbers", "text": "texts"}[_in_words(inner[0])]
-        return f"list of {len(inner)} {listed}" if len(inner) > 1 else f"list of {listed}"
-    return " or ".join(map(_in_words, inner))
-
-
-def _refusals(kind: type, name: str, hint: Any, cure: str | None) -> Iterator[str]:  # noqa: ANN401 - as above
-    """What a class says of impossible values of a key, without repetition."""
-    said = set() if cure is None else {cure}
-    yield from (_without_verb(words) for words in said)
-    for value in _tried(hint):
-        try:
-            kind(**{name: value})
-        except ValueError as error:
-            words = str(error).partition(": ")[2]
-            if words not in said:
-                said.add(words)
-                yield _without_verb(words)
-
-
-def _without_verb(words: str) -> str:
-    """A cure as a description of what may be given."""
-    return words.removeprefix("give ").removeprefix("choose ")
-
-
-def _tried(hint: Any) -> Iterator[object]:  # noqa: ANN401 - as above
-    """Values of a type at and beyond its ends."""
-    if hint in _TRIED:
-        yield from _TRIED[hint]
-    elif get_origin(hint) is tuple:
-        inner = get_args(hint)
-        yield from ((value,) * (1 if ... in inner else len(inner)) for value in _tried(inner[0]))
-    elif get_origin(hint) is not Literal:
-        for argument in get_args(hint):
-            yield from _tried(argument)
+        count = f"{len(inner)} " if len(inner) > 1 else ""
+        return f"list of {count}{_kind_in_words(inner[0])}s"
+    return _WORDS.get(hint) or " or ".join(dict.fromkeys(_WORDS.get(type(arm)) or _kind_in_words(arm) for arm in inner))

@@ -9,12 +9,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from annotated_types import Interval, Predicate, Unit
 
 from calcidem.app.config.errors import quote
-from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.fields import Positive, require, require_fields
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
@@ -39,14 +41,23 @@ _LONGEST_NAME = 200
 """Bytes: file systems take 255, and endings and the names of temporary files need some."""
 
 PHYSICS_VERSION = 3
-"""To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
+"""To be raised by whoever changes what the same configuration gives, or a default; part of the campaign's hash."""
 
 
-FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
-"""Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
+def _is_file_name(name: str) -> bool:
+    """Whether files can have this name."""
+    is_plain = name.strip() == name != "" and not set(name) & set("/\\\0\n")
+    return is_plain and len(name.encode()) <= _LONGEST_NAME
 
-_LATER_KEYS = ("transmitter", "most_broken_bonds", "fewest_periods", "stations", "p_patch_diameter", "polarisation")
-"""Keys that campaigns did not have at first: hashes and stored configurations have them where they are no defaults."""
+
+def _are_seeds(seeds: tuple[int, ...]) -> bool:
+    """Whether a list has seeds, none of them twice and no more than can be planned."""
+    return 0 < len(seeds) == len(set(seeds)) <= _MOST_SEEDS
+
+
+def _are_contents(contents: tuple[float, ...]) -> bool:
+    """Whether a list has contents, and none twice as the store tells them apart."""
+    return 0 < len(contents) == len({canonical_content(content) for content in contents})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,39 +76,26 @@ class CampaignPlan:
         Root of all random numbers.
     """
 
-    name: str = "campaign"
-    seeds: int | tuple[int, ...] = field(
-        default=4, metadata={"cure": "give a number n for the seeds 1 to n, or a list such as [1, 2, 5]"}
-    )
-    contents: tuple[float, ...] = field(
-        default=tuple(content for content, _ in EXCITATION),
-        metadata={"cure": "give a list of percentages such as [0.0, 0.66, 5.0]"},
-    )
-    root_seed: int = 0
+    name: Annotated[
+        str, Predicate(_is_file_name), f"a name that can be part of a file name, of at most {_LONGEST_NAME} bytes"
+    ] = "campaign"
+    seeds: Annotated[
+        Annotated[int, Interval(ge=1, le=_MOST_SEEDS)]
+        | Annotated[tuple[Annotated[int, Interval(ge=0, le=LARGEST_SEED)], ...], Predicate(_are_seeds)],
+        "a number n for the seeds 1 to n, or a list such as [1, 2, 5] that has every seed once; "
+        f"at most {_MOST_SEEDS} seeds of 0 to 2^63 - 1",
+    ] = 4
+    contents: Annotated[
+        tuple[Annotated[float, Interval(ge=0.0, le=100.0)], ...],
+        Predicate(_are_contents),
+        Unit("percent"),
+        "a list of percentages of 0 to 100 such as [0.0, 0.66, 5.0] that has every content once",
+    ] = tuple(content for content, _ in EXCITATION)
+    root_seed: Annotated[int, Interval(ge=0)] = 0
 
     def __post_init__(self) -> None:
         """Refuse empty, double and negative entries."""
-        good_name = self.name.strip() == self.name != "" and not set(self.name) & set("/\\\0\n")
-        good_name = good_name and len(self.name.encode()) <= _LONGEST_NAME
-        cure = f"give a name that can be part of a file name, of at most {_LONGEST_NAME} bytes"
-        require(good_name, "name", quote(self.name), cure)
-        count = self.seeds if isinstance(self.seeds, int) else len(self.seeds)
-        require(count <= _MOST_SEEDS, "seeds", quote(self.seeds), f"give at most {_MOST_SEEDS} seeds")
-        seeds = self.seed_numbers
-        require(bool(seeds), "seeds", quote(self.seeds), "give at least one seed")
-        possible = all(0 <= seed <= LARGEST_SEED for seed in seeds)
-        require(possible, "seeds", quote(seeds), "give seeds of 0 to 2^63 - 1")
-        require(len(set(seeds)) == len(seeds), "seeds", quote(seeds), "list every seed once")
-        contents = self.contents
-        percentages = all(0.0 <= content <= 100.0 for content in contents)  # noqa: PLR2004 - percent
-        different = {canonical_content(content) for content in contents} if percentages else set()
-        for good, cure in (
-            (bool(contents), "give at least one content in percent"),
-            (percentages, "give percentages of 0 to 100"),
-            (len(different) == len(contents), "list every content once"),
-        ):
-            require(good, "contents", quote(contents), cure)
-        require(self.root_seed >= 0, "root_seed", self.root_seed, "give 0 or more")
+        require_fields(self)
 
     @property
     def seed_numbers(self) -> tuple[int, ...]:
@@ -120,14 +118,13 @@ class PackingDraw:
         Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
     """
 
-    seed: int = 1
-    file: str | None = None
+    seed: Annotated[int, Interval(ge=0)] = 1
+    file: Annotated[str, Predicate(bool), "the name of a CSV file, or leave the key out"] | None = None
     file_sha256: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a negative seed."""
-        require(self.seed >= 0, "seed", self.seed, "give 0 or more")
-        require(self.file != "", "file", quote(self.file), "give the name of a CSV file, or leave the key out")
+        """Refuse a negative seed and a file without name."""
+        require_fields(self)
 
 
 SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
@@ -145,12 +142,11 @@ class Calibration:
         packing is as it was made.
     """
 
-    wave_stiffness_factor: float = 1.0
+    wave_stiffness_factor: Annotated[Positive, "a positive factor, 1 for none"] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what is not a stiffness."""
-        factor = self.wave_stiffness_factor
-        require(factor > 0.0, "wave_stiffness_factor", factor, "give a positive factor, 1 for none")
+        require_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +161,15 @@ class Bonding:
 
     installation: Installation = "preserve"
 
+    def __post_init__(self) -> None:
+        """Refuse what is none of the choices."""
+        require_fields(self)
+
+
+def _are_rising(contents: tuple[float, ...]) -> bool:
+    """Whether a list has contents, each above the one before."""
+    return bool(contents) and all(low < high for low, high in itertools.pairwise(contents))
+
 
 @dataclass(frozen=True, slots=True)
 class FrequencyTable:
@@ -178,18 +183,14 @@ class FrequencyTable:
         One for each content, Hz.
     """
 
-    content: tuple[float, ...]
-    frequency: tuple[float, ...]
+    content: Annotated[tuple[float, ...], Predicate(_are_rising), Unit("percent"), "increasing contents in percent"]
+    frequency: Annotated[tuple[Positive, ...], Unit("Hz"), "a list of positive frequencies in Hz"]
 
     def __post_init__(self) -> None:
         """Refuse tables that cannot be interpolated."""
-        contents = list(self.content)
-        rising = all(low < high for low, high in itertools.pairwise(contents))
-        require(bool(contents) and rising, "content", quote(contents), "give increasing contents in percent")
-        frequencies = list(self.frequency)
-        cure = f"give one positive frequency in Hz for each of the {len(contents)} contents"
-        good = len(frequencies) == len(contents) and all(frequency > 0.0 for frequency in frequencies)
-        require(good, "frequency", quote(frequencies), cure)
+        require_fields(self)
+        cure = f"give one positive frequency in Hz for each of the {len(self.content)} contents"
+        require(len(self.frequency) == len(self.content), "frequency", quote(self.frequency), cure, "content")
 
     def covers(self, content: float) -> bool:
         """Whether a content lies within the table."""
@@ -210,15 +211,15 @@ class Excitation:
         Excitation frequency: one for all contents, Hz, or a table; without it Table 2 of the paper.
     """
 
-    frequency: float | FrequencyTable | None = field(
-        default=None,
-        metadata={"cure": "give a number in Hz, or a table { content = [...], frequency = [...] }"},
-    )
+    frequency: Annotated[
+        Positive | FrequencyTable | None,
+        Unit("Hz"),
+        "a positive frequency in Hz, or a table { content = [...], frequency = [...] }",
+    ] = None
 
     def __post_init__(self) -> None:
         """Refuse what is not a frequency."""
-        if isinstance(self.frequency, float):
-            require(self.frequency > 0.0, "frequency", self.frequency, "give a positive frequency in Hz")
+        require_fields(self)
 
     @property
     def table(self) -> FrequencyTable:
@@ -247,11 +248,11 @@ class VelocityChoice:
 
     method: Method = "peak"
     signal: ReceivedSignal = "velocity"
-    least_quality: float = 0.1
+    least_quality: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.1
 
     def __post_init__(self) -> None:
         """Refuse a quality that no reading or every reading has."""
-        require(0.0 <= self.least_quality < 1.0, "least_quality", self.least_quality, "give a number in [0, 1)")
+        require_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,21 +275,24 @@ class RunOptions:
         SQLite file or database URL; ``<output>/<name>.db`` by default.
     """
 
-    lanes: int = 8
+    lanes: Annotated[int, Predicate(LANE_COUNTS.__contains__), "1, 2, 4, 8, 16 or 32"] = 8
     store_signals: bool = True
     static_speed: bool = False
-    time_limit: float | None = None
-    output: str = "results"
-    database: str | None = None
+    time_limit: (
+        Annotated[
+            float,
+            Interval(gt=0.0, le=1e9),  # clocks of some systems end at 2^31
+            Unit("s"),
+            "seconds above 0 and up to 1e9, or leave the key out",
+        ]
+        | None
+    ) = None
+    output: Annotated[str, Predicate(bool), 'the name of a folder, "." for the present one'] = "results"
+    database: Annotated[str, Predicate(bool), "a file name, or leave the key out"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what the kernel and the file system do not know."""
-        require(self.lanes in LANE_COUNTS, "lanes", self.lanes, "choose 1, 2, 4, 8, 16 or 32")
-        limit = self.time_limit
-        good_limit = limit is None or 0.0 < limit <= 1e9  # noqa: PLR2004 - clocks of some systems end at 2^31
-        require(good_limit, "time_limit", limit, "give seconds above 0 and up to 1e9, or leave the key out")
-        require(bool(self.output), "output", quote(self.output), 'give the name of a folder, "." for the present one')
-        require(self.database != "", "database", quote(self.database), "give a file name, or leave the key out")
+        require_fields(self)
 
 
 @dataclass(frozen=True)
@@ -310,6 +314,9 @@ class Configuration:
     pick, velocity_choice
         How its arrival is read, and what becomes Vs.
     """
+
+    # How pydantic reads values into this class and its parts. A plain mapping: workers load no pydantic.
+    __pydantic_config__: ClassVar[dict[str, object]] = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
 
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     packing: PackingRule = field(default_factory=PackingRule)
@@ -384,20 +391,26 @@ class Configuration:
 
     @cached_property
     def hash(self) -> str:
-        """Identity of the campaign's physics: SHA-256 of `physics`, 64 hexadecimal digits."""
-        return canonical_hash(self.physics)
+        """Identity of the campaign's physics, 64 hexadecimal digits: SHA-256 of what departs from the defaults.
+
+        A key at its default is not hashed, so that a new key leaves the identity of all campaigns as it is. Keys that
+        only choose cells or machines are not part of `physics`, and never hashed.
+        """
+        return canonical_hash({"physics_version": PHYSICS_VERSION} | _departures(self.physics, Configuration().physics))
 
     @cached_property
     def packing_hash(self) -> str:
-        """Identity of the packing: hash of everything that it is made from.
+        """Identity of the packing: hash of everything that it is made from and that is not at its default."""
+        departures = _departures(self._packing_maker, Configuration()._packing_maker)  # noqa: SLF001 - the same class
+        return canonical_hash({"identity_of": "packing", "physics_version": PHYSICS_VERSION} | departures)
 
-        The friction of the sand is not part of it, since the packing is made with its own.
-        """
-        sand = replace(self.sand, friction=self.packing.friction_preparation)
-        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": _to_stored(sand)}
-        if self.packing_draw.file is None:  # disks from a file have nothing random
-            origin["root_seed"] = self.campaign.root_seed
-        return canonical_hash(origin)
+    @property
+    def _packing_maker(self) -> dict[str, Any]:
+        """What makes the packing. The friction of the sand does not, since the packing has its own."""
+        sand = _to_stored(replace(self.sand, friction=self.packing.friction_preparation))
+        maker = {"packing": self.packing_origin, "sand": sand}
+        # Disks from a file have nothing random.
+        return maker if self.packing_draw.file is not None else maker | {"root_seed": self.campaign.root_seed}
 
     @property
     def output(self) -> Path:
@@ -435,22 +448,23 @@ class Configuration:
         )
 
 
+def _departures(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys, at all levels, whose values are not those of the defaults."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        default = defaults.get(key)
+        departing = _departures(value, default) if isinstance(value, dict) and isinstance(default, dict) else value
+        if value != default:
+            found[key] = departing
+    return found
+
+
 def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
-    """Keys and values of a section as hashes and stored configurations have them, ready for JSON."""
-    values = asdict(section)
-    for added in fields(section):
-        if added.name in _LATER_KEYS and values[added.name] == added.default:
-            del values[added.name]
-    return {_stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+    """Keys and values of a section as stored configurations have them, ready for JSON."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}
 
 
 def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
     """Make a section of what `_to_stored` gave; keys that are not its own are left alone."""
-    keys = {field.name: _stored_key(field.name) for field in fields(kind)}
-    values = {name: stored[key] for name, key in keys.items() if key in stored}
+    values = {field.name: stored[field.name] for field in fields(kind) if field.name in stored}
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
-
-
-def _stored_key(name: str) -> str:
-    """Key under which a field is stored: its first name for ever, or campaigns would change their identity."""
-    return next((former for former, present in FORMER_KEYS.items() if present == name), name)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from calcidem.dem.engine.material import require
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.laws import SMALLEST_ROOT

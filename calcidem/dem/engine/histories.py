@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import Assembly, assemble, is_among, lanes_of_bits, overlap_roots, pair_keys
-from calcidem.dem.engine.material import require
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.portable import three_halves
 from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features

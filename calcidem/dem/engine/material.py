@@ -5,17 +5,14 @@ The equations are those of PFC 7.0 (Itasca), https://docs.itascacg.com/pfc700/co
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval, Unit
 
+from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
 from calcidem.dem.engine.portable import tangent_of_degrees
 from calcidem.dem.kernels.layout import Floats
-
-
-def require(condition: bool, name: str, value: object, cure: str) -> None:
-    """Raise a `ValueError` that names the field, its value and the cure, unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{name} = {value}: {cure}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,18 +31,14 @@ class Sand:
         Coulomb coefficient between grains.
     """
 
-    shear_modulus: float = 6.5e11
-    poisson_ratio: float = 0.25
-    density: float = 2650.0
-    friction: float = 0.5
+    shear_modulus: Annotated[Positive, Unit("Pa")] = 6.5e11
+    poisson_ratio: Annotated[float, Interval(gt=-1.0, lt=0.5)] = 0.25  # limits of elastic stability
+    density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
+    friction: NotNegative = 0.5
 
     def __post_init__(self) -> None:
         """Refuse what no material can be."""
-        require(self.shear_modulus > 0.0, "shear_modulus", self.shear_modulus, "give a positive modulus in Pa")
-        stable = -1.0 < self.poisson_ratio < 0.5  # noqa: PLR2004 - limits of elastic stability
-        require(stable, "poisson_ratio", self.poisson_ratio, "give a value in (-1, 0.5)")
-        require(self.density > 0.0, "density", self.density, "give a positive density in kg/m^3")
-        require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
+        require_fields(self)
 
     @property
     def shear_ratio(self) -> float:
@@ -88,21 +81,17 @@ class Cement:
         Of the bond's shear strength, degrees.
     """
 
-    bond_modulus: float = 8.0e10
-    bond_stiffness_ratio: float = 1.0
-    linear_modulus: float = 0.0
-    linear_stiffness_ratio: float = 1.0
-    tensile_strength: float = 5.0e9
-    cohesion: float = 2.0e10
-    friction_angle: float = 0.0
+    bond_modulus: Annotated[Positive, Unit("Pa")] = 8.0e10
+    bond_stiffness_ratio: Positive = 1.0
+    linear_modulus: Annotated[NotNegative, Unit("Pa")] = 0.0
+    linear_stiffness_ratio: Positive = 1.0
+    tensile_strength: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 5.0e9  # infinite if it never breaks
+    cohesion: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 2.0e10
+    friction_angle: Annotated[float, Interval(ge=0.0, lt=90.0), Unit("degrees")] = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what no cement can be."""
-        require(self.bond_modulus > 0.0, "bond_modulus", self.bond_modulus, "give a positive modulus in Pa")
-        require(self.linear_modulus >= 0.0, "linear_modulus", self.linear_modulus, "give a modulus of 0 or more, in Pa")
-        for name in ("bond_stiffness_ratio", "linear_stiffness_ratio", "tensile_strength", "cohesion"):
-            require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
-        require(0.0 <= self.friction_angle < 90.0, "friction_angle", self.friction_angle, "give degrees in [0, 90)")  # noqa: PLR2004 - a right angle
+        require_fields(self)
 
     def bond_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Stiffness of a parallel bond: (M, 3) normal, shear (N/m) and rotational (N m).

@@ -6,7 +6,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.kernels.layout import Floats, Integers
 
 Regime = Literal["finite", "small", "linear"]

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import aligned_zeros, assemble, share_assembly
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.histories import install_forces
 from calcidem.dem.engine.leapfrog import (
     Precision,
@@ -16,7 +17,6 @@ from calcidem.dem.engine.leapfrog import (
     run_in_place,
     start_leapfrog,
 )
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Preload, Regime, Scene
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_blow_up, step_limit

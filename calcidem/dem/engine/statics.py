@@ -9,8 +9,8 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import Delaunay
 
 from calcidem.dem.engine.assembly import is_among, pair_keys
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers

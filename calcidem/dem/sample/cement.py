@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 from itertools import chain
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Interval, Unit
 from scipy.spatial import cKDTree
 
+from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
 from calcidem.dem.engine.portable import length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.packing import Packing
@@ -65,32 +67,20 @@ class CementRule:
         Densities of grains and calcite, kg/m^3.
     """
 
-    p_diameter: float = 1.06e-3
-    c_diameter: float = 1.33e-3
-    cluster_diameter: float = 12.0e-3
-    threshold: float = 0.66
+    p_diameter: Annotated[Positive, Unit("m")] = 1.06e-3
+    c_diameter: Annotated[Positive, Unit("m")] = 1.33e-3
+    cluster_diameter: Annotated[Positive, Unit("m")] = 12.0e-3
+    threshold: Annotated[float, Interval(ge=0.0), Unit("percent")] = 0.66  # infinite for P alone at every content
     keep_p: bool = True
-    p_share: float = 1.0
-    cluster_area: float | None = None
-    p_patch_diameter: float = 0.0
-    sand_density: float = 2650.0
-    calcite_density: float = 2600.0
+    p_share: Positive = 1.0
+    cluster_area: Annotated[Positive, Unit("m^2")] | None = None
+    p_patch_diameter: Annotated[NotNegative, Unit("m"), "0 for single contacts, or a diameter in m"] = 0.0
+    sand_density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
+    calcite_density: Annotated[Positive, Unit("kg/m^3")] = 2600.0
 
     def __post_init__(self) -> None:
         """Refuse what no cement can be."""
-        for name in (
-            *("p_diameter", "c_diameter", "cluster_diameter", "p_share"),
-            *("cluster_area", "sand_density", "calcite_density"),
-        ):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise ValueError(f"{name} = {value}: give a positive, finite number in SI units")
-        if not 0.0 <= self.p_patch_diameter < np.inf:
-            raise ValueError(
-                f"p_patch_diameter = {self.p_patch_diameter}: give 0 for single contacts, or a diameter in m"
-            )
-        if not self.threshold >= 0.0:
-            raise ValueError(f"threshold = {self.threshold}: give a content of 0 % or more")
+        require_fields(self)
 
     def content(self, calcite_area: float, sand_area: float) -> float:
         """Content of an area of calcite in an area of sand (both m^2), percent of the sand's mass."""

@@ -10,12 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from time import perf_counter
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.assembly import Assembly
+from calcidem.dem.engine.fields import NotNegative, Positive, require, require_fields
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Sand, require
+from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step, scaled_densities
@@ -28,6 +31,7 @@ LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
 PACKING_METHOD = 2
 """Raised when the same rule and generator make other packings; those of campaigns stay."""
+_DIAMETERS = "(smallest, largest) in m, both positive"
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which a filled box may be pressed
 _NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
 _FREELY_PLACED = 0.547  # covered part below which disks can be placed at random anyway, see `_loosest_factor`
@@ -69,36 +73,32 @@ class PackingRule:
         Time steps after which packing is given up.
     """
 
-    width: float = 0.1
-    height: float = 0.3
-    diameter: tuple[float, float] = (2.12e-3, 3.0e-3)
-    porosity: float = 0.192
-    expansion_steps: int = 5
-    friction_preparation: float = 0.2
-    stress: float = 5.0e3
-    damping: float = 0.7
-    unbalanced_force_ratio: float = 1.0e-6
-    most_steps: int = 2_000_000
+    width: Annotated[Positive, Unit("m")] = 0.1
+    height: Annotated[Positive, Unit("m")] = 0.3
+    diameter: Annotated[tuple[Positive, Positive], Unit("m"), "(smallest, largest) in m, both positive"] = (
+        2.12e-3,
+        3e-3,
+    )
+    porosity: Annotated[
+        float,
+        Interval(ge=0.1, le=0.5),  # between crystal and gas
+        "a number between 0.1 and 0.5, where two-dimensional packings lie",
+    ] = 0.192
+    expansion_steps: Annotated[int, Interval(ge=1, le=100)] = 5
+    friction_preparation: NotNegative = 0.2
+    stress: Annotated[Positive, Unit("Pa")] = 5.0e3
+    damping: Annotated[float, Interval(gt=0.0, lt=1.0), "a factor in (0, 1): without it nothing comes to rest"] = 0.7
+    unbalanced_force_ratio: Annotated[float, Interval(gt=0.0, le=1e-3)] = 1.0e-6  # above it is no equilibrium
+    most_steps: Annotated[int, Interval(ge=1)] = 2_000_000
 
     def __post_init__(self) -> None:
         """Refuse what cannot be packed."""
+        require_fields(self)
         smallest, largest = self.diameter
-        for name, possible, cure in (
-            ("width", self.width > 0.0, "give a positive width in m"),
-            ("height", self.height > 0.0, "give a positive height in m"),
-            ("diameter", 0.0 < smallest <= largest, "give (smallest, largest) in m, both positive"),
-            ("diameter", largest < min(self.width, self.height) / 4.0, "at least 4 disks have to fit across the box"),
-            # Between crystal and gas.
-            ("porosity", 0.1 <= self.porosity <= 0.5, "two-dimensional packings lie between 0.1 and 0.5"),  # noqa: PLR2004
-            ("expansion_steps", 1 <= self.expansion_steps <= 100, "choose 1 to 100"),  # noqa: PLR2004
-            ("friction_preparation", self.friction_preparation >= 0.0, "give 0 or more"),
-            ("stress", self.stress > 0.0, "give a positive stress in Pa"),
-            ("damping", 0.0 < self.damping < 1.0, "give a factor in (0, 1): without it nothing comes to rest"),
-            # Above it is no equilibrium.
-            ("unbalanced_force_ratio", 0.0 < self.unbalanced_force_ratio <= 1e-3, "give a ratio in (0, 1e-3]"),  # noqa: PLR2004
-            ("most_steps", self.most_steps > 0, "give a positive number"),
-        ):
-            require(possible, name, getattr(self, name), cure)
+        require(smallest <= largest, "diameter", self.diameter, f"give {_DIAMETERS}")
+        is_roomy = largest < min(self.width, self.height) / 4.0
+        cure = "at least 4 disks have to fit across the box; give smaller disks, or a larger width and height"
+        require(is_roomy, "diameter", self.diameter, cure, "width", "height")
 
 
 @dataclass(frozen=True, slots=True)

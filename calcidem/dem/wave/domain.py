@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calcidem.dem.engine.material import require
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.scene import Installation, Preload
 from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.packing import Packing

@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement

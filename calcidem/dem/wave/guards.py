@@ -11,8 +11,8 @@ from itertools import chain
 import numpy as np
 
 from calcidem.dem.engine.assembly import lanes_of_bits
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent

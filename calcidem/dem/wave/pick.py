@@ -1,10 +1,14 @@
 """What a pick of an arrival is: its rule, the signals it reads, its readings, and the reasons why there is none."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval, Predicate, Unit
 
+from calcidem.dem.engine.fields import NotNegative, Positive, PositivePart, require, require_fields
 from calcidem.dem.kernels.layout import Floats
 
 _PULSE_START = 1e-2  # of the sent peak; a record that starts or ends higher has missed a part of the pulse
@@ -79,32 +83,23 @@ class PickRule:
         (docs/reading.md, "Near field").
     """
 
-    slowest: float = 20.0
-    fastest: float = 5000.0
-    prominence: float = 0.5
-    width: float = 0.4
-    precursor: float = 0.25
-    horizon: float = 2.1
-    onset: float = 0.1
-    signal_to_noise: float = 4.0
-    correlation: float = 0.5
-    smoothing: float = 0.25
-    fewest_periods: float = 0.42
+    slowest: Annotated[Positive, Unit("m/s")] = 20.0
+    fastest: Annotated[Positive, Unit("m/s")] = 5000.0
+    prominence: PositivePart = 0.5
+    width: PositivePart = 0.4
+    precursor: PositivePart = 0.25
+    horizon: Annotated[float, Interval(ge=1.0), Predicate(math.isfinite)] = 2.1
+    onset: Annotated[float, Interval(ge=_PULSE_START, lt=1.0)] = 0.1
+    signal_to_noise: Annotated[float, Interval(ge=1.0), Predicate(math.isfinite)] = 4.0
+    correlation: PositivePart = 0.5
+    smoothing: PositivePart = 0.25
+    fewest_periods: NotNegative = 0.42
 
     def __post_init__(self) -> None:
         """Refuse rules that pick nothing or anything."""
-        if not 0.0 < self.slowest < self.fastest < np.inf:
-            raise ValueError(f"slowest = {self.slowest}, fastest = {self.fastest} m/s: give 0 < slowest < fastest")
-        for name in ("prominence", "width", "precursor", "correlation", "smoothing"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a part in (0, 1]")
-        if not _PULSE_START <= self.onset < 1.0:
-            raise ValueError(f"onset = {self.onset}: give a part of the peak in [{_PULSE_START:g}, 1)")
-        if not 0.0 <= self.fewest_periods < np.inf:
-            raise ValueError(f"fewest_periods = {self.fewest_periods}: give a finite number of 0 or more")
-        for name in ("horizon", "signal_to_noise"):
-            if not 1.0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a finite number of 1 or more")
+        require_fields(self)
+        both = f"{self.slowest}, fastest = {self.fastest} m/s"
+        require(self.slowest < self.fastest, "slowest", both, "give 0 < slowest < fastest", "fastest")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from calcidem.dem.engine.assembly import near_pairs
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import SKIN, choose_features, start

@@ -1,10 +1,12 @@
 """How a shear wave is sent, carried and recorded, and what is refused beforehand."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from annotated_types import Interval, Predicate, Unit
+
+from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, require, require_fields
 from calcidem.dem.engine.leapfrog import Precision
-from calcidem.dem.engine.material import require
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
@@ -14,7 +16,6 @@ Transmitter = Literal["wall", "driven"]
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_STATIONS = 4
 FEWEST_SAMPLES = 40  # in a period of the pulse; the picking wants a pulse that starts below 1 % of its peak
-_STRONGEST_DAMPING = 0.7  # of a sample; with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
 _LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
 _LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
 
@@ -70,56 +71,43 @@ class WaveRule:
         ``whole_domain`` if disks that the wave cannot reach are to be computed too, see `domain.domain_of`.
     """
 
-    amplitude: float = 1.0e-3
+    amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3
     transmitter: Transmitter = "wall"
-    transmitter_half_width: float = 0.01
-    receiver_half_width: float = 0.03
-    band_friction: float = 0.7
-    damping: float = 0.3
-    boundary_damping: float = 1.0
-    boundary_thickness: float = 0.05
+    transmitter_half_width: Annotated[Positive, Unit("m")] = 0.01
+    receiver_half_width: Annotated[Positive, Unit("m")] = 0.03
+    band_friction: Annotated[Positive, "a positive coefficient: a smooth transmitter moves nothing"] = 0.7
+    damping: Annotated[
+        float,
+        Interval(ge=0.0, le=0.7),  # with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
+        "a factor in [0, 0.7] (boundary_damping may be 1): with more the wave dies within a few grains and leaves a "
+        "velocity that hangs on the time step",
+    ] = 0.3
+    boundary_damping: Part = 1.0
+    boundary_thickness: Annotated[NotNegative, Unit("m")] = 0.05
     regime: Regime = "linear"
     precision: Precision = "float64"
-    step_fraction: float = 0.8
-    samples_per_period: int = 100
-    slowest: float = 60.0
-    listening_depth: float = 0.01
-    stations: int = 0
+    step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
+    samples_per_period: Annotated[
+        int, Interval(ge=FEWEST_SAMPLES), f"{FEWEST_SAMPLES} or more: a peak cannot be read from fewer"
+    ] = 100
+    slowest: Annotated[Positive, Unit("m/s")] = 60.0
+    listening_depth: Annotated[Positive, Unit("m")] = 0.01
+    stations: Annotated[
+        int,
+        Predicate(lambda stations: stations == 0 or stations >= FEWEST_STATIONS),
+        f"0, or {FEWEST_STATIONS} and more: fewer tell no line from a bend",
+    ] = 0
     polarisation: bool = False
-    most_broken_bonds: float = 0.0
-    unbalanced_force_ratio: float = 1.0e-6
-    most_settling_steps: int = 2_000_000
+    most_broken_bonds: Part = 0.0
+    unbalanced_force_ratio: Positive = 1.0e-6
+    most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sent."""
-        for name in (
-            *("amplitude", "transmitter_half_width", "receiver_half_width", "slowest", "listening_depth"),
-            *("unbalanced_force_ratio", "most_settling_steps"),
-        ):
-            require(getattr(self, name) > 0.0, name, getattr(self, name), "give a positive number")
-        for name in ("damping", "boundary_damping"):
-            require(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), "give a factor in [0, 1]")
-        deaf = "swallows the wave within a few grains and leaves a velocity that hangs on the time step; give at most "
-        smooth = "a smooth transmitter moves nothing; give a positive coefficient"
-        coarse = f"a peak cannot be read from so few; give {FEWEST_SAMPLES} or more"
+        require_fields(self)
         alone = f"polarisation is told at stations; give {FEWEST_STATIONS} and more, or polarisation = false"
-        few = f"give 0, or {FEWEST_STATIONS} and more: fewer tell no line from a bend"
-        for name, possible, cure in (
-            (
-                "damping",
-                self.damping <= _STRONGEST_DAMPING,
-                f"{deaf}{_STRONGEST_DAMPING:g} (boundary_damping may be 1)",
-            ),
-            ("band_friction", self.band_friction > 0.0, smooth),
-            ("stations", self.stations == 0 or self.stations >= FEWEST_STATIONS, few),
-            ("stations", self.stations > 0 or not self.polarisation, alone),
-            ("most_broken_bonds", 0.0 <= self.most_broken_bonds <= 1.0, "give a part in [0, 1]"),
-            ("boundary_thickness", self.boundary_thickness >= 0.0, "give 0 or more, in m"),
-            ("samples_per_period", self.samples_per_period >= FEWEST_SAMPLES, coarse),
-            ("step_fraction", 0.0 < self.step_fraction <= 1.0, "above 1 the scheme is unstable; choose 0.05 to 0.95"),
-        ):
-            require(possible, name, getattr(self, name), cure)
+        require(self.stations > 0 or not self.polarisation, "stations", self.stations, alone, "polarisation")
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:

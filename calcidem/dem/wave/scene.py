@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calcidem.dem.engine.material import Cement, Sand, require
+from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Bonds, Installation, Scene, Wall
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing

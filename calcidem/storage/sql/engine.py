@@ -1,10 +1,11 @@
 """Connections to a store: address, pragmas of SQLite, real transactions, errors of databases as errors of the store."""
 
 import os
+import sqlite3
 import time
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,11 @@ from calcidem.storage.errors import (
     InvalidRecordError,
     ReadOnlyStoreError,
     StoreError,
+    StoreInterruptedError,
     StoreLockedError,
     StoreUnavailableError,
 )
+from calcidem.storage.passwords import hide_passwords, password_of
 from calcidem.storage.sql.filesystem import is_network_filesystem
 
 BUSY_TIMEOUT_SECONDS = 30.0
@@ -76,6 +79,7 @@ _CURE_OF_ERROR: dict[type[StoreError], str] = {
     DiskFullError: "Free some space and continue; nothing of this was stored, all before it is safe.",
     ReadOnlyStoreError: "Check the permissions of the file and of its folder, or work on a copy.",
     StoreUnavailableError: "Check the name, the permissions and, for a server, that it runs.",
+    StoreInterruptedError: "Run the same command again once the server can be reached; what was stored is safe.",
     ForeignDatabaseError: "Choose another file name; this file was left as it is.",
     InvalidRecordError: "Nothing of this was stored; the values, or the program that made them, are wrong.",
     DamagedStoreError: "Check the disk; 'sqlite3 FILE .recover' saves what can be read, and an exported "
@@ -100,7 +104,7 @@ class Address:
 
     def __str__(self) -> str:
         """Return the path, or the URL without its password."""
-        return str(self.path) if self.path else self.url.render_as_string(hide_password=True)
+        return str(self.path) if self.path else hide_passwords(self.url.render_as_string(hide_password=True))
 
 
 def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
@@ -119,12 +123,14 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
         url = make_url(text)
     except (ArgumentError, ValueError) as error:
         raise StoreUnavailableError(
-            f"'{text}' is not a database URL.", "Give a file name or dialect+driver://user@host/database."
+            f"'{hide_passwords(text)}' is not a database URL.",
+            "Give a file name or dialect+driver://user@host/database.",
         ) from error
     if url.get_backend_name() == "postgresql" and url.drivername == "postgresql":
         url = url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() != "sqlite":
-        return Address(url, None)
+        password = password_of(text)
+        return Address(url if password is None else url.set(password=password), None)
     if not url.database or url.database == ":memory:":
         raise StoreUnavailableError(f"'{text}' names no file.", "Give a file name; a store in memory would be lost.")
     return parse_address(url.database)
@@ -156,7 +162,9 @@ def make_engine(address: Address, *, read_only: bool) -> Engine:
 
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
-    query: dict[str, str] = {"uri": "true", "mode": "ro" if read_only else "rwc"}
+    # A reader may not create a file either. It opens one as a writer would, so that, if it is the last one to close it,
+    # SQLite brings what a killed writer has left in its log into the database, and leaves no other file beside it.
+    query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
@@ -173,6 +181,8 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
             connection.execute(f"PRAGMA journal_mode={journal}")
             connection.execute("PRAGMA synchronous=FULL")
             connection.execute(f"PRAGMA journal_size_limit={WAL_SIZE_LIMIT_BYTES}")
+        else:
+            connection.execute("PRAGMA query_only=ON")
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
@@ -195,16 +205,13 @@ def may_be_damage(error: BaseException) -> bool:
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
 
 
-def execute_on_connect(engine: Engine, statements: Sequence[str]) -> None:
-    """Have each connection of a SQLite engine execute statements before anything else; open ones are closed."""
+def bring_log_into_file(engine: Engine) -> None:
+    """Copy what is in the write-ahead log into the database file, as far as no reader still needs the older pages.
 
-    @event.listens_for(engine, "connect")
-    def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
-        connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
-        for statement in statements:
-            connection.execute(statement)
-
-    engine.dispose()
+    Without a log nothing happens. An error is none: what the log holds is stored, and the next attempt may succeed.
+    """
+    with suppress(SQLAlchemyError, sqlite3.Error), closing(engine.raw_connection()) as connection:
+        connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
 
 
 @contextmanager
@@ -240,7 +247,8 @@ def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Se
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store that an error of the database means."""
     original = error.orig if isinstance(error, DBAPIError) else error
-    kind = _kind(original)
+    broken = isinstance(error, DBAPIError) and error.connection_invalidated  # it was there before
+    kind = StoreInterruptedError if broken else _kind(original)
     problem = f"{address}: {str(original).strip().rstrip('.')}."
     if kind is None:
         return StoreError(problem, "This is not expected; please report it with this message.")

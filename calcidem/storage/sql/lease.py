@@ -1,7 +1,9 @@
 """One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
 
 The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides
-between machines, where locks on network file systems can't be relied on. filelock (4.2) raises where a file system
+between machines, where locks on network file systems can't be relied on. The lock's file also notes the heartbeat that
+the last acknowledged transaction stored: a row that is older, or gone, tells that SQLite dropped the end of a damaged
+write-ahead log, which it does without a word. filelock (4.2) raises where a file system
 has no locks (ENOLCK), or goes over to a file that a kill leaves behind: neither lets the row decide.
 """
 
@@ -9,11 +11,13 @@ import errno
 import os
 import socket
 import uuid
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import cast
+from typing import Self, cast
 
-from sqlalchemy import CursorResult, delete, update
+from sqlalchemy import CursorResult, delete, select, update
 from sqlalchemy.orm import Session
 
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
@@ -78,6 +82,17 @@ class FileLock:
         except FileNotFoundError:
             return False
 
+    def note(self, token: str, heartbeat: datetime) -> None:
+        """Write that a transaction of this lease, with this heartbeat, is stored; does nothing without the lock."""
+        if self._descriptor is not None:
+            with suppress(OSError):  # a full disk: then only the loss of what was stored would not be noticed
+                os.pwrite(self._descriptor, f"{token} {heartbeat.isoformat(timespec='microseconds')}\n".encode(), 0)
+
+    def forget(self) -> None:
+        """Take the note back, before the row that it is compared with goes; does nothing without the lock."""
+        if self._descriptor is not None:
+            os.ftruncate(self._descriptor, 0)
+
     def release(self) -> None:
         """Unlock and remove the file; does nothing without the lock."""
         if self._descriptor is not None:
@@ -86,7 +101,43 @@ class FileLock:
             self._descriptor = None
 
 
-def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> LeaseGrant:
+@dataclass(frozen=True, slots=True)
+class Acknowledged:
+    """The last transaction that a master, which has not ended in order, was told to be stored.
+
+    Attributes
+    ----------
+    token : str
+        Of its lease.
+    heartbeat : datetime
+        That the transaction stored in the lease's row (UTC).
+    """
+
+    token: str
+    heartbeat: datetime
+
+    @classmethod
+    def noted_beside(cls, database: Path) -> Self | None:
+        """Read it from the lock file; None if there is none, or nothing is noted. To be read before the database is."""
+        try:
+            token, heartbeat = Path(f"{database}.lock").read_text(encoding="ascii").split()
+            return cls(token, datetime.fromisoformat(heartbeat))
+        except (OSError, ValueError):
+            return None
+
+    def describe_loss(self, session: Session) -> str | None:
+        """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
+        row = session.scalar(select(LeaseRow).where(LeaseRow.token == self.token))
+        if row is not None and row.heartbeat >= self.heartbeat:
+            return None
+        since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
+        return (
+            f"What was stored {since}until {self.heartbeat:%Y-%m-%d %H:%M:%S.%f} UTC is no longer in the database: its "
+            "write-ahead log was damaged, or the file is another. The cells concerned are pending."
+        )
+
+
+def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> tuple[LeaseGrant, datetime]:
     """Write the lease's row for this process.
 
     Parameters
@@ -96,6 +147,11 @@ def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> 
     campaign_id : int
     former_is_dead : bool
         Whether a former holder on this machine is known to be gone because this process has its file lock.
+
+    Returns
+    -------
+    LeaseGrant, datetime
+        And the first heartbeat.
 
     Raises
     ------
@@ -116,7 +172,7 @@ def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> 
         session.flush()
     token = uuid.uuid4().hex
     session.add(LeaseRow(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
-    return LeaseGrant(token, taken_over_from)
+    return LeaseGrant(token, taken_over_from), now
 
 
 def holder_from_row(row: LeaseRow) -> LeaseHolder:
@@ -135,8 +191,8 @@ def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 
-def renew_lease(session: Session, token: str) -> None:
-    """Move the heartbeat to now.
+def renew_lease(session: Session, token: str) -> datetime:
+    """Move the heartbeat to now, and return it.
 
     Raises
     ------
@@ -144,12 +200,14 @@ def renew_lease(session: Session, token: str) -> None:
         If the row is another process's by now.
     """
     statement = update(LeaseRow).where(LeaseRow.token == token)
-    result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=datetime.now(UTC))))
+    heartbeat = datetime.now(UTC)
+    result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=heartbeat)))
     if result.rowcount == 0:
         raise LeaseLostError(
             "Another process has taken this campaign over because this one was silent for too long.",
             "Nothing of this transaction was stored; end this process, the other one goes on.",
         )
+    return heartbeat
 
 
 def drop_lease(session: Session, token: str) -> None:

@@ -1,0 +1,180 @@
+"""Nobody sees the password of a database: a real PostgreSQL server asks for one, and the password has a mark."""
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import xarray as xr
+from sqlalchemy import create_engine, text
+
+from calcidem.storage.errors import StoreError
+from calcidem.storage.passwords import PASSWORDS_VARIABLE, hide_passwords, keep_passwords_back
+from calcidem.storage.records import RunRecord
+from calcidem.storage.sql.engine import parse_address
+
+if TYPE_CHECKING:
+    from conftest import Workshop
+
+MARK = "Quarz7"
+PASSWORD = f"{MARK}@sand:/?"
+ESCAPED = f"{MARK}%40sand%3A%2F%3F"
+
+
+@pytest.fixture
+def no_passwords(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget afterwards what was kept back."""
+    monkeypatch.setenv(PASSWORDS_VARIABLE, "{}")
+
+
+@pytest.mark.parametrize(
+    ("typed", "shown"),
+    [
+        (f"postgresql://me:{ESCAPED}@host:5432/sand", "postgresql://me@host:5432/sand"),
+        (f"--db=postgresql+psycopg://me:{ESCAPED}@/sand?host=/run", "--db=postgresql+psycopg://me@/sand?host=/run"),
+        (f"postgresql://host/sand?user=me&password={ESCAPED}", "postgresql://host/sand?user=me"),
+        (f"postgresql://host/sand?password={ESCAPED}&user=me", "postgresql://host/sand?user=me"),
+    ],
+)
+@pytest.mark.usefixtures("no_passwords")
+def test_a_password_leaves_the_command_line_and_is_found_again(typed: str, shown: str) -> None:
+    """What the command goes on with has no password; the store finds it, and shows none."""
+    (word,) = keep_passwords_back([typed])
+    assert word == shown
+    address = parse_address(word.removeprefix("--db="))
+    assert address.url.password == PASSWORD
+    assert MARK not in str(address)
+
+
+@pytest.mark.usefixtures("no_passwords")
+def test_words_without_a_password_stay() -> None:
+    """Files, options, addresses without a password and the time of day are as they were typed."""
+    words = ["run", "c.toml", "--db", "postgresql://me@host/sand", "-n=3", "a:b@c", "sqlite:///x.db", "12:30"]
+    assert keep_passwords_back(words) == words
+    assert os.environ[PASSWORDS_VARIABLE] == "{}"
+
+
+@pytest.mark.parametrize("address", [f"postgresql://me:a@{MARK}@host/sand", f"nosuch://me:a@{MARK}@host:b/sand"])
+@pytest.mark.usefixtures("no_passwords")
+def test_a_password_with_a_bare_at_sign_is_refused_unseen(address: str) -> None:
+    """Half of such a password would be taken for the host and be shown."""
+    with pytest.raises(StoreError, match="%40") as refused:
+        keep_passwords_back([address])
+    assert MARK not in str(refused.value)
+
+
+def test_text_is_shown_and_stored_without_passwords() -> None:
+    """Connection strings in messages, and command lines of other programs in a run's provenance, lose theirs."""
+    for line in (
+        f"python my.py postgresql://me:{ESCAPED}@host/sand",
+        f"connecting to 'host=h password={MARK} user=me' failed",
+        f"postgresql://host/sand?password={MARK}&user=me",
+        f"postgresql://me:a@{MARK}@host/sand",
+    ):
+        assert MARK not in hide_passwords(line)
+        assert hide_passwords(line)[:8] == line[:8]
+        assert MARK not in RunRecord({}, "here", "some CPU", 1, line, datetime.now(UTC)).launch_line
+    line = "calcidem run c.toml --db quick.db"
+    assert hide_passwords(line) == line
+
+
+@pytest.fixture
+def server(postgresql_socket: Path) -> Iterator[str]:
+    """Give the address, without its beginning and user, of a database whose owner has to give the password."""
+    superuser = f"postgresql+psycopg://postgres@/postgres?host={postgresql_socket}"
+    rules = postgresql_socket / "data" / "pg_hba.conf"
+    before = rules.read_text()
+    rules.write_text(f"local all marked scram-sha-256\n{before}")
+    with create_engine(superuser, isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.execute(text(f"CREATE ROLE marked LOGIN PASSWORD '{PASSWORD}'"))
+        connection.execute(text("CREATE DATABASE marked OWNER marked"))
+        connection.execute(text("SELECT pg_reload_conf()"))
+        time.sleep(0.5)
+        yield f"@/marked?host={postgresql_socket}"
+        connection.execute(text("DROP DATABASE marked WITH (FORCE)"))
+        connection.execute(text("DROP ROLE marked"))
+        rules.write_text(before)
+        connection.execute(text("SELECT pg_reload_conf()"))
+
+
+@pytest.mark.full
+@pytest.mark.mpi
+def test_a_password_is_found_nowhere(workshop: "Workshop", server: str, postgresql_socket: Path) -> None:
+    """Neither output, dump, exports, pages nor the command lines of the program's children have the password."""
+    workshop.configure()
+    address = f"postgresql://marked:{ESCAPED}{server}"
+    process = workshop.start("run", "c.toml", "--db", address, "--ranks", "3", "--report")
+    seen: dict[int, bytes] = {}
+    while process.poll() is None:
+        for child in set(workshop.processes()) - {process.pid}:
+            try:
+                seen[child] = seen.get(child, b"") + Path(f"/proc/{child}/cmdline").read_bytes()
+            except OSError:
+                continue
+    done = workshop.wait(process)
+    assert done.code == 0, done.errors
+    assert len(seen) >= 7, "mpirun, three starters and three ranks"
+    assert "Database: postgresql+psycopg://marked:***@/marked?host=" in done.output
+    said = [done.output, done.errors, *(line.decode() for line in seen.values())]
+    (workshop.folder / "c.toml").unlink()  # its words are the user's
+    for *words, code in (
+        ("analyse", address, "--out", "folder", 0),
+        ("status", address, "--json", 0),
+        ("status", address.replace("sand", "mud"), 2),
+        ("status", address.replace("%40", "@"), 2),
+        ("status", address, address, 2),
+    ):
+        told = workshop.run(*words)
+        assert told.code == code, (words, told.errors)
+        said += [told.output, told.errors]
+    pg_dump = shutil.which("pg_dump") or next(str(path) for path in Path("/usr/lib/postgresql").glob("*/bin/pg_dump"))
+    dump = [pg_dump, "-h", str(postgresql_socket), "-U", "postgres", "marked"]
+    said.append(subprocess.run(dump, check=True, capture_output=True, text=True).stdout)
+    assert "--ranks 3" in said[-1] or "run c.toml" in said[-1], "the command line is stored"
+    netcdf = workshop.folder / "results" / "small.nc"
+    said += [str(xr.open_dataset(netcdf).attrs), netcdf.with_suffix(".html").read_text()]
+    assert not [text for text in said if MARK in text]
+    files = [path for path in workshop.folder.rglob("*") if path.is_file()]
+    assert {".nc", ".html", ".csv"} <= {path.suffix for path in files}
+    assert not [path for path in files if MARK.encode() in path.read_bytes()]
+
+
+@pytest.mark.full
+@pytest.mark.mpi
+def test_the_ways_of_libpq_bring_a_password_to_all_ranks(
+    workshop: "Workshop", server: str, postgresql_socket: Path
+) -> None:
+    """PGPASSWORD, PGPASSFILE, a service file, and the configuration's own address give the password."""
+    workshop.configure(seeds=1, contents=(9.0,))
+    address = f"postgresql://marked{server}"
+    refused = workshop.run("run", "c.toml", "--db", address)
+    assert refused.code == 2
+    assert "password" in refused.errors
+    password_file, services = workshop.folder / "passwords", workshop.folder / "services"
+    password_file.write_text(f"*:*:*:marked:{PASSWORD.replace(':', chr(92) + ':')}\n")
+    password_file.chmod(0o600)
+    services.write_text(
+        f"[sand]\nhost={postgresql_socket}\nuser=marked\ndbname=marked\npassword={PASSWORD}\n", encoding="utf-8"
+    )
+    for variables, database in (
+        ({"PGPASSWORD": PASSWORD}, address),
+        ({"PGPASSFILE": str(password_file)}, address),
+        ({"PGSERVICEFILE": str(services)}, "postgresql://?service=sand"),
+    ):
+        workshop.variables |= variables
+        done = workshop.run("run", "c.toml", "--db", database, "--ranks", "2")
+        assert done.code == 0, (variables.keys(), done.errors)
+        assert MARK not in done.output + done.errors
+        for name in variables:
+            del workshop.variables[name]
+    text = (workshop.folder / "c.toml").read_text()
+    (workshop.folder / "c.toml").write_text(text + f'database = "postgresql://marked:{ESCAPED}{server}"\n')
+    done = workshop.run("run", "c.toml", "--ranks", "2")
+    assert done.code == 0, done.errors
+    assert "Database: postgresql+psycopg://marked:***@" in done.output
+    assert MARK not in done.output + done.errors
