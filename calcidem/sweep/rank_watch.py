@@ -12,12 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Self
 
-from calcidem.sweep.starter import LONGEST_GREETING, seal, this_host
+from calcidem.sweep.starter import LONGEST_GREETING, seal_words, this_host
 
 _LONGEST_LINE = 4096
 """Bytes of a line; one who sends more is no rank."""
 
-_TIME_TO_GREET = 10.0
+TIME_TO_GREET = 10.0
 """Seconds in which one who connects must have shown that it is a rank."""
 
 _PAUSE_OF_WORDS = 60.0
@@ -102,7 +102,7 @@ class _Caller:
     place
         Its address and port, for the user.
     challenge
-        What it was asked to seal.
+        What it was asked to seal_words.
     since
         Seconds of the launch at which it connected.
     """
@@ -205,8 +205,8 @@ class RankWatch:
             else:
                 self._accept(key.fileobj)  # type: ignore[arg-type]
         for caller in list(self._callers):
-            if self._seconds - caller.since > _TIME_TO_GREET:
-                self._drop(caller, f"did not say within {_TIME_TO_GREET:g} s who it is")
+            if self._seconds - caller.since > TIME_TO_GREET:
+                self._drop(caller, f"did not say within {TIME_TO_GREET:g} s who it is")
         self._note_deaths()
         return bool(events)
 
@@ -355,13 +355,13 @@ class RankWatch:
                 self._drop(caller, "did not say who it is")
             return
         words, _, sealed = line.decode(errors="replace").rpartition(" ")
-        if not hmac.compare_digest(sealed.encode(), seal(self._key, "rank", caller.challenge, words).encode()):
+        if not hmac.compare_digest(sealed.encode(), seal_words(self._key, "rank", caller.challenge, words).encode()):
             self._drop(caller, "does not know the key of this run")
             return
         try:
             number, process, host, drawn = words.split(" ")
             rank = _ReportedRank(int(number), host, int(process), caller.connection, rest)
-            caller.connection.send(f"{seal(self._key, 'command', drawn, caller.challenge)}\n".encode())
+            caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
         except (ValueError, OSError):
             self._drop(caller, "is no rank, though it knows the key of this run")
             return

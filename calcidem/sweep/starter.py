@@ -25,7 +25,7 @@ DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
 LONGEST_GREETING = 512
 """Bytes of each of the lines by which the command and a rank come to know one another."""
 
-_LOOPBACK = "127."
+_MEANS_ITSELF = "127."
 """Beginning of addresses by which each host means itself."""
 
 _RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
@@ -81,7 +81,7 @@ def this_host() -> str:
     return f"{boot}/{Path('/proc/self/ns/net').readlink()}"
 
 
-def seal(key: str, *words: str) -> str:
+def seal_words(key: str, *words: str) -> str:
     """Return what only those who know the key can say of some words."""
     return hmac.new(key.encode(), " ".join(words).encode(), "sha256").hexdigest()
 
@@ -96,8 +96,8 @@ def introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool
     challenge = _read_line(connection)
     own = secrets.token_hex(16)
     words = f"{rank} {os.getpid()} {host} {own}"
-    connection.sendall(f"{words} {seal(key, 'rank', challenge, words)}\n".encode())
-    return hmac.compare_digest(_read_line(connection).encode(), seal(key, "command", own, challenge).encode())
+    connection.sendall(f"{words} {seal_words(key, 'rank', challenge, words)}\n".encode())
+    return hmac.compare_digest(_read_line(connection).encode(), seal_words(key, "command", own, challenge).encode())
 
 
 def _read_line(connection: socket.socket) -> str:
@@ -111,14 +111,14 @@ def _read_line(connection: socket.socket) -> str:
     return line.decode(errors="replace").rstrip("\n")
 
 
-class _Starter:
+class Starter:
     """One rank and its connection to the command."""
 
     def __init__(self) -> None:
         self._rank = next(os.environ[name] for name in _RANK_VARIABLES if name in os.environ)
         self._key, silence, host, *addresses = os.environ[COMMAND_VARIABLE].split()
         # On another host anybody may listen at an address that means itself.
-        self._addresses = [at for at in addresses if host == this_host() or not at.startswith(_LOOPBACK)]
+        self._addresses = [at for at in addresses if host == this_host() or not at.startswith(_MEANS_ITSELF)]
         self._silence = float(silence)
         self._connection = self._connect()
         self._tail = b""
@@ -251,7 +251,7 @@ class _Starter:
 def _start_rank() -> None:
     """Run the rank whose command line this program was given, and end as it does."""
     die_with_parent()
-    code = _Starter().run(sys.argv[1:])
+    code = Starter().run(sys.argv[1:])
     if code < 0:
         if -code != signal.SIGKILL:
             signal.signal(-code, signal.SIG_DFL)

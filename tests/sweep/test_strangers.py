@@ -172,7 +172,7 @@ def test_idle_connections_neither_end_the_watch_nor_keep_ranks_out(
 
 def test_one_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """It has some seconds to say who it is."""
-    monkeypatch.setattr(rank_watch, "_TIME_TO_GREET", 0.05)
+    monkeypatch.setattr(rank_watch, "TIME_TO_GREET", 0.05)
     with watching() as watch, socket.create_connection(place_of(watch), 10.0) as connection:
         while not (told := watch.describe_dropped()):
             watch.listen(0.01)
@@ -182,7 +182,7 @@ def test_one_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_one_who_listens_in_the_place_of_the_command_learns_nothing_and_holds_no_rank() -> None:
-    """The key does not travel, what is heard is good for one connection, and who cannot seal is no command."""
+    """The key does not travel, what is heard is good for one connection, and who cannot seal_words is no command."""
     heard = []
     with socket.create_server(("127.0.0.1", 0)) as impostor, watching() as watch:
         key = watch.address.split()[0]
@@ -219,7 +219,7 @@ def test_loopback_is_for_ranks_of_this_host_alone(monkeypatch: pytest.MonkeyPatc
         tried.clear()
         monkeypatch.setenv(starter.COMMAND_VARIABLE, f"key 60 {host} 127.0.0.1:1 192.0.2.1:1")
         with pytest.raises(SystemExit, match="cannot reach the command"):
-            starter._Starter()
+            starter.Starter()
         assert {name for name, _ in tried} == wanted
 
 
