@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "calcidem"
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "duplicate_names.py"))
-MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "migrations" not in path.parts)
+MODULES = sorted(PACKAGE.rglob("*.py"))
 MOST_DUPLICATES = 14
 LARGEST_ROOM = 0.15
 

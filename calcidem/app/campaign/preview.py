@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import nullcontext
 
-from calcidem.app.campaign.identity import refuse_other_configuration
+from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing, readable_packing
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing
@@ -11,7 +11,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Selection, Store
+from calcidem.storage.store import Selection
 
 
 def preview_lines(configuration: Configuration) -> Iterator[str]:
@@ -22,13 +22,13 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     ConfigurationError
         If the packing can't hold what is planned.
     StoreError
-        If the database can't be read, or has another campaign of that name.
+        If the database can't be read, or has another campaign of that name, or this one under another.
     """
     plan, address = configuration.campaign, parse_address(configuration.database)
     is_new = address.path is not None and not address.path.exists()
     packing, settled = None, 0
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
-        if store is not None and _choose_campaign(store, configuration):
+        if store is not None and choose_campaign(store, configuration):
             selection = Selection(plan.seed_numbers, plan.contents)
             settled = sum(status is not CellStatus.PENDING for status in store.statuses(selection).values())
             if store.packing_indices():
@@ -47,14 +47,3 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         return
     check_against_packing(configuration, packing)
     yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."
-
-
-def _choose_campaign(store: Store, configuration: Configuration) -> bool:
-    """Choose the configuration's campaign in a store, if it has one of that name."""
-    name = configuration.campaign.name
-    for record in store.campaigns():
-        if record.name == name:
-            refuse_other_configuration(record, configuration)
-            store.use_campaign(name)
-            return True
-    return False

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
-from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
+from calcidem.app.campaign.identity import choose_campaign, record_of
+from calcidem.app.campaign.packing import Tell, packing_record, provide_packing, readable_packing
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
@@ -20,9 +20,8 @@ from calcidem.app.campaign.workers import describe_unlike, describe_worker, grou
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.storage.errors import LeaseHeldError, StoreError
-from calcidem.storage.records import CampaignRecord, WorkerRecord
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
+from calcidem.storage.records import WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import LeaseGrant, Store
 from calcidem.sweep import (
@@ -162,6 +161,7 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
+        _refuse_before_writing(configuration)
         configuration.output.mkdir(parents=True, exist_ok=True)  # before hours are spent on what is written there
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
@@ -181,22 +181,11 @@ class CampaignRun:
         path = parse_address(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - SQLAlchemy, which workers do not need
 
         store = open_store(configuration.database)
         try:
-            for namesake in (found for found in store.campaigns() if found.name == configuration.campaign.name):
-                refuse_other_physics(namesake)
-            store.begin_campaign(
-                CampaignRecord(
-                    hash=configuration.hash,
-                    name=configuration.campaign.name,
-                    config=canonical_json(configuration.physics),
-                    contents=(),
-                    seeds=(),
-                    created=datetime.now(UTC),
-                )
-            )
+            store.begin_campaign(record_of(configuration))
             grant = _acquire_lease(store, tell, check)
         except BaseException:
             store.close()
@@ -265,6 +254,26 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> Lease
         first = holder
         check()
         time.sleep(_LEASE_POLL)
+
+
+def _refuse_before_writing(configuration: Configuration) -> None:
+    """Refuse a configuration that its database, or the packing there, does not fit, before any byte is written.
+
+    Raises
+    ------
+    CampaignMismatchError
+        As `choose_campaign`.
+    ConfigurationError
+        If the packing cannot hold what is planned.
+    """
+    if not _exists(configuration.database):
+        return
+    from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+
+    # An empty database is foreign to who reads, and new to who writes.
+    with suppress(ForeignDatabaseError), open_store(configuration.database, read_only=True) as store:
+        if choose_campaign(store, configuration) and store.packing_indices():
+            check_against_packing(configuration, readable_packing(store, 0))
 
 
 def _exists(database: str) -> bool:
