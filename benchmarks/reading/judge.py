@@ -19,8 +19,7 @@ from section import Section, kinds_of, load_sections
 from sections import drawn_sections
 
 from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.wave.arrival import read_travel_times
-from calcidem.dem.wave.pick import PickRule, Signals
+from calcidem.dem.wave import reading, section
 
 Reading = Callable[[Section], tuple[float | None, float]]
 """From a section to a velocity, m/s, None if refused, and its relative standard error, NaN if none is stated."""
@@ -30,7 +29,8 @@ CLASSES = 10  # of the standard error, each with as many sections
 BOUNDS = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.3, np.inf)
 _PATHS = (0.0, 0.7, 1.0, 1.5, 2.5, np.inf)  # wavelengths
 _APERTURES = (0.0, 0.25, 0.5, 1.0, 2.0, np.inf)  # wavelengths
-_RULE = PickRule(smoothing=0.4)
+_RULE = reading.PickRule(largest_error=1.0)  # what a smaller bound refuses is in the last table
+_SAMPLES_PER_PERIOD = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,19 +90,36 @@ def judge(sections: Sequence[Section], reading: Reading) -> Judgement:
     )
 
 
-def read_section(section: Section) -> tuple[float | None, float]:
-    """The reading of calcidem.dem.wave as it is; it states no standard error."""
-    signals = Signals(
-        sampling_interval=float(section.times[1] - section.times[0]),
-        sent=section.transmitted,
-        received=section.across[-1],
-        distance=section.distance,
-        floor=1e-3 * section.amplitude,
-        stations=section.across[:-1].T,
-        places=tuple(section.places[:-1].tolist()),
-        along=section.along.T,
+def recorded(known: Section, samples_per_period: int = _SAMPLES_PER_PERIOD) -> section.Section:
+    """A section as a sample would have recorded it: sampled no finer, and quantised."""
+    interval = float(known.times[1] - known.times[0])
+    stride = max(1, int(1.0 / (known.frequency * interval * samples_per_period) + 1e-9))
+    across, along = (
+        section.quantise(np.ascontiguousarray(motion.T[stride - 1 :: stride]), known.amplitude)
+        for motion in (known.across, known.along)
     )
-    return read_travel_times(signals, _RULE).peak.velocity, float("nan")
+    return section.Section(
+        sampling_interval=stride * interval,
+        start_time=float(known.times[stride - 1]),
+        frequency=known.frequency,
+        amplitude=known.amplitude,
+        aperture=min(1e6, known.aperture / known.frequency * known.velocity),
+        places=tuple((known.places * known.distance).tolist()),
+        across=across,
+        along=along,
+    )
+
+
+def read_section(known: Section) -> tuple[float | None, float]:
+    """Velocity, m/s, and standard error by the reading of calcidem.dem.wave."""
+    found = reading.read_section(recorded(known), _RULE)
+    return found.peak, np.nan if found.error is None else found.error
+
+
+def read_crest(known: Section) -> tuple[float | None, float]:
+    """The same of the path from station to station."""
+    found = reading.read_section(recorded(known), _RULE)
+    return found.path, np.nan if found.path_error is None else found.path_error
 
 
 def counts_of(judgement: Judgement, some: Flags) -> tuple[str, ...]:
@@ -190,9 +207,11 @@ def main() -> None:
         sets["lattices"] = lattice_sections(range(first, last + 1))
     for name, sections in sets.items():
         print(f"\n{name}: {len(sections)} sections")
-        judgement = judge(sections, read_section)
-        print_counts(judgement, kinds_of(sections))
-        print_errors(judgement)
+        for title, read in (("receiver", read_section), ("path", read_crest)):
+            judgement = judge(sections, read)
+            print(f"\n{title}")
+            print_counts(judgement, kinds_of(sections))
+            print_errors(judgement)
 
 
 if __name__ == "__main__":

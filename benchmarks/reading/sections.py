@@ -1,4 +1,4 @@
-"""Sections of the signals of run.py: what stations on the path record of the same waves.
+"""Sections of the signals of signals.py: what stations on the path record of the same waves.
 
 Each station records at its own time, as far as the wave has come, with what swings at the receiver only near it, and scattered
 arrivals that come along the same path, from elsewhere or back; ranges.toml says how much. judge.py judges a reading on them.
@@ -7,8 +7,8 @@ arrivals that come along the same path, from elsewhere or back; ranges.toml says
 from collections.abc import Iterable
 
 import numpy as np
-from run import RANGES, Medium, draw_parts, draw_signal
 from section import Section
+from signals import RANGES, Medium, draw_parts, draw_signal
 
 from calcidem.dem.kernels.layout import Floats
 

@@ -12,7 +12,7 @@
 A candidate depends on no sample behind its horizon, so a record that is cut there gives the same bits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
@@ -164,7 +164,7 @@ class Reading:
         Relative standard error of these velocities, see `reading_error`.
     path, path_error
         Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
-        error; None where too few stations saw the crest.
+        error; None where too few stations saw the crest, or the error is above `PickRule.largest_error`.
     """
 
     verdict: Verdict | None
@@ -278,9 +278,12 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
         section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
         for time in others
     )
-    velocity, scatter = section.distance / arrival.travel_time, arrival.path_scatter
-    path_error = None if scatter is None else float(np.sqrt(error * error + CREST * CREST * scatter * scatter))
-    return Reading(None, arrival, velocity, first, correlated, error, arrival.path_velocity, path_error)
+    reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
+    if arrival.path_scatter is None:
+        return reading
+    path_error = float(np.sqrt(error * error + (CREST * arrival.path_scatter) ** 2))
+    known = path_error <= rule.largest_error
+    return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
