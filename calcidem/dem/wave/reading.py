@@ -60,10 +60,10 @@ LEAST_ERROR = 0.014
 P_LEFT = 0.75
 """Standard error over the shift that taking the P wave off makes."""
 
-BLUR = 0.17
+BLUR = 0.16
 """Standard error over the relative width of the peak at 0.9 of its amplitude."""
 
-NEAR_FIELD = 0.066
+NEAR_FIELD = 0.075
 """Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
 
 EDGE_SPEED = 1.5
