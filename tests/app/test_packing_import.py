@@ -14,10 +14,10 @@ import pytest
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing_import import ImportedPacking, import_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.packing_file import PackingFileError, read_disks
+from calcidem.dem.sample.packing_file import PackingFileError, _read_disks
 
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 sys.path.append(str(PEERS))
@@ -129,7 +129,7 @@ def test_every_format_gives_the_same_disks(name: str, tmp_path: Path) -> None:
     form, text = FILES[name]
     found = bring(tmp_path, text())
     assert found.form == form
-    x, y, radius, _ = read_disks(tmp_path / "disks.csv")
+    x, y, radius, _ = _read_disks(tmp_path / "disks.csv")
     np.testing.assert_allclose(np.column_stack([x, y, radius]), LATTICE, rtol=0, atol=1e-15)
     np.testing.assert_array_equal((x, y, radius), (found.x, found.y, found.radius))
     assert found.height == pytest.approx(0.0022 * 0.87 * 11 + 0.0011 + 0.0011, abs=5e-5)
@@ -214,7 +214,7 @@ def test_what_is_wrong_names_the_place_and_the_cure(
     with pytest.raises(PackingFileError) as caught:
         bring(tmp_path, text, **choices)
     assert not [word for word in words if word not in str(caught.value)], caught.value
-    assert exit_code_of(caught.value) == 2
+    assert _exit_code_of(caught.value) == 2
     assert not (tmp_path / "disks.csv").exists()
 
 

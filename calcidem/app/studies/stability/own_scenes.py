@@ -46,7 +46,7 @@ class OwnScene:
     Attributes
     ----------
     kind
-        One of `OWN_KINDS`.
+        One of `_OWN_KINDS`.
     step_fraction
         Asked of `start`; above 1 it has to be refused.
     factor
@@ -81,7 +81,7 @@ class OwnScene:
 
 def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
     """Latin hypercube over all quantities, with kinds taking turns; a third of the scenes keep a given step."""
-    kinds = tuple(OWN_KINDS)
+    kinds = tuple(_OWN_KINDS)
     scenes = []
     for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
         turn = number // len(kinds)
@@ -99,7 +99,7 @@ def error_of_run(own: OwnScene) -> float:
     UnstableRunError
         If the run is ended.
     """
-    return OWN_KINDS[own.kind](own)
+    return _OWN_KINDS[own.kind](own)
 
 
 def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Floats | None = None) -> State:
@@ -218,7 +218,7 @@ def _gap_bonds(own: OwnScene) -> float:
     return _watch_energies(_begin(own, scene, velocity))[1]
 
 
-OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
+_OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
     "impact": _impact,
     "collisions": _collisions,
     "gravity": _column,
