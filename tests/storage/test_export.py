@@ -1,9 +1,14 @@
 """NetCDF export and the way back."""
 
+import contextlib
 import dataclasses
 import json
+import os
 import shutil
+import signal
 import subprocess
+import sys
+import time
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -14,16 +19,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.import_ import ERRORS_OF_DAMAGE
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
     DiskError,
     ForeignDatabaseError,
     NewerSchemaError,
+    StoreError,
     StoreUnavailableError,
     UnknownCampaignError,
 )
-from calcidem.storage.netcdf import export
+from calcidem.storage.netcdf import export, trial
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
@@ -36,6 +44,9 @@ if TYPE_CHECKING:
 
 # Also files that calcidem exported of schema_0003.db and schema_0005.db when the layouts 1 and 2 were the current ones.
 ASSETS = Path(__file__).parent / "assets"
+
+ENDLESS = ((2121, 2381), (204, 912), (970, 2409))
+"""Blocks of 64 bytes of layout_2.nc; with two of them swapped the library loops for ever while it opens the file."""
 
 Filled = tuple[SqlStore, CampaignRecord]
 
@@ -269,3 +280,63 @@ def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
             with pytest.raises(error):
                 import_netcdf(tmp_path / name, copy)
         assert copy.campaigns() == ()
+
+
+def endless_file(folder: Path, blocks: tuple[int, int]) -> Path:
+    """Make a file that the library for NetCDF cannot open to its end."""
+    content = (ASSETS / "layout_2.nc").read_bytes()
+    first, second = (slice(64 * block, 64 * block + 64) for block in blocks)
+    changed = bytearray(content)
+    changed[first], changed[second] = content[second], content[first]
+    path = folder / "endless.nc"
+    path.write_bytes(changed)
+    return path
+
+
+@pytest.mark.parametrize("blocks", [ENDLESS[0], *(pytest.param(b, marks=pytest.mark.full) for b in ENDLESS[1:])])
+def test_a_file_that_the_library_never_finishes_is_refused(
+    blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
+    monkeypatch.setattr(trial, "_PATIENCE", 1.0)
+    path = endless_file(tmp_path, blocks)
+    with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
+        import_netcdf(path, store)
+    assert exit_code_of(caught.value) == 2
+    assert export.belongs_to_another(path, "the hash of any campaign")
+
+
+@pytest.mark.slow
+def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
+    """Ctrl-C ends the import of a file that the library never finishes, long before the time for it is over."""
+    path = endless_file(tmp_path, ENDLESS[0])
+    command = [sys.executable, "-m", "calcidem", "import", str(path), "--db", str(tmp_path / "new.db")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not (child := children.read_text().strip()):
+        time.sleep(0.05)
+    status = Path(f"/proc/{child}/stat")
+    while int(status.read_text().split()[13]) < 2 * os.sysconf("SC_CLK_TCK"):  # it has been in the library for long
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20.0) != 0
+    assert not status.exists() or status.read_text().split()[2] == "Z"  # ended, if not yet buried
+
+
+@pytest.mark.full
+def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
+    monkeypatch.setattr(trial, "_PATIENCE", 2.0)
+    last = (ASSETS / "layout_2.nc").stat().st_size // 64
+    random = np.random.default_rng(7)
+    for number in range(100):
+        path = endless_file(tmp_path, tuple(random.integers(last, size=2).tolist()))
+        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *ERRORS_OF_DAMAGE):
+            import_netcdf(path, store)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    """Only a file is opened: a pipe that nobody writes would never be."""
+    os.mkfifo(tmp_path / "pipe.nc")
+    with open_store(tmp_path / "new.db") as store, pytest.raises(StoreUnavailableError, match="is not a file"):
+        import_netcdf(tmp_path / "pipe.nc", store)

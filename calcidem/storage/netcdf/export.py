@@ -15,6 +15,7 @@ from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedE
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.groups import SAMPLE_GROUPS, append_attempts, append_packing, append_samples
+from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
 from calcidem.storage.sql.quantities import QUANTITIES
 from calcidem.storage.sql.reading import chunks
@@ -92,9 +93,10 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
     if not Path(path).is_file():
         return False
     try:
+        refuse_unreadable(path, names_only=True)
         with netCDF4.Dataset(path, "r") as file:
             return getattr(file, "calcidem_campaign_hash", None) != campaign_hash
-    except (OSError, RuntimeError):
+    except (OSError, RuntimeError, DamagedStoreError):
         with Path(path).open("rb") as broken:
             return broken.read(4) == b"\x89HDF"
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calcidem.storage.errors import DamagedStoreError, ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
 from calcidem.storage.netcdf.dataset import FORMAT_VERSION
 from calcidem.storage.netcdf.groups import Group, open_cement, open_paths, open_signals, read_attempts, read_packings
+from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
     NOT_PLANNED,
     STATUS_CODES,
@@ -80,7 +81,8 @@ def import_netcdf(
     NewerSchemaError
         If a later calcidem did, in another layout.
     DamagedStoreError
-        If its configuration is not the one that its hash was made of, or cells have a packing that it lacks.
+        If its configuration is not the one that its hash was made of, or cells have a packing that it lacks, or
+        reading it does not come to an end.
     CampaignMismatchError
         If the store has a campaign of that name with another hash, or that campaign with another packing.
     """
@@ -110,6 +112,7 @@ def import_netcdf(
 
 
 def _open(path: Path) -> Group:
+    refuse_unreadable(path)
     try:
         file = netCDF4.Dataset(path, "r")
     except OSError as error:

@@ -18,6 +18,7 @@ from calcidem.app.studies.trials import check_cells, trial_workers
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.files import write_atomically
+from calcidem.storage.netcdf.trial import refuse_unreadable
 
 _SECONDS_BETWEEN_SAVES = 60.0
 
@@ -164,6 +165,7 @@ def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
     )
     if not file.exists():
         return empty
+    refuse_unreadable(file)
     with xr.open_dataset(file, engine="netcdf4") as opened:
         found = opened.load()
     same = found.attrs.get("calcidem_campaign_hash") == plan.configuration.hash
