@@ -17,7 +17,10 @@ MOST_DUPLICATES = 14
 MOST_LINES = 5_500
 """Of a room: a larger one has something in it that wants a room of its own."""
 
-TESTS_STILL_COUNT = ("calcidem.app.campaign", "calcidem.dem.kernels", "calcidem.dem.wave", "calcidem.storage")
+TESTS_STILL_COUNT = (
+    *("calcidem.app.campaign", "calcidem.app.cli.exit_codes"),
+    *("calcidem.dem.kernels", "calcidem.dem.wave", "calcidem.storage"),
+)
 """Rooms with names that only tests use."""
 
 

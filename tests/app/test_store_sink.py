@@ -8,7 +8,7 @@ import pytest
 
 from calcidem.app.campaign import store_sink
 from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.app.cli.exit_codes import exit_code_of
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey
 from calcidem.storage.records.canonical import canonical_hash
@@ -48,4 +48,4 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
         store.locked = 100
         with pytest.raises(StoreLockedError) as refused:
             sink.store_loss(Batch(0, ((1, 5.0),), 1.0), "killed")
-    assert _exit_code_of(refused.value) == EXIT_RESUMABLE
+    assert exit_code_of(refused.value) == EXIT_RESUMABLE

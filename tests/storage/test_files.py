@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from sqlalchemy import create_engine, text
 
-from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.app.cli.exit_codes import exit_code_of
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -231,7 +231,7 @@ def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
         holder.execute(text(f"SELECT pg_terminate_backend({waiting})"))
         with pytest.raises(StoreInterruptedError) as caught:
             opening.result()
-    assert _exit_code_of(caught.value) == EXIT_RESUMABLE
+    assert exit_code_of(caught.value) == EXIT_RESUMABLE
 
 
 def test_errors_can_travel(database: Path) -> None:

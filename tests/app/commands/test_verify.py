@@ -17,7 +17,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
+from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
 from calcidem.app.cli.tables import vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
@@ -165,7 +165,7 @@ def test_another_version_of_the_physics_is_refused(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:
         invoke("verify", small)
-    assert _exit_code_of(refused.value) == 2
+    assert exit_code_of(refused.value) == 2
 
 
 def test_signals_and_cement_are_compared(stored: CellResult) -> None:
@@ -281,7 +281,7 @@ def test_a_database_of_another_configuration_is_refused(
         invoke(command, other, "--db", small)
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
-    assert _exit_code_of(refused.value) == 2
+    assert exit_code_of(refused.value) == 2
 
 
 def test_explain_has_another_run_for_whatever_a_wave_records(small_packing: Packing) -> None:
