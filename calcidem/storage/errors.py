@@ -51,11 +51,11 @@ class ForeignDatabaseError(StoreError):
 
 
 class NewerSchemaError(StoreError):
-    """The database was written by a later calcidem, whose schema this one doesn't know."""
+    """The database or file was written by a later calcidem, whose tables this one doesn't know."""
 
 
 class OlderSchemaError(StoreError):
-    """The database was written by an earlier calcidem and has to be upgraded before it is read."""
+    """The database or file was written by an earlier calcidem, whose tables this one doesn't read."""
 
 
 class DamagedStoreError(StoreError):

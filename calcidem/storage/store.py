@@ -130,13 +130,10 @@ class Integrity:
         Damaged cells, and what is damaged of each.
     others : tuple of str
         Sentences on all other damage: packings, runs, attempts, the file as such.
-    late : int
-        Rows stored by an earlier calcidem, whose checksums are of what was there when the database was upgraded.
     """
 
     cells: dict[CellKey, str]
     others: tuple[str, ...]
-    late: int
 
 
 class Closable(ABC):

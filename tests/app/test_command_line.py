@@ -166,14 +166,6 @@ def test_wrong_arguments_are_refused_without_a_traceback(
     assert "Traceback" not in refused.errors
 
 
-def test_a_former_key_is_warned_of_in_one_line(workshop: "Workshop") -> None:
-    """The warning comes first, without a place in the sources, and whatever follows does."""
-    (workshop.folder / "c.toml").write_text("[packing]\nbalance = 1e-6\nporosity = 0.9\n", encoding="utf-8")
-    warning, error, *_ = workshop.run("packing", "c.toml").errors.splitlines()
-    assert warning.startswith("Warning: packing.balance is now called packing.unbalanced_force_ratio")
-    assert error.startswith("Error: c.toml: 1 problem")
-
-
 def test_a_content_over_the_maximum_leaves_no_database(workshop: "Workshop") -> None:
     """What only the packing can tell is refused after it is made and before anything else is."""
     table = "frequency = { content = [0.0, 90.0], frequency = [4e3, 25e3] }"

@@ -18,6 +18,7 @@ from calcidem.app.config.reader import SECTIONS, load_configuration, read_config
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, RunOptions
 from calcidem.dem.sample.packing import PackingRule
+from calcidem.storage.records.canonical import canonical_hash
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -26,28 +27,28 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (3, "examples/quick.toml"): (
-        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
-        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
+        "dff8964018f1d002e2e747810ee3f1b6c6c0d254f155c309bbaa3f5e5f5a6416",
+        "5d9c581507e121482f78cadb2c3fcead99646b4775ca0946e75c537613f39a01",
     ),
     (3, "examples/paper.toml"): (
-        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
-        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
+        "dff8964018f1d002e2e747810ee3f1b6c6c0d254f155c309bbaa3f5e5f5a6416",
+        "5d9c581507e121482f78cadb2c3fcead99646b4775ca0946e75c537613f39a01",
     ),
     (3, "examples/paper-small-pulse.toml"): (
-        "09255b79cdf6bfbfdcb2018b4c09f3f14022bf18219c5d8a15913d50c5d5f1d0",
-        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+        "f8918348fbc984732654819259a7c8140b5a6039a7cfeb4d5d361c6225d18de2",
+        "41b40365bbdb68865f1b0d252eee18d2c603f6bd44e2eafe9d1108274b4a8226",
     ),
     (3, "examples/paper-literal.toml"): (
-        "6b701d6621d513d6b57213f21c9fdaaf1bb5c20c86502d07b1a5fe914353032b",
-        "2f66a6d2698f2607c1f358ee20460b0f31f8d1fbd8f3e0ce6540761d42219544",
+        "e482d30d273d0f739ad976e2f8ee5b873347f3ca3d3a551a7f1d29fe68b90eaa",
+        "41b40365bbdb68865f1b0d252eee18d2c603f6bd44e2eafe9d1108274b4a8226",
     ),
     (3, "examples/paper-locked.toml"): (
-        "503ac0c54511e4e5a564250b8776db16827c14271696441df9293cc375ecc9f4",
-        "9bd981b74095d2e27a564c1d80ad81e23add2a6e0e1c13bb0a06611f40b14988",
+        "2c446f3a4c96b550438f9211011eead400553f6d8bcb02e7cf9bf1d275438931",
+        "d53d5ef818609d44b2d68bd80f242415c1708e940fc6daf8be0c6d9e7c229069",
     ),
     (3, "docs/tutorial/quick.toml"): (
-        "d17d3f7276ea6593a997282fe226336ad42c0e78327df3d71cddf93a20f1ea56",
-        "9ab8f040dc4fef00b525f937cd266683447280c05725ba328c54b05b0df45c86",
+        "dff8964018f1d002e2e747810ee3f1b6c6c0d254f155c309bbaa3f5e5f5a6416",
+        "5d9c581507e121482f78cadb2c3fcead99646b4775ca0946e75c537613f39a01",
     ),
 }
 
@@ -342,20 +343,17 @@ def test_campaigns_keep_their_identity(version: int, name: str, monkeypatch: pyt
     assert (configuration.hash, configuration.packing_hash) == IDENTITIES[version, name]
 
 
-@pytest.mark.parametrize("section", ["packing", "wave"])
-def test_a_former_key_is_read_with_a_warning(section: str) -> None:
-    """`balance` still means the unbalanced-force ratio, to be reached by the same campaign."""
-    with pytest.warns(FutureWarning, match=f"{section}.balance is now called {section}.unbalanced_force_ratio"):
-        former = read_configuration({section: {"balance": 2e-6}})
-    present = read_configuration({section: {"unbalanced_force_ratio": 2e-6}})
-    assert former == present
-    assert former.hash == present.hash != Configuration().hash
-
-
-def test_a_former_key_beside_the_present_one_is_refused() -> None:
-    """Nothing says which of the two would count; the message names both."""
-    with pytest.raises(ConfigurationError, match=r"packing\.balance = 0\.0001: .*packing\.unbalanced_force_ratio"):
-        read_configuration({"packing": {"balance": 1e-4, "unbalanced_force_ratio": 1e-6}})
+def test_a_key_at_its_default_is_not_hashed() -> None:
+    """The hash is of what departs from the defaults, so that a new key leaves the identity of all campaigns alone."""
+    version = {"physics_version": schema.PHYSICS_VERSION}
+    assert Configuration().hash == canonical_hash(version)
+    written = {"stations": Configuration().wave.stations, "damping": Configuration().wave.damping}
+    assert read_configuration({"wave": written}).hash == canonical_hash(version)
+    departing = read_configuration({"wave": {"stations": 8}, "run": {"lanes": 4}})
+    assert departing.hash == canonical_hash(version | {"wave": {"stations": 8}})
+    assert departing.physics.keys() > version.keys()
+    assert departing.physics["wave"]["damping"] == Configuration().wave.damping
+    assert Configuration.from_physics(departing.physics).wave == departing.wave
 
 
 def other(value: Any) -> Any:  # noqa: ANN401 - any field of a configuration

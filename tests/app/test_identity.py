@@ -28,7 +28,7 @@ from calcidem.storage.sql.store import open_store
 pytestmark = pytest.mark.slow
 
 FORMER = Path(__file__).parents[1] / "assets" / "physics_1.db"
-"""Two cells of the tutorial as the calcidem of schema 0003 and physics version 1 stored them."""
+"""Two cells of the tutorial as the calcidem of physics version 1 computed them."""
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
 
 
 def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path: Path) -> None:
-    """What schema 0003 and physics version 1 stored is opened, reported and exported; a run names both versions."""
+    """What physics version 1 computed is opened, reported and exported; a run names both versions."""
     former = Path(shutil.copy(FORMER, tmp_path / "former.db"))
     before = former.read_bytes()
     with open_campaign(former) as campaign:

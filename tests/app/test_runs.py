@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from conftest import Cells, Workshop
 
 CHECKOUT = Path(__file__).parents[2]
-OTHER_EXPORT = CHECKOUT / "tests" / "storage" / "assets" / "layout_2.nc"
+OTHER_EXPORT = CHECKOUT / "tests" / "storage" / "assets" / "calcidem_0.1.0.nc"
 
 pytestmark = [
     pytest.mark.mpi,

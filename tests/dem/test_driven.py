@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_stiffness, jumble, throw
 
-from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.leapfrog import Precision, State, run_in_place
 from calcidem.dem.engine.readout import energies, overlaps, wall_overlaps
 from calcidem.dem.engine.scene import Regime, Scene, Wall
@@ -199,17 +198,6 @@ def test_driven_disks_are_those_that_overlap_the_left_wall_in_the_band(small_pac
     moved = replace(small_packing, x=small_packing.x + 1e-4)
     with pytest.raises(ValueError, match=r"transmitter_half_width = 0\.01: no disk touches the transmitter"):
         driven_disks(moved, rule)
-
-
-@pytest.mark.parametrize(("key", "value"), [("transmitter", "driven"), ("stations", 8)])
-def test_campaigns_without_a_later_key_keep_their_identity(key: str, value: object) -> None:
-    """A configuration with its default is stored, and hashed, without the key; one with another value comes back."""
-    usual, other = Configuration(), Configuration(wave=replace(WaveRule(), **{key: value}))  # type: ignore[arg-type]
-    assert key not in usual.physics["wave"]
-    assert other.physics["wave"][key] == value
-    assert usual.hash != other.hash
-    for configuration in (usual, other):
-        assert Configuration.from_physics(configuration.physics).wave == configuration.wave
 
 
 def test_a_drive_needs_a_recording() -> None:

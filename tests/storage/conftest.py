@@ -30,16 +30,6 @@ from calcidem.storage.sql.store import SqlStore, open_store
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
 SEEDS = range(4)
 CONTENTS = (0.0, 0.3, 5.0)
-SINCE_0006 = {
-    "distance": 0.094,
-    "wavelengths_on_path": 1.25,
-    "wavelength_over_d50": 28.5,
-    "expected_error": 1e-3,
-    "static_speed": 1400.5,
-    "content_of_contacts": 3.5,
-}
-"""Of a done cell; former schemas have none of it."""
-SINCE_0007 = {"broken_bonds": 3}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,11 +85,15 @@ class Records:
             "time_step": 8e-8,
             "stability_limit": 1.1e-7,
             "steps": 12_000,
-            "energy_error": -1.5e-12,
             "error_bound": 2e-3,
             "content_reached": content,
-            **SINCE_0006,
-            **SINCE_0007,
+            "distance": 0.094,
+            "wavelengths_on_path": 1.25,
+            "wavelength_over_d50": 28.5,
+            "expected_error": 1e-3,
+            "static_speed": 1400.5,
+            "content_of_contacts": 3.5,
+            "broken_bonds": 3,
             "p_contacts": 400,
             "c_contacts": 900,
             "clusters": 250,
@@ -118,7 +112,6 @@ class Records:
 
     def with_arrays(self, seed: int = 0, content: float = 5.0) -> CellResult:
         """Build a done cell with path, signals and cement."""
-        # Plain arithmetic instead of random numbers: a kept database must hold these values for ever.
         samples, contacts, clusters = 30 + seed, 20 + seed, int(content)
         features = PathFeatures(
             contacts=3,
@@ -131,7 +124,7 @@ class Records:
             normalized_connectivity=None if seed == 0 else 1.1,
             path=(4, 8, 15, 16),
         )
-        start = (13 - 0.5) * 8e-8  # the interval is 12.5 steps, which former files are taken to mean 13 by
+        start = 12.5 * 8e-8
         signal = Signal(1e-6, start, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)

@@ -20,6 +20,7 @@ from calcidem.storage.errors import (
     UnknownCellError,
 )
 from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, CellStatus
+from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import SqlStore
 from calcidem.storage.store import Selection
 
@@ -49,6 +50,16 @@ def test_changed_config_is_refused_with_difference(store: SqlStore, records: "Re
         store.begin_campaign(changed)
     assert "v0" not in str(refusal.value)
     assert store.campaigns() == (records.campaign(),)
+
+
+def test_a_hash_stands_for_one_value_of_each_key(store: SqlStore, records: "Records") -> None:
+    """Of two configurations with one hash, one may lack a key of the other; a key of both has one value."""
+    stored = records.campaign()
+    later = {"packing": {"friction": 0.2}, "wave": {"v0": 1e-5, "later": 3}}
+    assert store.begin_campaign(dataclasses.replace(stored, config=canonical_json(later))) == stored
+    changed_default = {"packing": {"friction": 0.2}, "wave": {"v0": 2e-5}}
+    with pytest.raises(CampaignMismatchError, match=r"wave\.v0: 1e-05 -> 2e-05"):
+        store.begin_campaign(dataclasses.replace(stored, config=canonical_json(changed_default)))
 
 
 def test_several_campaigns_share_a_store(store: SqlStore, records: "Records") -> None:

@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
-from calcidem.storage.sql.schema import UPGRADE_LOCK
+from calcidem.storage.sql.schema import CREATION_LOCK
 from calcidem.storage.sql.store import open_store
 from calcidem.sweep import EXIT_RESUMABLE
 
@@ -95,19 +95,21 @@ def test_unusable_urls(url: str) -> None:
 
 def test_newer_schema_is_refused(database: Path) -> None:
     """A revision from the future is refused with the advice to upgrade, for reading and writing."""
-    execute(database, "UPDATE calcidem_schema SET version_num = '9999'")
+    execute(database, "UPDATE calcidem_schema SET version = 9999")
     for read_only in (True, False):
         with pytest.raises(NewerSchemaError, match="upgrade"):
             open_store(database, read_only=read_only)
 
 
-def test_reader_asks_for_an_upgrade(tmp_path: Path) -> None:
-    """A reader refuses an older schema, says how to upgrade it, and leaves the file as it is."""
-    asset = Path(__file__).parent / "assets" / "schema_0001.db"
+@pytest.mark.parametrize("read_only", [True, False])
+def test_the_former_tables_are_refused(tmp_path: Path, read_only: bool) -> None:
+    """A database of calcidem 0.1.0 is refused in one sentence, for reading and for writing, and left as it was."""
+    asset = Path(__file__).parent / "assets" / "calcidem_0.1.0.db"
     path = Path(shutil.copy(asset, tmp_path))
-    with pytest.raises(OlderSchemaError, match="upgrades it"):
-        open_stored_campaign(path)
+    with pytest.raises(OlderSchemaError, match=r"written by calcidem 0\.1\.0 or earlier"):
+        open_store(path, read_only=read_only)
     assert path.read_bytes() == asset.read_bytes()
+    assert [found.name for found in tmp_path.iterdir()] == [path.name]
 
 
 def test_damage_is_recognised(database: Path) -> None:
@@ -224,7 +226,7 @@ def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
     url = f"postgresql+psycopg://postgres@/{postgresql_template}?host={postgresql_socket}"
     wait = "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
     with create_engine(url).connect() as holder, ThreadPoolExecutor(1) as thread:
-        holder.execute(text(f"SELECT pg_advisory_lock({UPGRADE_LOCK})"))
+        holder.execute(text(f"SELECT pg_advisory_lock({CREATION_LOCK})"))
         opening = thread.submit(open_store, url)
         while not (waiting := holder.scalar(text(wait))):
             holder.rollback()

@@ -1,6 +1,5 @@
 """What was changed behind the store's back is an outcome of its cell, and never taken for what was stored."""
 
-import shutil
 import sqlite3
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
-from calcidem.storage.sql.checksums import MIGRATED
 from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
@@ -63,7 +61,7 @@ NUMBERS = [
         ("vs_first_arrival", "1000.0"),
         ("broken_bonds", "NULL"),
         ("packing_index", "1"),
-        ("energy_error", "'text'"),
+        ("expected_error", "'text'"),
         ("retry", "CAST(x'ff00' AS TEXT)"),
         ("checksum", "NULL"),
         ("checksum", "'unchecked '"),
@@ -163,45 +161,3 @@ def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "R
             store.save_packing(records.packing(content_hash="another"), replace_state=True)
         store.save_packing(records.packing(content_hash="it"), replace_state=True)
         assert store.load_packing() == records.packing(content_hash="it")
-
-
-def test_rows_of_older_databases_get_marked_checksums(tmp_path: Path) -> None:
-    """An upgrade gives all rows checksums, which find later damage and are marked; read as it is nothing is checked."""
-    asset = Path(__file__).parent / "assets" / "schema_0004.db"
-    path = Path(shutil.copy(asset, tmp_path))
-    with open_stored_campaign(path) as campaign:
-        late = campaign.store.integrity().late
-        assert late == len(list(campaign.select()))
-    assert path.read_bytes() == asset.read_bytes()
-    open_store(path).close()
-    with open_stored_campaign(path) as campaign:
-        assert campaign.store.integrity().late == late
-        assert not campaign.store.integrity().cells
-        assert not campaign.store.integrity().others
-    with sqlite3.connect(path) as connection:
-        for table in ("result", "attempt", "packing", "run"):
-            found = connection.execute(f"SELECT checksum FROM {table}").fetchall()  # noqa: S608 - a constant
-            assert all(checksum.startswith(MIGRATED) for (checksum,) in found)
-    connection.close()
-    execute(path, change("result", "vs", "1000.0"))
-    with open_stored_campaign(path) as campaign:
-        assert campaign.cell(seed=1, content=5.0).status is CellStatus.DAMAGED
-        assert set(campaign.store.integrity().cells) == {BAD}
-
-
-@pytest.mark.parametrize(
-    ("upgraded", "column", "value"), [(False, "vs", "1000.0"), (True, "vs", "1000.0"), (True, "broken_bonds", "0")]
-)
-def test_rows_without_broken_bonds_keep_the_checksums_they_have(
-    tmp_path: Path, upgraded: bool, column: str, value: str
-) -> None:
-    """Those of schema 0006, read as it is or upgraded, find what is changed later, a number that was none included."""
-    path = Path(shutil.copy(Path(__file__).parent / "assets" / "schema_0006.db", tmp_path))
-    if upgraded:
-        open_store(path).close()
-    with open_stored_campaign(path) as campaign:
-        found = campaign.store.integrity()
-        assert (found.late, found.cells, found.others) == (0, {}, ())
-    execute(path, change("result", column, value))
-    with open_stored_campaign(path) as campaign:
-        assert set(campaign.store.integrity().cells) == {BAD}

@@ -1,11 +1,13 @@
 """Whether a stored campaign is the one it is taken for: refused where its cells could not be those of this program."""
 
 import json
+from datetime import UTC, datetime
 
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.records.canonical import canonical_json, config_difference
+from calcidem.storage.records.campaign import refuse_other_campaign
+from calcidem.storage.records.canonical import canonical_json
 
 DECIDED_BY_PHYSICS = (
     *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
@@ -15,9 +17,6 @@ DECIDED_BY_PHYSICS = (
     "broken_bonds",
 )
 """Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
-
-COUNTED_LATER = frozenset({"broken_bonds"})
-"""Those of them that cells of this physics version may lack, since they were computed before it was stored."""
 
 
 def physics_version(record: CampaignRecord) -> object:
@@ -37,15 +36,19 @@ def refuse_other_physics(record: CampaignRecord) -> None:
         )
 
 
+def record_of(configuration: Configuration) -> CampaignRecord:
+    """Return the campaign of a configuration as it is stored, without its plan."""
+    return CampaignRecord(
+        hash=configuration.hash,
+        name=configuration.campaign.name,
+        config=canonical_json(configuration.physics),
+        contents=(),
+        seeds=(),
+        created=datetime.now(UTC),
+    )
+
+
 def refuse_other_configuration(record: CampaignRecord, configuration: Configuration) -> None:
     """Raise `CampaignMismatchError` unless a stored campaign has the physics of a configuration."""
     refuse_other_physics(record)
-    if record.hash != configuration.hash:
-        differences = config_difference(record.config, canonical_json(configuration.physics))
-        raise CampaignMismatchError(
-            f"The stored campaign '{record.name}' has the hash {record.hash}, the configuration "
-            f"'{configuration.campaign.name}' has {configuration.hash} (stored -> configuration):\n  "
-            + "\n  ".join(differences or ["(none in the configurations' text)"])
-            + "\n",
-            "Give the configuration that the campaign was computed from; seeds and contents may differ.",
-        )
+    refuse_other_campaign(record, record_of(configuration))

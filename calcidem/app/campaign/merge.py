@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from calcidem.app.campaign.identity import COUNTED_LATER, DECIDED_BY_PHYSICS, physics_version
+from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, physics_version
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
-from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.records.canonical import config_difference
+from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection, Store
@@ -156,8 +155,7 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
         overruled += 0 < len(done) < len(found)
         quantities = zip(DECIDED_BY_PHYSICS, zip(*done.values(), strict=True), strict=False)
-        unknown = {name: {None} if name in COUNTED_LATER else set() for name in DECIDED_BY_PHYSICS}
-        if different := tuple(name for name, values in quantities if len(set(values) - unknown[name]) > 1):
+        if different := tuple(name for name, values in quantities if len(set(values)) > 1):
             conflicts.append(
                 Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
             )
@@ -195,14 +193,7 @@ def _refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
                 "Cells of two versions can't be in one campaign: compute those of one database again with the "
                 "calcidem of the other.",
             )
-        if record.hash != first.hash:
-            differences = config_difference(first.config, record.config) or ["(none in the configurations' text)"]
-            raise CampaignMismatchError(
-                f"The campaigns '{first.name}' and '{record.name}' have different configurations (first -> other):\n  "
-                + "\n  ".join(differences)
-                + "\n",
-                "Only campaigns of the same configuration can be merged; seeds and contents may differ.",
-            )
+        refuse_other_campaign(first, record)
 
 
 def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:

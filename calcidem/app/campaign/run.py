@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
-from calcidem.app.campaign.identity import refuse_other_physics
+from calcidem.app.campaign.identity import record_of, refuse_other_physics
 from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
@@ -21,8 +21,7 @@ from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import LeaseHeldError, StoreError
-from calcidem.storage.records import CampaignRecord, WorkerRecord
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.records import WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import LeaseGrant, Store
 from calcidem.sweep import (
@@ -181,22 +180,13 @@ class CampaignRun:
         path = parse_address(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - SQLAlchemy, which workers do not need
 
         store = open_store(configuration.database)
         try:
             for namesake in (found for found in store.campaigns() if found.name == configuration.campaign.name):
                 refuse_other_physics(namesake)
-            store.begin_campaign(
-                CampaignRecord(
-                    hash=configuration.hash,
-                    name=configuration.campaign.name,
-                    config=canonical_json(configuration.physics),
-                    contents=(),
-                    seeds=(),
-                    created=datetime.now(UTC),
-                )
-            )
+            store.begin_campaign(record_of(configuration))
             grant = _acquire_lease(store, tell, check)
         except BaseException:
             store.close()

@@ -7,7 +7,7 @@ import typer
 
 from calcidem.app.cli.terminal import printable
 
-ERRORS_OF_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
+_ERRORS_OF_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 """What the library for NetCDF, and who takes its answers, raise where bytes of a file are others."""
 
 
@@ -29,7 +29,7 @@ def import_command(
     with open_store(database) as store:
         try:
             campaign = import_netcdf(file, store, identify_packing)
-        except ERRORS_OF_DAMAGE as error:
+        except _ERRORS_OF_DAMAGE as error:
             cure = f"Export it again, and import it again: what {database} has got of it by now stays."
             raise DamagedStoreError(f"{file} is damaged ({type(error).__name__}: {error}).", cure) from error
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"

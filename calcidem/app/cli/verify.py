@@ -67,10 +67,7 @@ def _verify_integrity(database: str, campaign_name: str | None) -> None:
         typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
     for sentence in found.others:
         typer.echo(printable(sentence))
-    text = f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages."
-    if found.late:
-        text += f" {found.late} were stored by an earlier calcidem: damage from before its upgrade does not show."
-    typer.echo(text)
+    typer.echo(f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages.")
     if found.cells:
         typer.echo(f"'calcidem retry {database} --damaged' and 'calcidem run' make the damaged cells anew.")
     if found.others:

@@ -7,8 +7,7 @@ import math
 import os
 import tomllib
 import unicodedata
-import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +20,6 @@ from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
 from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
-    FORMER_KEYS,
     Bonding,
     Calibration,
     CampaignPlan,
@@ -145,7 +143,7 @@ def read_configuration(
             continue
         owner = {name: part for part, kind in parts.items() for name in field_hints(kind)}
         known = [name for name in owner if f"{section}.{name}" not in TAKEN_FROM_ELSEWHERE]
-        for key, value in _rename_former_keys(section, values, known, problems).items():
+        for key, value in values.items():
             if key not in known:
                 problems.append(_unknown_name(key, f"key of [{section}]", known, section))
             elif words := _impossible(value):
@@ -237,26 +235,6 @@ def _table_in(hint: Any) -> type["DataclassInstance"] | None:  # noqa: ANN401 - 
     if is_dataclass(hint) and isinstance(hint, type):
         return hint
     return next(filter(None, map(_table_in, get_args(hint))), None)
-
-
-def _rename_former_keys(
-    section: str, values: Mapping[str, Any], known: Collection[str], problems: list[Problem]
-) -> dict[str, Any]:
-    """Values by their present keys: a former one is warned of, and a problem if both are given."""
-    renamed = dict(values)
-    for former, present in FORMER_KEYS.items():
-        if former not in values or present not in known:
-            continue
-        value = renamed.pop(former)
-        if present in values:
-            problem = f"is the former name of {section}.{present}, which is given too; leave {former} out"
-            places = (f"{section}.{former}", f"{section}.{present}")
-            problems.append(Problem(f"{section}.{former} = {quote(value)}: {problem}", places))
-        else:
-            renamed[present] = value
-            message = f"{section}.{former} is now called {section}.{present}; rename the key in the configuration."
-            warnings.warn(message, FutureWarning, stacklevel=2)
-    return renamed
 
 
 def _impossible(value: object) -> str:

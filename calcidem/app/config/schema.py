@@ -41,14 +41,7 @@ _LONGEST_NAME = 200
 """Bytes: file systems take 255, and endings and the names of temporary files need some."""
 
 PHYSICS_VERSION = 3
-"""To be raised by whoever changes what the same configuration gives; part of the campaign's hash."""
-
-
-FORMER_KEYS = {"balance": "unbalanced_force_ratio"}
-"""Keys that have another name now: files may use them, and hashes and stored configurations keep them."""
-
-_LATER_KEYS = ("transmitter", "most_broken_bonds", "fewest_periods", "stations", "p_patch_diameter", "polarisation")
-"""Keys that campaigns did not have at first: hashes and stored configurations have them where they are no defaults."""
+"""To be raised by whoever changes what the same configuration gives, or a default; part of the campaign's hash."""
 
 
 def _is_file_name(name: str) -> bool:
@@ -398,20 +391,26 @@ class Configuration:
 
     @cached_property
     def hash(self) -> str:
-        """Identity of the campaign's physics: SHA-256 of `physics`, 64 hexadecimal digits."""
-        return canonical_hash(self.physics)
+        """Identity of the campaign's physics, 64 hexadecimal digits: SHA-256 of what departs from the defaults.
+
+        A key at its default is not hashed, so that a new key leaves the identity of all campaigns as it is. Keys that
+        only choose cells or machines are not part of `physics`, and never hashed.
+        """
+        return canonical_hash({"physics_version": PHYSICS_VERSION} | _departures(self.physics, Configuration().physics))
 
     @cached_property
     def packing_hash(self) -> str:
-        """Identity of the packing: hash of everything that it is made from.
+        """Identity of the packing: hash of everything that it is made from and that is not at its default."""
+        departures = _departures(self._packing_maker, Configuration()._packing_maker)  # noqa: SLF001 - the same class
+        return canonical_hash({"identity_of": "packing", "physics_version": PHYSICS_VERSION} | departures)
 
-        The friction of the sand is not part of it, since the packing is made with its own.
-        """
-        sand = replace(self.sand, friction=self.packing.friction_preparation)
-        origin = {"physics_version": PHYSICS_VERSION, "packing": self.packing_origin, "sand": _to_stored(sand)}
-        if self.packing_draw.file is None:  # disks from a file have nothing random
-            origin["root_seed"] = self.campaign.root_seed
-        return canonical_hash(origin)
+    @property
+    def _packing_maker(self) -> dict[str, Any]:
+        """What makes the packing. The friction of the sand does not, since the packing has its own."""
+        sand = _to_stored(replace(self.sand, friction=self.packing.friction_preparation))
+        maker = {"packing": self.packing_origin, "sand": sand}
+        # Disks from a file have nothing random.
+        return maker if self.packing_draw.file is not None else maker | {"root_seed": self.campaign.root_seed}
 
     @property
     def output(self) -> Path:
@@ -449,22 +448,23 @@ class Configuration:
         )
 
 
+def _departures(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys, at all levels, whose values are not those of the defaults."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        default = defaults.get(key)
+        departing = _departures(value, default) if isinstance(value, dict) and isinstance(default, dict) else value
+        if value != default:
+            found[key] = departing
+    return found
+
+
 def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
-    """Keys and values of a section as hashes and stored configurations have them, ready for JSON."""
-    values = asdict(section)
-    for added in fields(section):
-        if added.name in _LATER_KEYS and values[added.name] == added.default:
-            del values[added.name]
-    return {_stored_key(name): list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+    """Keys and values of a section as stored configurations have them, ready for JSON."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}
 
 
 def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
     """Make a section of what `_to_stored` gave; keys that are not its own are left alone."""
-    keys = {field.name: _stored_key(field.name) for field in fields(kind)}
-    values = {name: stored[key] for name, key in keys.items() if key in stored}
+    values = {field.name: stored[field.name] for field in fields(kind) if field.name in stored}
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
-
-
-def _stored_key(name: str) -> str:
-    """Key under which a field is stored: its first name for ever, or campaigns would change their identity."""
-    return next((former for former, present in FORMER_KEYS.items() if present == name), name)

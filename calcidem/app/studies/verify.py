@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.identity import COUNTED_LATER, DECIDED_BY_PHYSICS, refuse_other_physics
+from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, refuse_other_physics
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
@@ -168,7 +168,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     for name in (*DECIDED_BY_PHYSICS, "expected_error", "error_bound"):
         one, other = getattr(stored, name), getattr(computed, name)
         if one is None or other is None:
-            if one is not other and not (one is None and name in COUNTED_LATER):
+            if one is not other:
                 yield name, math.inf
         elif one != other:
             yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))

@@ -16,7 +16,7 @@ from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, 
 from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Store
 
-FORMAT_VERSION = 3
+LAYOUT = 1
 """Version of the layout of exported files."""
 
 _INDEX_NAMES = ("seed", "content")
@@ -132,11 +132,12 @@ def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]
         "source": f"discrete-element simulations by calcidem {_own_version()}",
         "history": f"{now} exported by calcidem {_own_version()}",
         "comment": "Groups hold what is not one number for each cell (packings, attempts, signals ...).",
-        "calcidem_format": FORMAT_VERSION,
+        "calcidem_layout": LAYOUT,
         "calcidem_campaign_name": campaign.name,
         "calcidem_campaign_hash": campaign.hash,
         "calcidem_created": campaign.created.isoformat(),
         "calcidem_config": campaign.config,
+        "calcidem_checksum": campaign.checksum,
         "calcidem_packing_content_hash": " ".join(found or "unknown" for found in store.content_hashes().values()),
         "calcidem_runs": json.dumps([_run_as_json(number, run) for number, run in store.runs()]),
     }

@@ -50,9 +50,6 @@ _PACKING_NUMBERS = {
     "seconds": ("s", "computing time"),
 }
 
-_FORMER_NAMES = {"mean_overlap": "mean_relative_overlap", "largest_overlap": "largest_relative_overlap"}
-"""Of numbers of a packing, in files of layout 1."""
-
 
 def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
     """Append columns of equal length along an unlimited dimension, creating what isn't there yet.
@@ -196,7 +193,7 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
     if "packings" not in file.groups:
         return
     group = file.groups["packings"]
-    columns = {_FORMER_NAMES.get(name, name): column for name, column in _read_columns(group, "packing").items()}
+    columns = _read_columns(group, "packing")
     grains, states = _slice_by_counts(columns["grain_count"]), _slice_by_counts(columns["state_byte_count"])
     for i, (of_grains, of_state) in enumerate(zip(grains, states, strict=True)):
         values: dict[str, Any] = {name: float(columns[name][i]) for name in _PACKING_NUMBERS}
@@ -204,7 +201,7 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
         yield PackingRecord(
             index=int(columns["index"][i]),
             hash=str(columns["hash"][i]),
-            content_hash=str(columns["content_hash"][i]) or None if "content_hash" in columns else None,
+            content_hash=str(columns["content_hash"][i]) or None,
             wall_stress=json.loads(columns["wall_stress"][i]),
             state=_read_columns(group, "state_byte", of_state)["state"].tobytes(),
             **values,
@@ -365,22 +362,7 @@ def open_signals(file: Group) -> CellArrays[Signal]:
     def build(cell: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Signal:
         return Signal(float(cell["sampling_interval"]), float(cell["start_time"]), **arrays)
 
-    signals = CellArrays(file, "signals", ("sample",), build)
-    if "time_step" in signals.cells:  # a file of layout 1
-        signals.cells |= _times_of_layout_1(file, signals.cells)
-    return signals
-
-
-def _times_of_layout_1(file: Group, cells: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Sampling interval and start time of signals in a file that has the interval only, by the name ``time_step``.
-
-    A sample is taken at the end of a step, at whose middle its velocity is (see the migration of the schema, v0004).
-    """
-    interval = cells["time_step"]
-    row, column = np.searchsorted(file["seed"][:], cells["seed"]), np.searchsorted(file["content"][:], cells["content"])
-    step = np.asarray(file["time_step"][:])[row, column]
-    start = (np.floor(interval / step + 0.5) - 0.5) * step
-    return {"sampling_interval": interval, "start_time": np.where(np.isnan(step), interval, start)}
+    return CellArrays(file, "signals", ("sample",), build)
 
 
 def open_cement(file: Group) -> CellArrays[CementPattern]:

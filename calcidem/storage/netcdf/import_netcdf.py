@@ -13,8 +13,14 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.errors import DamagedStoreError, ForeignDatabaseError, NewerSchemaError, StoreUnavailableError
-from calcidem.storage.netcdf.dataset import FORMAT_VERSION
+from calcidem.storage.errors import (
+    DamagedStoreError,
+    ForeignDatabaseError,
+    NewerSchemaError,
+    OlderSchemaError,
+    StoreUnavailableError,
+)
+from calcidem.storage.netcdf.dataset import LAYOUT
 from calcidem.storage.netcdf.groups import Group, open_cement, open_paths, open_signals, read_attempts, read_packings
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
@@ -31,15 +37,8 @@ from calcidem.storage.records import (
     WorkerRecord,
 )
 from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
 from calcidem.storage.store import Store
-
-_LAYOUTS = (1, 2, FORMAT_VERSION)
-"""That can be read; earlier ones have other names, here and in `calcidem.storage.netcdf.groups`."""
-
-_FORMER_QUANTITIES = {"error_bound": "error_estimate"}
-"""Of quantities, in files of the layouts 1 and 2."""
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
@@ -78,8 +77,8 @@ def import_netcdf(
         If the file can't be read as NetCDF.
     ForeignDatabaseError
         If calcidem didn't write it.
-    NewerSchemaError
-        If a later calcidem did, in another layout.
+    OlderSchemaError, NewerSchemaError
+        If an earlier or a later calcidem did, in another layout.
     DamagedStoreError
         If its configuration is not the one that its hash was made of, or cells have a packing that it lacks, or
         reading it does not come to an end.
@@ -95,7 +94,11 @@ def import_netcdf(
             seeds=(),
             created=datetime.fromisoformat(file.calcidem_created),
         )
-        _check_hash(path, campaign)
+        if campaign.checksum != file.calcidem_checksum:
+            raise DamagedStoreError(
+                f"{path}: its configuration, or the hash {campaign.hash} of its cells, is not what was exported.",
+                _CURE_OF_CHANGE,
+            )
         packings = [identify(packing) for packing in read_packings(file)]
         _check_packings_of_cells(path, file, packings)
         name = store.begin_campaign(campaign).name
@@ -118,29 +121,20 @@ def _open(path: Path) -> Group:
     except OSError as error:
         raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
-    layout = getattr(file, "calcidem_format", None)
-    if layout in _LAYOUTS:
+    layout, former = getattr(file, "calcidem_layout", None), getattr(file, "calcidem_format", None)
+    if layout == LAYOUT:
         return file
     file.close()
+    if former is not None:
+        raise OlderSchemaError(
+            f"{path} was exported by calcidem 0.1.0 or earlier, whose layout this calcidem does not read.",
+            "Use that version, or compute the campaign anew.",
+        )
     if layout is None:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
     raise NewerSchemaError(
-        f"{path} has layout {layout}; this calcidem reads {FORMAT_VERSION} and before.",
-        "Use the calcidem that wrote it, or a later one.",
+        f"{path} has layout {layout}; this calcidem reads {LAYOUT}.", "Use the calcidem that wrote it, or a later one."
     )
-
-
-def _check_hash(path: str | os.PathLike[str], campaign: CampaignRecord) -> None:
-    try:
-        found = canonical_hash(json.loads(campaign.config))
-    except ValueError as error:
-        raise DamagedStoreError(f"{path}: its configuration is no JSON text ({error}).", _CURE_OF_CHANGE) from error
-    if found != campaign.hash:
-        raise DamagedStoreError(
-            f"{path}: its configuration has the hash {found}, but its cells were computed with the one of hash "
-            f"{campaign.hash}.",
-            _CURE_OF_CHANGE,
-        )
 
 
 def _check_packings_of_cells(path: str | os.PathLike[str], file: Group, packings: Sequence[PackingRecord]) -> None:
@@ -183,7 +177,7 @@ def _run_from_json(values: dict[str, Any]) -> RunRecord:
     for name in ("started", "ended"):
         if values[name] is not None:
             values[name] = datetime.fromisoformat(values[name])
-    workers = tuple(WorkerRecord(**worker) for worker in values.pop("workers", ()))  # earlier files have none
+    workers = tuple(WorkerRecord(**worker) for worker in values.pop("workers"))
     return RunRecord(**values, workers=workers)
 
 
@@ -191,14 +185,13 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
     paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
-    # Files of earlier versions lack the quantities that were added since.
-    present = {
-        name: file.variables.get(name, file.variables.get(_FORMER_QUANTITIES.get(name))) for name in _VALUE_NAMES
-    }
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         columns = {
-            name: _python_values(name, variable[rows]) for name, variable in present.items() if variable is not None
+            # A file of an earlier physics version lacks the quantities that were added since.
+            name: _python_values(name, file[name][rows])
+            for name in _VALUE_NAMES
+            if name in file.variables
         }
         for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])

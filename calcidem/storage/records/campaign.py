@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
+from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.records.cell import canonical_content, checked_seed
 
 
@@ -111,11 +113,11 @@ class CampaignRecord:
     Attributes
     ----------
     hash : str
-        Hash of everything that changes the physics (`calcidem.storage.records.canonical.canonical_hash`).
+        Identity of the physics, as its maker computes it.
     name : str
         Unique name within the store.
     config : str
-        The hashed configuration as canonical JSON text (`calcidem.storage.records.canonical.canonical_json`).
+        The whole physical configuration as canonical JSON text (`calcidem.storage.records.canonical.canonical_json`).
     contents : tuple of float
         Planned contents [%], ascending.
     seeds : tuple of int
@@ -139,6 +141,30 @@ class CampaignRecord:
         object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
         object.__setattr__(self, "seeds", tuple(sorted({checked_seed(s) for s in self.seeds})))
         object.__setattr__(self, "created", as_utc(self.created))
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of hash and configuration, which belong together: 64 hexadecimal digits."""
+        return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()
+
+
+def refuse_other_campaign(stored: CampaignRecord, given: CampaignRecord) -> None:
+    """Raise `CampaignMismatchError`, which lists the differences, unless two records are of one campaign.
+
+    Two of one hash may each have keys that the other lacks: keys at their defaults are not hashed. A key that both have
+    must have one value, which finds a default that was changed without another version of the physics.
+    """
+    is_same_hash = stored.hash == given.hash
+    differences = config_difference(stored.config, given.config, shared_only=is_same_hash)
+    if is_same_hash and not differences:
+        return
+    lines = "\n  ".join(differences or ["(none in the configurations' text)"])
+    raise CampaignMismatchError(
+        f"The stored campaign '{stored.name}' with the hash {stored.hash} has another configuration than "
+        f"'{given.name}' with the hash {given.hash} (stored -> given):\n  {lines}\n",
+        "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and contents "
+        "may differ.",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,14 @@ def canonical_hash(config: Mapping[str, Any]) -> str:
     return hashlib.sha256(canonical_json(config).encode()).hexdigest()
 
 
-def config_difference(stored: str, given: str) -> list[str]:
+def config_difference(stored: str, given: str, *, shared_only: bool = False) -> list[str]:
     """List what differs between two configurations in JSON text.
+
+    Parameters
+    ----------
+    stored, given : str
+    shared_only : bool
+        Whether keys that only one of the two has are left out.
 
     Returns
     -------
@@ -35,16 +41,14 @@ def config_difference(stored: str, given: str) -> list[str]:
     >>> config_difference('{"packing": {"friction": 0.2}}', '{"packing": {"friction": 0.5}}')
     ['packing.friction: 0.2 -> 0.5']
     """
-    before, after = (
-        {key: json.dumps(value, ensure_ascii=False) for key, value in flat_parameters(json.loads(text)).items()}
-        for text in (stored, given)
-    )
-    absent = "(not there)"
-    return [
-        f"{key}: {before.get(key, absent)} -> {after.get(key, absent)}"
-        for key in sorted(before.keys() | after.keys())
-        if before.get(key, absent) != after.get(key, absent)
-    ]
+    before, after = (flat_parameters(json.loads(text)) for text in (stored, given))
+    shared, all_keys = before.keys() & after.keys(), before.keys() | after.keys()
+    differing = {key for key in shared if before[key] != after[key]} | (set() if shared_only else all_keys - shared)
+
+    def shown(values: Mapping[str, Any], key: str) -> str:
+        return json.dumps(values[key], ensure_ascii=False) if key in values else "(not there)"
+
+    return [f"{key}: {shown(before, key)} -> {shown(after, key)}" for key in sorted(differing)]
 
 
 def flat_parameters(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

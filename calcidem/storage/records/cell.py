@@ -131,9 +131,6 @@ class CellResult:
         Step and the limit it was taken from [s].
     steps : int or None
         Steps made.
-    energy_error : float or None
-        Largest error of the energy balance relative to the energy put in; None for waves, which keep no account of
-        energies.
     expected_error, error_bound : float or None
         Numerical error that `vs` is expected to have, and one that it hardly exceeds, both relative.
     static_speed : float or None
@@ -183,7 +180,6 @@ class CellResult:
     time_step: float | None = None
     stability_limit: float | None = None
     steps: int | None = None
-    energy_error: float | None = None
     expected_error: float | None = None
     error_bound: float | None = None
     static_speed: float | None = None

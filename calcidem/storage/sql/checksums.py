@@ -6,41 +6,28 @@ the rest being read. A checksum finds damage; it does not protect from somebody 
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from hashlib import blake2b
 from typing import Any
 
-from sqlalchemy import Connection, Double, Select, and_, bindparam, select, update
+from sqlalchemy import Double
 
 from calcidem.storage.sql.models import (
-    AttemptRow,
     Base,
-    CellRow,
     CementRow,
     GraphRow,
-    PackingRow,
     PathRow,
     ResultRow,
-    RunRow,
     SignalRow,
 )
 
 PARTS: tuple[type[Base], ...] = (PathRow, GraphRow, SignalRow, CementRow)
 """Tables with the rows that may be beside an outcome."""
 
-UNCHECKED = "unchecked"
-"""In the place of the checksum in a database of a former schema that is read as it is."""
-
-MIGRATED = "migrated"
-"""Begins the checksums of rows that were stored without: they got theirs when the database was upgraded."""
-
 _NOT_COVERED = {"id", "campaign_id", "cell_id", "forgiven", "checksum"}
 """Numbers that are the database's own, and what changes: whether an attempt was forgiven."""
-
-_ROWS_AT_ONCE = 200
-"""Rows that are in memory at a time, with their arrays, while a database is upgraded."""
 
 
 def _plain(value: object) -> object:
@@ -66,11 +53,11 @@ def _row_checksum(model: type[Base], owner: Sequence[object], values: Iterable[o
     values : iterable
         In the order of `covered_columns`.
     """
-    # Not every database keeps the sign of a zero.
-    plain = [value + 0.0 if type(value) is float else value for value in values]
-    if model is ResultRow and plain[-1] is None:
-        del plain[-1]  # the schema 0006 did not have the column, and its rows keep their checksums
-    return blake2b(_encode([model.__tablename__, *owner, *plain]).encode(), digest_size=8).hexdigest()
+    # Not every database keeps the sign of a zero. What is missing is left out, so that a column that is added to the
+    # table leaves the checksums of its rows as they are.
+    named = zip(covered_columns(model), values, strict=True)
+    plain = {name: value + 0.0 if type(value) is float else value for name, value in named if value is not None}
+    return blake2b(_encode([model.__tablename__, *owner, plain]).encode(), digest_size=8).hexdigest()
 
 
 @cache
@@ -108,11 +95,9 @@ def result_checksum(owner: Sequence[object], columns: Mapping[Any, Any], parts: 
 
 def is_intact(model: type[Base], owner: Sequence[object], values: Iterable[object], checksum: object) -> bool:
     """Whether a row is what was stored; `values` as for `_row_checksum`, `checksum` as the row has it."""
-    if checksum == UNCHECKED:
-        return True
     if not isinstance(checksum, str):
         return False
-    own, _, parts = checksum.removeprefix(f"{MIGRATED} ").partition(" ")
+    own, _, parts = checksum.partition(" ")
     return own == _row_checksum(model, (*owner, parts) if model is ResultRow else owner, values)
 
 
@@ -128,52 +113,6 @@ def is_intact_part(model: type[Base], owner: Sequence[object], values: Sequence[
     checksum : str
         Of the outcome, which is intact.
     """
-    if checksum == UNCHECKED:
-        return True
-    words = checksum.removeprefix(f"{MIGRATED} ").split(" ")[1:]
+    words = checksum.split(" ")[1:]
     expected = dict(word.split(":") for word in words).get(model.__tablename__)
     return expected == (None if values is None else _row_checksum(model, owner, values))
-
-
-def seal_former_rows(connection: Connection) -> None:
-    """Give all rows of a database that was just upgraded their checksums, marked as `MIGRATED`."""
-    for model in (PackingRow, RunRow):
-        statement = select(model.__table__)
-        _seal(connection, model, ("id",), statement, lambda row, model=model: checksum_of(model, (), row))  # type: ignore[misc]
-    keys = CellRow.seed, CellRow.content
-    attempts = select(AttemptRow.__table__, *keys).join(CellRow, CellRow.id == AttemptRow.cell_id)
-    _seal(
-        *(connection, AttemptRow, ("cell_id", "number"), attempts),
-        lambda row: checksum_of(AttemptRow, (row["seed"], row["content"]), row),
-    )
-    results = select(ResultRow.__table__, *keys).join(CellRow, CellRow.id == ResultRow.cell_id)
-
-    def with_parts(row: Mapping[Any, Any]) -> str:
-        columns: dict[str, Mapping[Any, Any]] = {}
-        for model in PARTS:
-            table = model.__table__
-            part = connection.execute(select(table).where(table.c.cell_id == row["cell_id"])).mappings().first()
-            if part is not None:
-                columns[model.__tablename__] = part
-        owner = (row["seed"], row["content"])
-        return result_checksum(owner, row, parts_text(owner, columns))
-
-    _seal(connection, ResultRow, ("cell_id",), results, with_parts)
-
-
-def _seal(
-    connection: Connection,
-    model: type[Base],
-    key: tuple[str, ...],
-    statement: Select[*tuple[Any, ...]],
-    checksum: Callable[[Mapping[Any, Any]], str],
-) -> None:
-    """Store a checksum for each row that a statement gives; the key's columns tell the rows apart."""
-    table = model.__table__
-    is_row = and_(*(table.c[name] == bindparam(f"_{name}") for name in key))
-    change = update(table).where(is_row).values(checksum=bindparam("_checksum"))  # type: ignore[arg-type]  # it is a table
-    for rows in connection.execute(statement).mappings().partitions(_ROWS_AT_ONCE):
-        values = [
-            {f"_{name}": row[name] for name in key} | {"_checksum": f"{MIGRATED} {checksum(row)}"} for row in rows
-        ]
-        connection.execute(change, values)

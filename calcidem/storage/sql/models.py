@@ -28,7 +28,6 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
-from calcidem.storage.sql.migrations.new_columns import BROKEN_BONDS, NEW_COLUMNS
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
@@ -107,6 +106,7 @@ class CampaignRow(Base):
     name: Mapped[str] = mapped_column(unique=True)
     config: Mapped[str]
     created: Mapped[datetime]
+    checksum: Mapped[str | None]
 
 
 class LeaseRow(Base):
@@ -234,11 +234,10 @@ class ResultRow(Base):
             "status <> 'done' OR (" + " AND ".join(f"{c} IS NOT NULL" for c in NUMERICS_OF_DONE) + ")",
             name="done_has_numerics",
         ),
-        *(_check_positive(column) for column in POSITIVE_COLUMNS if column not in NEW_COLUMNS),
-        *(_check_not_negative(c) for c in COUNT_COLUMNS if c not in {"seconds", "rank", *NEW_COLUMNS, BROKEN_BONDS}),
+        *(_check_positive(column) for column in POSITIVE_COLUMNS),
+        *(_check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
         *(_check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
-        _check_finite("energy_error"),
-        _check_finite("error_bound", "error_estimate"),
+        _check_finite("error_bound"),
         Index(None, "status", "vs"),
     )
 
@@ -254,24 +253,23 @@ class ResultRow(Base):
     quality_first_arrival: Mapped[float | None]
     quality_cross_correlation: Mapped[float | None]
     frequency: Mapped[float | None]
-    distance: Mapped[float | None] = mapped_column(_check_positive("distance"))
-    wavelengths_on_path: Mapped[float | None] = mapped_column(_check_positive("wavelengths_on_path"))
-    wavelength_over_d50: Mapped[float | None] = mapped_column(_check_positive("wavelength_over_d50"))
+    distance: Mapped[float | None]
+    wavelengths_on_path: Mapped[float | None]
+    wavelength_over_d50: Mapped[float | None]
     time_step: Mapped[float | None]
     stability_limit: Mapped[float | None]
     steps: Mapped[int | None] = mapped_column(BigInteger)
-    energy_error: Mapped[float | None]
-    expected_error: Mapped[float | None] = mapped_column(_check_not_negative("expected_error"))
+    expected_error: Mapped[float | None]
     error_bound: Mapped[float | None]
-    static_speed: Mapped[float | None] = mapped_column(_check_positive("static_speed"))
+    static_speed: Mapped[float | None]
     content_reached: Mapped[float | None]
-    content_of_contacts: Mapped[float | None] = mapped_column(_check_not_negative("content_of_contacts"))
+    content_of_contacts: Mapped[float | None]
     p_contacts: Mapped[int | None]
     c_contacts: Mapped[int | None]
     clusters: Mapped[int | None]
     bonded_contacts: Mapped[int | None]
     retry: Mapped[str | None]
-    broken_bonds: Mapped[int | None] = mapped_column(_check_not_negative(BROKEN_BONDS))
+    broken_bonds: Mapped[int | None]
     checksum: Mapped[str | None]
 
 

@@ -82,7 +82,6 @@ QUANTITIES = (
         ("time_step", "s", "time step"),
         ("stability_limit", "s", "largest stable time step"),
         ("steps", "1", "number of time steps"),
-        ("energy_error", "1", "largest relative error of the energy balance"),
         ("expected_error", "1", "expected relative numerical error of vs"),
         ("error_bound", "1", "bound of the relative numerical error of vs"),
         ("static_speed", "m s-1", "velocity of long shear waves by statics"),

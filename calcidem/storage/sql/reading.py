@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from hashlib import sha256
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -16,7 +15,6 @@ from sqlalchemy import (
     and_,
     case,
     func,
-    or_,
     select,
     tuple_,
 )
@@ -34,7 +32,7 @@ from calcidem.storage.records import (
     checked_seed,
 )
 from calcidem.storage.sql import rows
-from calcidem.storage.sql.checksums import MIGRATED, UNCHECKED, covered_columns
+from calcidem.storage.sql.checksums import covered_columns
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     LOST,
@@ -286,13 +284,6 @@ def other_damage(session: Session, campaign_id: int) -> list[str]:
     return sentences
 
 
-def count_late_checksums(session: Session, campaign_id: int) -> int:
-    """Outcomes of a campaign whose checksums were computed long after they had been stored, or not at all."""
-    is_late = or_(ResultRow.checksum.startswith(MIGRATED), ResultRow.checksum == UNCHECKED)
-    statement = select(func.count()).select_from(ResultRow).join(CellRow, CellRow.id == ResultRow.cell_id)
-    return session.scalar(statement.where(CellRow.campaign_id == campaign_id, is_late)) or 0
-
-
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
     losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
@@ -342,12 +333,7 @@ def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
         found = session.scalars(select(column).where(CellRow.campaign_id == row.id).distinct()).all()
         return tuple(value for value in found if _is_possible(is_one, value))
 
-    if sha256(row.config.encode()).hexdigest() != row.hash:
-        raise DamagedStoreError(
-            f"The stored configuration of campaign '{row.name}' is not the one of its hash {row.hash[:12]}.",
-            "Its cells can't be told from those of another campaign: import an exported file into a new database.",
-        )
-    return CampaignRecord(
+    record = CampaignRecord(
         hash=row.hash,
         name=row.name,
         config=row.config,
@@ -355,3 +341,10 @@ def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
         seeds=planned(CellRow.seed, checked_seed),
         created=row.created,
     )
+    if record.checksum != row.checksum:
+        raise DamagedStoreError(
+            f"The configuration of campaign '{row.name}', or its hash {row.hash[:12]}, was changed after it had been "
+            "stored.",
+            "Its cells can't be told from those of another campaign: import an exported file into a new database.",
+        )
+    return record

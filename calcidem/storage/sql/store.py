@@ -38,13 +38,12 @@ from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import (
     Address,
     bring_log_into_file,
-    execute_on_connect,
     make_engine,
     parse_address,
     transaction,
 )
 from calcidem.storage.sql.models import CampaignRow, LeaseRow, PackingRow, RunRow
-from calcidem.storage.sql.schema import prepare_reading, prepare_schema, read_revision
+from calcidem.storage.sql.schema import is_empty, prepare_schema
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
 
 _CHECKPOINT_INTERVAL = 10.0
@@ -54,19 +53,19 @@ _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellS
 
 
 def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "SqlStore":
-    """Open a store, creating or upgrading its database unless `read_only`.
+    """Open a store, creating its database unless `read_only`.
 
     Parameters
     ----------
     path_or_url : str or path
         File of a SQLite database, or an URL such as ``postgresql://user@host/database``.
     read_only : bool
-        Refuse every write, and neither create nor upgrade.
+        Refuse every write, and create nothing.
 
     Raises
     ------
     StoreError
-        `ForeignDatabaseError`, `NewerSchemaError`, `OlderSchemaError` (read-only), `StoreUnavailableError`,
+        `ForeignDatabaseError`, `NewerSchemaError`, `OlderSchemaError`, `StoreUnavailableError`,
         `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left
         as it was.
     """
@@ -94,15 +93,9 @@ class SqlStore(Store):
         if not read_only:
             _look_before_writing(address)
         self._engine = make_engine(address, read_only=read_only)
-        statements: tuple[str, ...] = ()
         try:
             with transaction(self._engine, address, write=not read_only) as session:
-                if read_only:
-                    statements = prepare_reading(session.connection(), address)
-                else:
-                    prepare_schema(session.connection(), address)
-            if statements:
-                execute_on_connect(self._engine, statements)
+                prepare_schema(session.connection(), address, read_only=read_only)
             self._file = None if address.path is None else address.path.stat()
         except BaseException:
             self._engine.dispose()
@@ -389,8 +382,7 @@ class SqlStore(Store):
             others += reading.other_damage(session, self._campaign)
             lost = None if noted is None else noted.describe_loss(session)
             others += [] if lost is None else [lost]
-            late = reading.count_late_checksums(session, self._campaign)
-        return Integrity(damaged, tuple(others), late)
+        return Integrity(damaged, tuple(others))
 
     @override
     def table(
@@ -430,12 +422,12 @@ def _check_file(address: Address, *, read_only: bool) -> None:
 
 
 def _look_before_writing(address: Address) -> None:
-    """Refuse a foreign or newer file before a writing connection changes it by setting the journal mode."""
+    """Refuse a file of another program before a writing connection changes it by setting the journal mode."""
     if address.path is None or not address.path.exists() or address.path.stat().st_size == 0:
         return
     engine = make_engine(address, read_only=True)
     try:
         with transaction(engine, address, write=False) as session:
-            read_revision(session.connection(), address)
+            is_empty(session.connection(), address)
     finally:
         engine.dispose()

@@ -5,10 +5,10 @@ from datetime import UTC, datetime
 from itertools import product
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, and_, delete, insert, select, tuple_, update
+from sqlalchemy import ColumnElement, and_, delete, insert, or_, select, tuple_, update
 from sqlalchemy.orm import Session
 
-from calcidem.storage.errors import CampaignMismatchError, UnknownCellError
+from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import (
     AttemptCount,
     AttemptRecord,
@@ -19,8 +19,7 @@ from calcidem.storage.records import (
     PackedResult,
     PackingRecord,
 )
-from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.records.canonical import config_difference
+from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql import rows
 from calcidem.storage.sql.checksums import PARTS, checksum_of, covered_columns
 from calcidem.storage.sql.models import (
@@ -32,7 +31,7 @@ from calcidem.storage.sql.models import (
     PackingRow,
     ResultRow,
 )
-from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, attempts_of, cell_in, chunks
+from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, attempts_of, campaign_record, cell_in, chunks
 
 _TABLES_OF_CELLS: tuple[type[Base], ...] = (*PARTS, ResultRow)
 
@@ -43,21 +42,20 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
     Raises
     ------
     CampaignMismatchError
-        If the name belongs to another hash.
+        If the name belongs to another hash, or the hash to other values.
     """
-    row = session.scalar(select(CampaignRow).where(CampaignRow.hash == campaign.hash))
-    if row is not None:
+    is_it = or_(CampaignRow.hash == campaign.hash, CampaignRow.name == campaign.name)
+    found = session.scalars(select(CampaignRow).where(is_it)).all()
+    for row in sorted(found, key=lambda row: row.hash != campaign.hash):
+        refuse_other_campaign(campaign_record(session, row), campaign)
         return row
-    namesake = session.scalar(select(CampaignRow).where(CampaignRow.name == campaign.name))
-    if namesake is not None:
-        differences = config_difference(namesake.config, campaign.config) or ["(none in the configuration's text)"]
-        raise CampaignMismatchError(
-            f"The stored campaign '{campaign.name}' has another configuration (stored -> given):\n  "
-            + "\n  ".join(differences)
-            + "\n",
-            "Give the old values to continue it, or a new database or campaign name for the new ones.",
-        )
-    row = CampaignRow(hash=campaign.hash, name=campaign.name, config=campaign.config, created=campaign.created)
+    row = CampaignRow(
+        hash=campaign.hash,
+        name=campaign.name,
+        config=campaign.config,
+        created=campaign.created,
+        checksum=campaign.checksum,
+    )
     session.add(row)
     session.flush()
     return row

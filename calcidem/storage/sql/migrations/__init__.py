@@ -1,1 +1,0 @@
-"""Alembic migrations of the schema, shipped with the package; `calcidem.storage.sql.schema` runs them."""
