@@ -14,7 +14,7 @@ PACKAGE = ROOT / "calcidem"
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "duplicate_names.py"))
 MODULES = sorted(PACKAGE.rglob("*.py"))
 MOST_DUPLICATES = 14
-MOST_LINES = 5_500
+MOST_LINES = 5_700
 """Of a room: a larger one has something in it that wants a room of its own."""
 
 TESTS_STILL_COUNT = (

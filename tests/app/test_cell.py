@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from calcidem.app.campaign.task import cell_computation
+from calcidem.app.campaign.task import CellComputation
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.static_speed import static_speed
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 def computed(configuration: Configuration, packing: Packing, seed: int, content: float) -> dict[str, Any]:
     """Compute one cell as a worker does; return the numbers that it sends."""
     batch: Batch[Cell] = Batch(0, ((seed, content),))
-    (result,) = cell_computation(configuration, packing)(batch, lambda: None)
+    (result,) = CellComputation(configuration, packing)(batch, lambda: None)
     return result.columns["result"]
 
 

@@ -236,7 +236,7 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> Non
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
     # A small packing first: compiling its kernels is the one thing that no signal interrupts.
     (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.02\nheight = 0.03\n")
-    workshop.run("packing", "small.toml")
+    workshop.run("run", "small.toml", "--packing-only")
     process = workshop.start("run", "c.toml", "--ranks", "2")
     assert process.stdout is not None
     assert any("being made" in line for line in process.stdout)

@@ -18,7 +18,7 @@ _BLOCK = 1 << 20
 _ERRORS_OF_DAMAGE = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
 
-def _main(path: str, seconds: float, amount: str) -> None:
+def _read_all(path: str, seconds: float, amount: str) -> None:
     """Open the file and read it; a thread of Python's own, which needs no lock, ends the process if that hangs."""
     faulthandler.dump_traceback_later(seconds, exit=True)
     with suppress(*_ERRORS_OF_DAMAGE), netCDF4.Dataset(path, "r") as file:
@@ -40,4 +40,4 @@ def _read(group: Any, seconds: float) -> None:  # noqa: ANN401 - the library has
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1], float(sys.argv[2]), sys.argv[3])
+    _read_all(sys.argv[1], float(sys.argv[2]), sys.argv[3])

@@ -22,8 +22,8 @@ OWN_TOLERANCE = 0.02
 """Relative error above which a run is wrong: at the limit the energy of a leapfrog swings by some percent."""
 _GREATEST = 1.0e-3  # radius of the largest disks, m
 _LOOK = 25  # steps between two looks at the energy
-_STEPS = 1500  # of a run; those that wait for something go on for up to `_PATIENCE` times as long
-_PATIENCE = 40
+_STEPS = 1500  # of a run; those that wait for something go on for up to `_TIMES_LONGER` times as long
+_TIMES_LONGER = 40
 _FASTEST_THROWN = 10.0  # m/s: by Hertz's law, disks ten times as fast sink into a wall by more than their radius
 _AT_REST = 1e-4  # unbalanced-force ratio at which a lid must bear its target
 _OWN_RANGES = {
@@ -114,7 +114,7 @@ def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Fl
 
 def _watch_energies(state: State, ended: Callable[[State], bool] | None = None) -> tuple[State, float]:
     """Advance a state; return what it became, and its largest energy error over the largest energy."""
-    steps = _STEPS if ended is None else _STEPS * _PATIENCE
+    steps = _STEPS if ended is None else _STEPS * _TIMES_LONGER
     begin, turned, worst = energies(state).imbalance, 0.0, 0.0
     for _ in range(steps // _LOOK):
         state = advance(state, _LOOK)
