@@ -182,7 +182,7 @@ class _Examiner:
         if known:
             return (min(known), max(known)), f"the {pluralize(len(known), 'readable seed')} of this content"
         try:
-            speed = static_speed(experiment, experiment.ordering(key.seed).at(key.content).bonded)
+            speed = static_speed(experiment, experiment.ordering(key.seed).at(key.content).bonded).speed
         except (ValueError, SettlingError):
             return None, ""
         return (_SLOWED * speed, speed), f"the stiffness of the sample at rest ({speed:.0f} m/s for long waves)"

@@ -20,6 +20,7 @@ from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
@@ -27,7 +28,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.pick import Reading
 from calcidem.dem.wave.recorder import WaveRecord
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
@@ -78,7 +79,7 @@ class CellComputation:
         results = [cell_result(measurement, experiment, run.store_signals, self._graph) for measurement in measurements]
         if run.static_speed:
             results = [
-                replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
+                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
         return tuple(map(pack_result, results))
@@ -129,6 +130,12 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
             for compile_kernel in compilations:
                 compile_kernel()
     return CellComputation(configuration, packing)
+
+
+def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
+    """Static speed of a sample, m/s; None where its inner part does not tell it."""
+    found = static_speed(experiment, bonded)
+    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
 
 def cell_result(
