@@ -17,7 +17,7 @@ from calcidem.dem.engine.readout import (
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import contact_springs
+from calcidem.dem.engine.statics import _contact_springs
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import (
     WALL_NAMES,
@@ -148,7 +148,7 @@ def test_the_step_of_scaled_densities_is_stable_and_long(small: Packing) -> None
     state = rebuilt(small, SMALL)
     depths = overlaps(state), wall_overlaps(state)
     grains, (limit,) = scaled_densities(state.scene, state.assembly, state.features, *depths, 0.35)
-    springs, stiffness = contact_springs(state, 0)
+    springs, stiffness = _contact_springs(state, 0)
     inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia * grains.radius**2])
     modes = np.sqrt(stiffness)[:, None] * springs.toarray() * np.sqrt(inverse.ravel())
     assert 0.5 < limit * np.linalg.norm(modes, 2) / 2.0 <= 1.0
