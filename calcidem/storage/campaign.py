@@ -11,6 +11,7 @@ import xarray as xr
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.netcdf.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.records import (
+    QUANTITY_BY_NAME,
     AttemptRecord,
     CampaignRecord,
     CellKey,
@@ -21,7 +22,6 @@ from calcidem.storage.records import (
     Signal,
     canonical_content,
 )
-from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Closable, Selection, Store
 
@@ -131,7 +131,7 @@ class StoredCampaign(Closable):
         """
         import pandas as pd  # noqa: PLC0415 - takes half a second to import, and few callers need it
 
-        names = [quantity.name for quantity in QUANTITIES] if columns is None else list(columns)
+        names = list(QUANTITY_BY_NAME) if columns is None else list(columns)
         frame = pd.DataFrame(self.store.table(names, _selection(content, seed, status, where)))
         # Int64 with a capital is the type of pandas for whole numbers some of which are missing.
         return frame.astype({name: "Int64" for name in names if QUANTITY_BY_NAME[name].kind == "whole"})
@@ -155,7 +155,7 @@ class StoredCampaign(Closable):
         status : str or collection of str, optional
             Such as ``"done"``.
         where : str, optional
-            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.sql.quantities.QUANTITIES`.
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
         with_arrays : bool
             Whether the records bring signals and cement patterns along.
 
