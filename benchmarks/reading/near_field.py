@@ -47,7 +47,9 @@ def main() -> None:
     for content in _CONTENTS:
         usual = measure_all(experiment, content, _SEEDS)
         velocity = np.array([cell.vs or np.nan for cell in usual])
-        static = np.array([static_speed(experiment, experiment.ordering(seed).at(content).bonded) for seed in _SEEDS])
+        static = np.array(
+            [static_speed(experiment, experiment.ordering(seed).at(content).bonded).speed for seed in _SEEDS]
+        )
         for way in _WAYS:
             frequency = way * np.nanmedian(velocity) / experiment.distance
             slower = replace(experiment, frequencies=((0.0, 100.0), (frequency, frequency)))

@@ -163,6 +163,7 @@ def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: E
     assert (found[1e-1, "finite"].worst or 0.0) > 0.01
 
 
+@pytest.mark.full
 def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Experiment) -> None:
     """What is left unbalanced moves Vs the less the smaller it is, with the cement at the same contacts."""
 

@@ -135,7 +135,7 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
 def test_the_packing_can_be_made_alone(workshop: "Workshop") -> None:
     """`packing` reports on the packing and makes no database."""
     workshop.configure()
-    done = workshop.run("packing", "c.toml")
+    done = workshop.run("run", "c.toml", "--packing-only")
     assert done.code == 0, done.errors
     assert "porosity" in done.output
     assert not workshop.database.exists()

@@ -25,6 +25,9 @@ _OUTCOMES_AT_ONCE = 200
 _MOST_CONFLICTS = 10
 """Conflicts that are named one by one; more are only counted."""
 
+_MOST_RANGES = 8
+"""Ranges of seeds that are named of a content with pending cells."""
+
 _Values: TypeAlias = tuple[float | None, ...] | None
 """`EXACT_QUANTITIES` of a done cell, None for one that is not done."""
 
@@ -61,8 +64,10 @@ class Merged:
 
     Attributes
     ----------
-    planned, settled
-        Cells of the merged campaign, and those of them with an outcome.
+    settled
+        Number of cells with an outcome.
+    missing
+        Cells that are planned and have none.
     taken
         Outcomes taken from each source.
     shared
@@ -73,8 +78,8 @@ class Merged:
         Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
     """
 
-    planned: int
     settled: int
+    missing: tuple[CellKey, ...]
     taken: tuple[int, ...]
     shared: int
     overruled: int
@@ -137,6 +142,19 @@ def conflict_lines(merged: Merged, sources: list[str]) -> list[str]:
     return [*lines, f"  and {more} more"] if more > 0 else lines
 
 
+def missing_lines(merged: Merged) -> list[str]:
+    """One line for each content that has pending cells, with their seeds as ranges."""
+    lines = []
+    for content in sorted({key.content for key in merged.missing}):
+        seeds = [key.seed for key in merged.missing if key.content == content]
+        begins = [seed for seed, before in zip(seeds, [None, *seeds], strict=False) if before != seed - 1]
+        ends = [seed for seed, after in zip(seeds, [*seeds[1:], None], strict=True) if after != seed + 1]
+        ranges = [str(a) if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
+        more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
+        lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(ranges[:_MOST_RANGES])}{more}")
+    return lines
+
+
 def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
@@ -162,8 +180,8 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         else:
             shared += len(done) > 1
     merged = Merged(
-        planned=len(set().union(*(source.store.statuses() for source in sources))),
         settled=len(choice),
+        missing=tuple(sorted(set().union(*(source.store.statuses() for source in sources)) - choice.keys())),
         taken=tuple(list(choice.values()).count(source) for source in range(len(sources))),
         shared=shared,
         overruled=overruled,

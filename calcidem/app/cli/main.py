@@ -23,7 +23,6 @@ PANELS = {
     },
     "Run": {
         "run": "Compute a campaign, or what is left of it.",
-        "packing": "Make or report on the packing alone.",
         "retry": "Make cells that went wrong pending again.",
         "plan": "How many more seeds a mean needs, and how long they take.",
     },

@@ -19,6 +19,7 @@ from rich.text import Text
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.errors import QueryError
+from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
@@ -93,7 +94,7 @@ def as_text(columns: Columns, layout: Format) -> str:
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(rows)
+        writer.writerows([spreadsheet_value(value) for value in row] for row in rows)
         return stream.getvalue()
     return _as_table(tuple(columns), rows)
 

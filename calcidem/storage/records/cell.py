@@ -4,6 +4,7 @@ A missing number is None in a record and NULL in the database, never NaN; what h
 `CellStatus`. Units are SI; contents are percent of the sand's mass.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -374,3 +375,12 @@ class AttemptRecord:
     recorded: datetime
     run_id: int | None = None
     forgiven: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        if self.number < 1:
+            raise ValueError(f"AttemptRecord.number is {self.number}; attempts count from 1.")
+        if self.seconds is not None and not 0.0 <= self.seconds < math.inf:
+            raise ValueError(f"AttemptRecord.seconds is {self.seconds}; give a time of 0 or more, or None.")
+        if self.outcome not in (known := (*STORED_STATUSES, "lost")):
+            raise ValueError(f"AttemptRecord.outcome is '{self.outcome}'; it is one of {', '.join(known)}.")

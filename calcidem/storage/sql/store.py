@@ -1,11 +1,13 @@
 """The store on a SQL database: SQLite by default, PostgreSQL by URL."""
 
+import errno
 import os
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from typing_extensions import override
 
 from calcidem.storage.errors import (
     DamagedStoreError,
+    ForeignDatabaseError,
     ReadOnlyStoreError,
     ReplacedStoreError,
     StoreError,
@@ -88,6 +91,7 @@ class SqlStore(Store):
         self._campaign_id: int | None = None
         self._run_id: int | None = None
         self._token: str | None = None
+        self._closed = False
         self._next_checkpoint = 0.0
         self._lock = lease.FileLock(address.path) if address.path and not read_only else None
         _check_file(address, read_only=read_only)
@@ -107,11 +111,13 @@ class SqlStore(Store):
     # Transactions
 
     def _reading(self) -> AbstractContextManager[Session]:
+        self._refuse_closed()
         return transaction(self._engine, self.address, write=False)
 
     @contextmanager
     def _writing(self) -> Iterator[Session]:
         """Open a writing transaction that fails if the lease was lost."""
+        self._refuse_closed()
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
@@ -122,6 +128,10 @@ class SqlStore(Store):
             self._lock.note(self._token, heartbeat)
         if time.monotonic() > self._next_checkpoint:
             self._bring_log_into_file()
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise StoreUnavailableError(f"{self.address} was closed.", "Open it again to go on with it.")
 
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
@@ -407,6 +417,7 @@ class SqlStore(Store):
             with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
                 self.release_lease()
         finally:
+            self._closed = True
             self._bring_log_into_file()
             self._engine.dispose()
 
@@ -418,10 +429,24 @@ def _check_file(address: Address, *, read_only: bool) -> None:
         return
     if path.is_dir():
         raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
+    if path.exists() and not _can_be_read_from_its_beginning(path):
+        raise ForeignDatabaseError(f"{path} is not a database file.", "Give a file name, not that of a device.")
     if read_only and not path.exists():
         raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     if not path.parent.is_dir():
         raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
+
+
+def _can_be_read_from_its_beginning(path: Path) -> bool:
+    """Whether this is a file, and not one of the kernel's that only look like one."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError as error:
+        return error.errno != errno.EIO  # what else is wrong SQLite says
+    return True
 
 
 def _look_before_writing(address: Address) -> None:
