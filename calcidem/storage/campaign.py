@@ -11,6 +11,7 @@ import xarray as xr
 from calcidem.storage.errors import QueryError, UnknownCellError
 from calcidem.storage.netcdf.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.records import (
+    QUANTITY_BY_NAME,
     AttemptRecord,
     CampaignRecord,
     CellKey,
@@ -21,7 +22,6 @@ from calcidem.storage.records import (
     Signal,
     canonical_content,
 )
-from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Closable, Selection, Store
 
@@ -144,7 +144,7 @@ class StoredCampaign(Closable):
         """
         import pandas as pd  # noqa: PLC0415 - takes half a second to import, and few callers need it
 
-        names = [quantity.name for quantity in QUANTITIES] if columns is None else list(columns)
+        names = list(QUANTITY_BY_NAME) if columns is None else list(columns)
         chosen = _selection(content, seed, status, where)
         self.refuse_unknown_contents(chosen.contents or ())
         frame = pd.DataFrame(self.store.table(names, chosen))
@@ -170,7 +170,7 @@ class StoredCampaign(Closable):
         status : str or collection of str, optional
             Such as ``"done"``.
         where : str, optional
-            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.sql.quantities.QUANTITIES`.
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
         with_arrays : bool
             Whether the records bring signals and cement patterns along.
 

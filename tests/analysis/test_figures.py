@@ -120,7 +120,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     grains = list(sample.path.grains)
     assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
-    assert len(rings.get_xdata()) == sample.features.hertz_contacts
+    assert len(rings.get_xdata()) == sample.features.path_hertz_contacts
 
 
 def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: CampaignAnalysis) -> None:
@@ -160,8 +160,8 @@ def test_published_means_are_shown_for_the_published_sand_where_contents_match(a
 
 def test_symbols_are_upright_where_they_are_names() -> None:
     """Names of several letters are upright, single letters are not, indices are kept together."""
-    assert _symbol("normalized_connectivity") == "$C_{d,n}$"
-    assert _symbol("longest_bonded_run") == r"$\mathrm{QLLC}$"
+    assert _symbol("path_normalized_connectivity") == "$C_{d,n}$"
+    assert _symbol("path_longest_bonded_run") == r"$\mathrm{QLLC}$"
     assert "\N{MINUS SIGN} 338" in _law_text(623.0, -1.01, -338.0)
 
 

@@ -176,7 +176,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
             assert variable.long_name
             assert variable.dtype is str or hasattr(variable, "units") or variable.name == "status"
         assert file["vs"].filters()["zlib"]
-        assert file["signals/received_force"].filters()["zlib"]
+        assert file["signal/received_force"].filters()["zlib"]
 
 
 @pytest.mark.slow
@@ -234,12 +234,12 @@ def test_unusable_targets(
 
 def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, exported: Path, tmp_path: Path) -> None:
     """Leaving out signals, cement and paths keeps the numbers of every cell, and such a file can be imported."""
-    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signals", "cement", "paths"))
+    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signal", "cement", "path"))
     assert small.stat().st_size < exported.stat().st_size
     with xr.open_dataset(exported) as whole, xr.open_dataset(small) as numbers:
         xr.testing.assert_equal(whole, numbers)
     with netCDF4.Dataset(small) as file:
-        assert not {"signals", "cement", "paths"} & set(file.groups)
+        assert not {"signal", "cement", "path"} & set(file.groups)
     with open_store(tmp_path / "imported.db") as other:
         import_netcdf(small, other)
         assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled[0].results()}

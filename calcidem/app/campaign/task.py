@@ -34,6 +34,7 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
+    GrainPath,
     GraphSummary,
     PackedResult,
     PathFeatures,
@@ -147,7 +148,7 @@ def cell_result(
     """
     cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
-    features, summary = (None, None) if graph is None else _describe_graph(graph, pattern)
+    path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
         result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
     )
@@ -181,6 +182,7 @@ def cell_result(
         seconds=measurement.seconds,
         features=features,
         graph=summary,
+        path=path,
         signal=stored_signal(record) if store_signals else None,
         cement=pattern,
     )
@@ -209,14 +211,19 @@ def stored_signal(record: WaveRecord) -> Signal | None:
     )
 
 
-def _describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
-    """Features of the path and summary of the graph of one sample.
+def _describe_graph(
+    packing: PackingGraph, cement: CementPattern
+) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
+    """Path, its features and summary of the graph of one sample.
 
     Where no chain of contacts joins transmitter and receiver there is no path.
     """
     bonded = packing.bonded(cement)
     summary = graph_summary(packing.graph, bonded)
-    return None if summary.gap_contacts is None else packing.features(packing.path(bonded)), summary
+    if summary.graph_gap_contacts is None:
+        return None, None, summary
+    path = packing.path(bonded)
+    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
 
 
 def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
@@ -236,12 +243,12 @@ def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSu
     grains = np.bincount(component, minlength=pieces)
     larger = grains[grains > 1]
     return GraphSummary(
-        contacts=graph.contact_count,
-        bonded_contacts=int(np.count_nonzero(bonded)),
-        coordination_number=graph.coordination_number,
-        components=len(larger),
-        largest_component=int(larger.max(initial=0)),
-        gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
+        graph_contacts=graph.contact_count,
+        graph_bonded_contacts=int(np.count_nonzero(bonded)),
+        graph_coordination_number=graph.coordination_number,
+        graph_components=len(larger),
+        graph_largest_component=int(larger.max(initial=0)),
+        graph_gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
     )
 
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.cli.query import Format, _as_text, find
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus
-from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.store import Selection
 
 Invoke = Callable[..., str]
@@ -59,7 +58,7 @@ def test_table_shows_units(database: Path, invoke: Invoke) -> None:
     """The table has names, units, one line a cell and their number, and is never cut to the terminal's width."""
     lines = invoke("query", database, "--seed", 1, "--seed", 2, "--columns", "all").splitlines()
     assert "vs [m s-1]" in lines[0]
-    assert all(quantity.name in lines[0] for quantity in QUANTITIES)
+    assert all(quantity.name in lines[0] for quantity in QUANTITY_BY_NAME.values())
     assert len(lines) == 1 + 10 + 1
     assert lines[-1] == "10 cells"
 
