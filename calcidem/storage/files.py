@@ -13,6 +13,9 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _BESIDE_A_DATABASE = ("-wal", "-shm", "-journal", ".lock")
 """Endings of the files that SQLite, and the lease, have beside a database."""
 
+_BEGIN_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}", "\N{FULLWIDTH COMMERCIAL AT}")
+"""First characters of what spreadsheets evaluate."""
+
 _CURE = "Give another file name for the result; nothing was written."
 
 
@@ -88,3 +91,21 @@ def _flush_to_disk(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def spreadsheet_value(value: object) -> object:
+    """Give a value for a CSV file; text that a spreadsheet would take for a formula gets an apostrophe before it.
+
+    Spreadsheets show such text without the apostrophe and do not evaluate it. Numbers stay as they are.
+
+    References
+    ----------
+    OWASP, CSV Injection.
+    """
+    if not isinstance(value, str) or not value.startswith(_BEGIN_A_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value

@@ -401,8 +401,7 @@ class Store(Closable):
         ----------
         selection : Selection
         with_arrays : bool
-            Whether to load signals and cement patterns, some 50 kB a cell; without it they are None. Path features
-            and graph summaries always come along.
+            Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
         """
 
     @abstractmethod
@@ -436,7 +435,7 @@ class Store(Closable):
         Parameters
         ----------
         names : sequence of str
-            From `calcidem.storage.sql.quantities.QUANTITIES`.
+            From `calcidem.storage.records.QUANTITY_BY_NAME`.
         selection : Selection
         sort : sequence of str
             Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is

@@ -1,4 +1,4 @@
-"""Master/worker scheduler over MPI and its serial twin: it knows batches, a computation and a sink.
+"""Computes batches on MPI ranks, on an executor or in this process: it knows batches, a computation and a sink.
 
 with Session() as session:
     ...                                     # prepare, session.broadcast(...)
@@ -8,8 +8,8 @@ with Session() as session:
 
 from calcidem.sweep.attempt import Compute, SweepInterrupted, TimeLimitReached
 from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.context import Sink
 from calcidem.sweep.environment import refuse_singletons
+from calcidem.sweep.group_commit import Sink
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import keep_freed_memory
@@ -27,6 +27,7 @@ from calcidem.sweep.sweep_end import (
     SweepEnd,
     SweepError,
     SweepState,
+    WorkersLostError,
 )
 
 __all__ = [
@@ -54,6 +55,7 @@ __all__ = [
     "SweepState",
     "Tally",
     "TimeLimitReached",
+    "WorkersLostError",
     "keep_freed_memory",
     "plan_batches",
     "refuse_singletons",

@@ -1,7 +1,10 @@
 """One attempt at a batch, the same on a worker and in a serial run, within a time limit that it checks itself."""
 
+import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
 from calcidem.sweep.batch import Batch, CellT
@@ -87,3 +90,35 @@ def attempt(
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it costs only this batch
         failure = Failure.from_exception(FailureKind.FAILED, error)
     return BatchOutcome(batch, place, time.monotonic() - start, failure=failure)
+
+
+_hard_stops: list[float] = []
+"""Times at which this process is to be killed, s on the monotonic clock; one for each thread that computes."""
+
+_arming = threading.Lock()
+
+
+@contextmanager
+def hard_stop(limit: float | None) -> Iterator[None]:
+    """Let the kernel kill this process if the block takes longer than `limit` seconds.
+
+    The default action of SIGALRM works inside compiled code too, where no Python handler would ever run. Windows has
+    no such signal, and a program that handles it itself is left alone: there the block may take longer.
+    """
+    if limit is None or not hasattr(signal, "setitimer") or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL:
+        yield
+        return
+    end = time.monotonic() + limit
+    _arm(_hard_stops.append, end)
+    try:
+        yield
+    finally:
+        _arm(_hard_stops.remove, end)
+
+
+def _arm(change: Callable[[float], None], end: float) -> None:
+    """Change the list of hard stops, and set the timer to the next one."""
+    with _arming:
+        change(end)
+        left = max(min(_hard_stops) - time.monotonic(), 1e-3) if _hard_stops else 0.0
+        signal.setitimer(signal.ITIMER_REAL, left)

@@ -2,20 +2,39 @@
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Generic, Self
+from typing import Any, Generic, Protocol, Self
 
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.context import SweepContext
 from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.progress import Progress
 
 _INTERVAL = 0.1
 """Seconds between the beginnings of two groups: a transaction costs as much as the rows of two or three batches."""
 
 _MOST_WAITING = 512
 """Outcomes that may wait for the store before no more batches are handed out; some 200 kB each."""
+
+
+class Sink(Protocol):
+    """What the caller of a sweep gives to have its outcomes kept; used by one thread at a time, not the main one.
+
+    An outcome is acknowledged once `store` has returned, so it must be on disk by then. A sweep that was
+    killed may have stored a batch that it computes again later: storing twice must equal storing once.
+    An exception of the sink ends the sweep and is passed on.
+    """
+
+    def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
+        """Keep final outcomes, one or several."""
+
+    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
+        """Keep that a worker was lost over a batch; `batch.losses` counts this loss already.
+
+        To be given back as `losses` when the same cells are planned again after a restart.
+        """
 
 
 class GroupCommit(Generic[CellT]):
@@ -26,12 +45,14 @@ class GroupCommit(Generic[CellT]):
 
     Parameters
     ----------
-    context
-        With the sink, which is used by one thread at a time, and the progress display, which sees stored outcomes only.
+    sink
+        Where to store them.
+    progress
+        Display, which sees stored outcomes only.
     """
 
-    def __init__(self, context: SweepContext[CellT]) -> None:
-        self._context = context
+    def __init__(self, sink: Sink, progress: Progress) -> None:
+        self._sink, self._progress = sink, progress
         self._thread = ThreadPoolExecutor(1, "store")
         self._waiting: list[BatchOutcome[CellT, Any]] = []
         self._groups: deque[tuple[Future[None], list[BatchOutcome[CellT, Any]]]] = deque()
@@ -49,7 +70,7 @@ class GroupCommit(Generic[CellT]):
     def add_loss(self, batch: Batch[CellT], reason: str) -> None:
         """Have it stored that a worker was lost, after all outcomes so far."""
         self._begin()
-        self._groups.append((self._thread.submit(self._context.sink.store_loss, batch, reason), []))
+        self._groups.append((self._thread.submit(self._sink.store_loss, batch, reason), []))
 
     def advance(self) -> None:
         """Acknowledge what is stored by now, and begin with the next group if it is time; does not wait.
@@ -75,7 +96,7 @@ class GroupCommit(Generic[CellT]):
         if self._waiting:
             self._next_begin = time.monotonic() + _INTERVAL
             group, self._waiting = self._waiting, []
-            self._groups.append((self._thread.submit(self._context.sink.store, group), group))
+            self._groups.append((self._thread.submit(self._sink.store, group), group))
 
     def _acknowledge(self) -> None:
         """Wait for the oldest group, and show its outcomes."""
@@ -88,7 +109,7 @@ class GroupCommit(Generic[CellT]):
             self._thread.shutdown(wait=False, cancel_futures=True)
             raise
         for outcome in group:
-            self._context.progress.on_outcome(outcome)
+            self._progress.on_outcome(outcome)
 
     def __enter__(self) -> Self:
         """Use it in a `with` statement."""

@@ -63,3 +63,12 @@ class SweepOptions:
     def watchdog_limit(self) -> float | None:
         """Seconds after which the master gives up a worker that still computes the same batch."""
         return None if self.hard_limit is None else self.hard_limit + self.watchdog_margin
+
+    def patience(self, cost: float, slowest: float) -> float:
+        """Seconds after which a worker that computes a batch of this cost is given up.
+
+        `slowest` is the most that batches so far took, in seconds for a unit of cost; 0 before any is done.
+        """
+        if self.watchdog_limit is not None:
+            return self.watchdog_limit
+        return max(self.silence_floor, self.silence_factor * slowest * cost) if slowest else 10.0 * self.silence_floor

@@ -17,7 +17,6 @@ that block keep a core busy on every rank that waits, which is most of them whil
 """
 
 import pickle
-import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +25,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
+
+from calcidem.sweep.backoff import wait_until
 
 ValueT = TypeVar("ValueT")
 
@@ -41,40 +42,6 @@ class Tag(IntEnum):
     OUTCOME = 7403
     STOP = 7404
     END = 7405
-
-
-class Backoff:
-    """Sleeps that get longer while nothing happens.
-
-    2 ms at most: that delays a batch of seconds by nothing that matters, and polling so often costs between
-    1 and 2 % of a core.
-    """
-
-    SHORTEST = 20e-6
-    LONGEST = 2e-3
-
-    def __init__(self) -> None:
-        self._pause = self.SHORTEST
-
-    def reset(self) -> None:
-        """Start again with the shortest sleep, because something has happened."""
-        self._pause = self.SHORTEST
-
-    def sleep(self) -> None:
-        """Sleep, and twice as long the next time."""
-        time.sleep(self._pause)
-        self._pause = min(2.0 * self._pause, self.LONGEST)
-
-
-def wait_until(condition: Callable[[], bool], limit: float = float("inf")) -> bool:
-    """Poll with growing sleeps until `condition` holds or `limit` seconds have passed; tell which."""
-    backoff = Backoff()
-    end = time.monotonic() + limit
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        backoff.sleep()
-    return True
 
 
 def start_send(comm: MPI.Comm, value: Any, destination: int, tag: Tag) -> MPI.Request:  # noqa: ANN401 - any picklable

@@ -1,27 +1,36 @@
-"""`run_sweep`: compute all batches, on many ranks or in this process, and store what becomes of them."""
+"""`run_sweep`: compute all batches, wherever, and store what becomes of them."""
 
 import time
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from calcidem.sweep.attempt import Compute, Deadline, SweepInterrupted, attempt
+from calcidem.sweep.attempt import Compute
+from calcidem.sweep.backoff import Backoff
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.context import Sink, SweepContext
+from calcidem.sweep.channel import tell_command
 from calcidem.sweep.environment import fault_tolerance_enabled
+from calcidem.sweep.executor_workers import ExecutorWorkers
+from calcidem.sweep.group_commit import GroupCommit, Sink
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import Place, ResultT
+from calcidem.sweep.outcome import BatchOutcome, ResultT
 from calcidem.sweep.progress import Progress
 from calcidem.sweep.schedule import Schedule
 from calcidem.sweep.signals import StopLevel, StopRequest
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
+from calcidem.sweep.workers import Loss, SerialWorkers, Workers
 
 if TYPE_CHECKING:
     from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
 
+_HEARTBEAT_INTERVAL = 0.5
+"""Seconds between two heartbeats, for the command that started the ranks and for the progress display."""
+
 
 def run_sweep(
-    comm: "MPI.Comm | None",
+    where: "MPI.Comm | Executor | None",
     batches: Iterable[Batch[CellT]],
     compute: Compute[CellT, ResultT],
     sink: Sink | None,
@@ -32,18 +41,20 @@ def run_sweep(
 ) -> SweepEnd:
     """Compute all batches and store what becomes of them.
 
-    To be called on all ranks of `comm`. Rank 0 hands out the batches and stores the outcomes; it sleeps most
-    of the time, so start one rank more than there are cores. All other ranks compute. With one rank, or
-    without a communicator, the same happens in this process.
+    Of a communicator, all ranks call this. Rank 0 hands out the batches and stores the outcomes; it sleeps most of the
+    time, so start one rank more than there are cores. All other ranks compute. With an executor its workers compute.
+    With one rank, or with None, this process does.
 
     Parameters
     ----------
-    comm
-        Communicator whose ranks take part, or None. Nothing else may be sent over it during the sweep.
+    where
+        Communicator whose ranks take part, executor, or None. Nothing else may be sent over a communicator during the
+        sweep. An executor is left open.
     batches
         What to compute, in the order in which to hand it out; used on rank 0 only.
     compute
-        Computes a batch; used on the workers. See `Compute` for what it has to keep to.
+        Computes a batch; used on the workers. See `Compute` for what it has to keep to. For an executor it is pickled
+        once, and unpickled once in each process.
     sink
         Keeps the outcomes; used on rank 0 only, may be None elsewhere.
     options
@@ -65,63 +76,151 @@ def run_sweep(
         On rank 0, if there is no sink or two batches have the same identifier.
     MasterLostError
         On a worker, if rank 0 has died (with ULFM; without it the launcher ends the job).
+    SweepError
+        If the workers of an executor cannot load the computation.
     Exception
         On rank 0, whatever the sink raises, after the workers have been told to stop.
     """
     options = options or SweepOptions()
-    parallel = comm is not None and comm.Get_size() > 1
-    if parallel and comm is not None and comm.Get_rank() != 0:
+    comm = None if where is None or isinstance(where, Executor) or where.Get_size() == 1 else where
+    if comm is not None and comm.Get_rank() != 0:
         from calcidem.sweep.worker import run_worker  # noqa: PLC0415 - a serial run must not need an MPI library
 
         return run_worker(comm, compute, options)
-
     if sink is None:
         raise ValueError("sink is None on rank 0: give the object that stores the outcomes")
     schedule = Schedule(tuple(batches))
     progress = progress or Progress()
     with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:
-        context = SweepContext(schedule, sink, progress, stop, options)
-        if parallel and comm is not None:
-            from calcidem.sweep.master import run_master  # noqa: PLC0415 - as above
+        master = _Master(schedule, sink, progress, stop, options)
+        workers: Workers[CellT]
+        if isinstance(where, Executor):
+            workers = ExecutorWorkers(where, compute, options)
+        elif comm is not None:
+            from calcidem.sweep.mpi_workers import MPIWorkers  # noqa: PLC0415 - as above
 
-            progress.on_start(schedule.batches, workers=comm.Get_size() - 1)
-            end = run_master(comm, context, fault_tolerance_enabled())
+            workers = MPIWorkers(comm, options, fault_tolerance_enabled())
         else:
-            progress.on_start(schedule.batches, workers=1)
-            end = _run_serial(context, compute)
+            workers = SerialWorkers(compute, options.time_limit, master.go_on_here)
+        progress.on_start(schedule.batches, workers=workers.count)
+        end = master.run(workers)
     progress.on_end(end)
     return end
 
 
-def _run_serial(context: SweepContext[CellT], compute: Compute[CellT, ResultT]) -> SweepEnd:
-    """Compute and store one batch after the other in this process, by the rules of the parallel sweep.
+class _Master:
+    """Hands out batches and has stored what becomes of them, whoever computes.
 
-    The hard limit does not apply: the process that it would kill is the only one there is.
-
-    Raises
-    ------
-    Exception
-        Whatever the sink raises.
+    Attributes
+    ----------
+    schedule
+        Batches still to be handed out.
+    sink, progress
+        Where outcomes are stored, and shown.
+    stop_request
+        Signals noted so far.
+    options
+        Limits.
     """
-    schedule, stop_request = context.schedule, context.stop_request
-    start = time.monotonic()
-    place = Place.here(rank=0)
 
-    def end(state: SweepState, detail: str = "") -> SweepEnd:
-        return SweepEnd(state, detail, schedule.tally, time.monotonic() - start)
+    def __init__(
+        self, schedule: Schedule[Any], sink: Sink, progress: Progress, stop_request: StopRequest, options: SweepOptions
+    ) -> None:
+        self._schedule, self._sink, self._progress = schedule, sink, progress
+        self._stop_request, self._options = stop_request, options
+        self._next_heartbeat = 0.0
 
-    while stop_request.level is StopLevel.NONE:
-        batch = schedule.take()
-        if batch is None:
-            return end(SweepState.COMPLETE)
-        context.progress.on_heartbeat(workers=1, running=1)
+    def go_on_here(self) -> bool:
+        """Beat while this process computes; tell whether it is to end at once."""
+        self._beat(workers=1, running=1)
+        return self._stop_request.hurry()
+
+    def run(self, workers: Workers[CellT]) -> SweepEnd:
+        """Have the batches computed and store what becomes of them.
+
+        Raises
+        ------
+        Exception
+            Whatever the sink raises, after the workers have been told to stop.
+        """
+        start = time.monotonic()
+        options = self._options
+        tell_command("sweeping")
         try:
-            deadline = Deadline(context.options.time_limit, stop_request.hurry)
-            outcome = attempt(batch, compute, deadline, place)
-        except SweepInterrupted:
-            return end(SweepState.STOPPED, f"{stop_request.explanation}: the running batch was dropped")
-        final = schedule.settle(outcome)
-        context.store([final] if final is not None else [])
-    if len(schedule) == 0:
-        return end(SweepState.COMPLETE)
-    return end(SweepState.STOPPED, f"{stop_request.explanation}: the running batch was finished")
+            commits: GroupCommit[CellT] = GroupCommit(self._sink, self._progress)
+            with commits:
+                state, detail = self._hand_out_all(workers, commits)
+                tell_command("pause")  # what still waits is stored
+        except BaseException as error:
+            workers.stop(SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
+            raise
+        end = SweepEnd(state, detail, self._schedule.tally, time.monotonic() - start)
+        grace = options.hurry_grace if self._stop_request.hurry() else options.stop_grace
+        return replace(end, unresponsive_ranks=workers.stop(end, grace))
+
+    def _hand_out_all(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> tuple[SweepState, str]:
+        """Hand out batches and take in outcomes until there is a reason to end; return it."""
+        backoff = Backoff()
+        while True:
+            level = self._stop_request.level  # taken first, so that the last round misses nothing
+            outcomes, losses = workers.poll()
+            settled = (self._schedule.settle(outcome) for outcome in outcomes)
+            commits.add(*(outcome for outcome in settled if outcome is not None))
+            if isinstance(workers, SerialWorkers):
+                commits.flush()  # the thread that stores would fight with this one, which computes, for the interpreter
+            handed_out = not commits.is_full and self._hand_out(workers)
+            commits.advance()
+            self._account_for(losses, commits)
+
+            if (end := self._reason_to_end(workers, level)) is not None:
+                return end
+            self._beat(workers.count, min(workers.running, workers.count))  # others wait in the queue of an executor
+            if outcomes or handed_out or losses:
+                backoff.reset()
+            backoff.sleep()
+
+    def _beat(self, workers: int, running: int) -> None:
+        if time.monotonic() > self._next_heartbeat:
+            self._next_heartbeat = time.monotonic() + _HEARTBEAT_INTERVAL
+            tell_command("beat")
+            self._progress.on_heartbeat(workers=workers, running=running)
+
+    def _hand_out(self, workers: Workers[CellT]) -> bool:
+        """Submit batches as long as there are some and they are wanted; tell whether there were."""
+        handed_out = False
+        while self._stop_request.level is StopLevel.NONE and workers.wants_batch:
+            batch = self._schedule.take()
+            if batch is None:
+                break
+            workers.submit(batch)
+            handed_out = True
+        return handed_out
+
+    def _account_for(self, losses: list[Loss[CellT]], commits: GroupCommit[CellT]) -> None:
+        """Store what the loss of workers means for the batches that they had."""
+        for loss in losses:
+            self._progress.on_loss(loss.place, loss.reason)
+            batch = loss.batch
+            # Once the sweep is to end at once, workers may be dying of the same signal: no cell is to blame.
+            if batch is None or self._stop_request.hurry():
+                continue
+            for _ in range(loss.workers):
+                batch = batch.with_another_loss()
+                commits.add_loss(batch, loss.reason)
+            self._schedule.tally.lost_workers += loss.workers
+            outcome: BatchOutcome[CellT, Any] | None = self._schedule.lose(batch, loss.reason, loss.place, loss.seconds)
+            if outcome is not None:
+                commits.add(outcome)
+
+    def _reason_to_end(self, workers: Workers[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
+        """Return why the sweep is over, or None if it isn't."""
+        asked_by = self._stop_request.explanation
+        if workers.running == 0 and len(self._schedule) == 0:
+            return SweepState.COMPLETE, ""
+        if level is StopLevel.HURRY:
+            return SweepState.STOPPED, f"{asked_by}: running batches were dropped"
+        if level is StopLevel.DRAIN and workers.running == 0:
+            return SweepState.STOPPED, f"{asked_by}: running batches were finished"
+        if workers.exhausted:
+            return SweepState.OUT_OF_WORKERS, f"{workers.exhausted}; run the same command again to continue"
+        return None

@@ -101,9 +101,10 @@ class Schedule(Generic[CellT]):
     def lose(
         self, batch: Batch[CellT], reason: str, place: Place, seconds: float
     ) -> BatchOutcome[CellT, ResultT] | None:
-        """Take a batch back whose worker was lost: return a final outcome if its only cell is quarantined."""
-        self.tally.lost_workers += 1
-        batch = batch.with_another_loss()
+        """Take a batch back whose worker was lost: return a final outcome if its only cell is quarantined.
+
+        `batch.losses` counts this loss already.
+        """
         if len(batch.cells) > 1:
             self._suspects.extend(self._split(batch) if batch.losses >= _LOSSES_BEFORE_SPLIT else (batch,))
             return None

@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
+from calcidem.sweep.backoff import wait_until
 from calcidem.sweep.channel import command_listens, tell_command
 from calcidem.sweep.environment import NO_DEVICE_SEARCH, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, end_after
@@ -187,7 +188,7 @@ class Session:
 
     def _others_have_ended(self) -> bool:
         """Tell whether all other ranks end within half a second."""
-        from calcidem.sweep.protocol import failed_ranks, wait_until  # noqa: PLC0415 - as above
+        from calcidem.sweep.protocol import failed_ranks  # noqa: PLC0415 - as above
 
         def all_failed(comm: "MPI.Comm") -> bool:
             comm.Iprobe(self.rank)  # MPI takes note of failures only while it is at work

@@ -27,6 +27,10 @@ class MasterLostError(SweepError):
     """Rank 0 has died; a worker alone can do nothing more."""
 
 
+class WorkersLostError(SweepError):
+    """The workers are lost before all was computed; what was is stored."""
+
+
 class SweepState(StrEnum):
     """Why a sweep ended."""
 

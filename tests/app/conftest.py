@@ -15,6 +15,7 @@ import pytest
 from marked_processes import MarkedProcesses
 from places import CHECKOUT, SMALL_PACKING
 from typer.testing import CliRunner
+from unchanged import unchanged_if_refused
 
 from calcidem.app.campaign.packing import cached_name
 from calcidem.app.cli.main import build_application
@@ -104,8 +105,11 @@ class Workshop(MarkedProcesses):
         )
 
     def run(self, *arguments: str) -> Finished:
-        """Run the command."""
-        return self.wait(self.start(*arguments))
+        """Run the command; if it refuses its input, all files are as they were."""
+        with unchanged_if_refused(self.folder, self.cache) as codes:
+            finished = self.wait(self.start(*arguments))
+            codes.append(finished.code)
+        return finished
 
     def wait(self, process: subprocess.Popen[str]) -> Finished:
         """Wait for a command to end."""
@@ -195,12 +199,16 @@ def workshop(tmp_path: Path, cache: Path) -> Iterator[Workshop]:
 
 
 @pytest.fixture
-def invoke() -> Callable[..., str]:
-    """Run a command line that ends with the exit code expected, and give what it prints."""
+def invoke(tmp_path: Path) -> Callable[..., str]:
+    """Run a command line that ends with the exit code expected, and give what it prints; 2 leaves all files alone."""
 
     def run(*arguments: object, exit_code: int = 0) -> str:
         words = [str(argument) for argument in arguments]
-        result = CliRunner().invoke(build_application(), words)
+        used = {path.parent.resolve() for path in map(Path, words) if path.is_file()}
+        scratch = tmp_path.parents[1]  # of all tests, and no device or part of the checkout
+        with unchanged_if_refused(tmp_path, *(folder for folder in used if scratch in folder.parents)) as codes:
+            result = CliRunner().invoke(build_application(), words)
+            codes.append(result.exit_code)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == exit_code, result.output

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from calcidem.app.campaign.task import cell_computation
+from calcidem.app.campaign.task import CellComputation
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.sweep import Batch, Cell
 
 pytestmark = pytest.mark.slow
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 def computed(configuration: Configuration, packing: Packing, seed: int, content: float) -> dict[str, Any]:
     """Compute one cell as a worker does; return the numbers that it sends."""
     batch: Batch[Cell] = Batch(0, ((seed, content),))
-    (result,) = cell_computation(configuration, packing)(batch, lambda: None)
+    (result,) = CellComputation(configuration, packing)(batch, lambda: None)
     return result.columns["result"]
 
 
@@ -32,5 +32,6 @@ def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(
     options = RunOptions(static_speed=True)
     asked = computed(replace(small_configuration, run=options), small_packing, 1, 0.66)
     experiment = small_configuration.experiment(small_packing)
-    assert asked["static_speed"] == static_speed(experiment, experiment.ordering(1).at(0.66).bonded)
+    found = static_speed(experiment, experiment.ordering(1).at(0.66).bonded)
+    assert asked["static_speed"] == (found.speed if found.error <= LARGEST_STATIC_ERROR else None)
     assert asked["vs"] == cell["vs"]

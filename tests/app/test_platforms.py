@@ -49,6 +49,7 @@ def platform(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.mark.full
 def test_one_process_computes_off_linux(workshop: "Workshop", platform: str) -> None:
     """A campaign in one process is computed, stored and continued, and doctor finds no problem but one core."""
     workshop.configure(seeds=1, contents=(0.0,))

@@ -40,6 +40,7 @@ def test_ranks_do_not_change_a_bit(workshop: "Workshop", expected: "Cells", rank
     assert workshop.cells() == expected
 
 
+@pytest.mark.full
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the setting names a processor of x86-64")
 def test_a_run_on_unlike_ranks_says_so(workshop: "Workshop") -> None:
     """Each kind of worker is stored with its ranks and shown in the report; that no bit depends on it is told."""
@@ -73,7 +74,14 @@ def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "
     assert workshop.attempts() == len(expected)
 
 
-@pytest.mark.parametrize(("number", "ranks"), [("SIGUSR1", 3), ("SIGTERM", 3), ("SIGINT", 1)])
+@pytest.mark.parametrize(
+    ("number", "ranks"),
+    [
+        ("SIGTERM", 3),
+        pytest.param("SIGUSR1", 3, marks=pytest.mark.full),
+        pytest.param("SIGINT", 1, marks=pytest.mark.full),
+    ],
+)
 def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", number: str, ranks: int) -> None:
     """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits."""
     workshop.configure()
@@ -93,7 +101,7 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
     assert workshop.attempts() == len(expected)
 
 
-@pytest.mark.parametrize("victim", ["mpirun", "command"])
+@pytest.mark.parametrize("victim", ["mpirun", pytest.param("command", marks=pytest.mark.full)])
 def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected: "Cells", victim: str) -> None:
     """After SIGKILL of mpirun, or of the command above it, no rank is left and the campaign goes on."""
     workshop.configure()
@@ -137,6 +145,7 @@ def test_a_complete_campaign_is_not_computed_again(workshop: "Workshop") -> None
         assert netcdf.with_stem(f"small-{campaign.record.hash[:8]}").exists()
 
 
+@pytest.mark.full
 def test_another_physics_is_refused(workshop: "Workshop") -> None:
     """A database of another configuration is refused with exit code 2 and the difference, and stays as it is."""
     workshop.configure(seeds=2, contents=(0.0,))
@@ -195,6 +204,7 @@ def test_a_launcher_that_fails_is_an_error(workshop: "Workshop") -> None:
     assert not workshop.database.exists()
 
 
+@pytest.mark.full
 def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: "Workshop") -> None:
     """Open MPI sometimes ends with 213 before any rank begins; the second start runs the campaign."""
     workshop.configure(seeds=1, contents=(9.0,))
@@ -212,6 +222,7 @@ def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: "Worksho
         assert len(list(campaign.select(status=("done", "no_arrival")))) == 1
 
 
+@pytest.mark.full
 def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
     """A stopped rank 0 is reported with its process, nothing is killed, and the run completes once it goes on."""
     workshop.configure(contents=(0.66, 5.0))
@@ -236,7 +247,7 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> Non
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
     # A small packing first: compiling its kernels is the one thing that no signal interrupts.
     (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.02\nheight = 0.03\n")
-    workshop.run("packing", "small.toml")
+    workshop.run("run", "small.toml", "--packing-only")
     process = workshop.start("run", "c.toml", "--ranks", "2")
     assert process.stdout is not None
     assert any("being made" in line for line in process.stdout)

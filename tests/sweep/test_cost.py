@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from calcidem.sweep.protocol import Backoff
+from calcidem.sweep.backoff import Backoff
 
 if TYPE_CHECKING:
     from conftest import Campaign

@@ -7,11 +7,8 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep import Batch, BatchOutcome, Place, Progress, SweepOptions
-from calcidem.sweep.context import SweepContext
+from calcidem.sweep import Batch, BatchOutcome, Place, Progress
 from calcidem.sweep.group_commit import GroupCommit
-from calcidem.sweep.schedule import Schedule
-from calcidem.sweep.signals import StopRequest
 
 
 @dataclass
@@ -67,7 +64,7 @@ def progress() -> Shown:
 @pytest.fixture
 def commits(sink: SlowSink, progress: Shown) -> GroupCommit[int]:
     """Make what is tested."""
-    return GroupCommit(SweepContext(Schedule(()), sink, progress, StopRequest(), SweepOptions()))
+    return GroupCommit(sink, progress)
 
 
 def test_what_comes_while_a_group_is_stored_is_the_next_group_and_nothing_is_shown_before_it_is_stored(

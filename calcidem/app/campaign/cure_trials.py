@@ -209,7 +209,9 @@ def frequency_table(
     wanted: defaultdict[float, list[float]] = defaultdict(list)
     tried = {trial.content for trial in trials}
     for diagnosis in diagnoses:
-        if diagnosis.key.content not in tried and diagnosis.cures[0].name == "wave.frequency":
+        if diagnosis.key.content in tried or not diagnosis.cures:
+            continue
+        if diagnosis.cures[0].name == "wave.frequency":
             wanted[diagnosis.key.content].append(float(diagnosis.cures[0].value))
     for trial in rank_trials(trials):
         if trial.cure.name == "wave.frequency" and trial.verdict in {Verdict.WORKS, Verdict.HELPS}:

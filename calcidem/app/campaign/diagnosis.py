@@ -130,6 +130,8 @@ class _Examiner:
         experiment = self.experiment(cell.packing_index)
         record = _stored_record(cell) or self._record(cell)
         frequency = cell.frequency or experiment.frequency(cell.key.content)
+        if experiment.stations:
+            return _stored_diagnosis(cell, record, experiment, frequency)
         expected, source = self._expected(cell.key, experiment)
         prepared = prepare_signals(signals_of(record, experiment), experiment.pick)
         tops = _judged_tops(prepared)
@@ -180,10 +182,28 @@ class _Examiner:
         if known:
             return (min(known), max(known)), f"the {pluralize(len(known), 'readable seed')} of this content"
         try:
-            speed = static_speed(experiment, experiment.ordering(key.seed).at(key.content).bonded)
+            speed = static_speed(experiment, experiment.ordering(key.seed).at(key.content).bonded).speed
         except (ValueError, SettlingError):
             return None, ""
         return (_SLOWED * speed, speed), f"the stiffness of the sample at rest ({speed:.0f} m/s for long waves)"
+
+
+def _stored_diagnosis(cell: CellResult, record: WaveRecord, experiment: Experiment, frequency: float) -> Diagnosis:
+    """What was stored of a cell that was read with stations.
+
+    Their signals are not stored, and the rule without them gives reasons and remedies that are not this cell's.
+    """
+    symptoms = Symptoms(experiment, frequency, travel=None, unstable=cell.status is CellStatus.UNSTABLE)
+    note = f"It was read with {len(experiment.stations)} stations whose signals are not stored: no remedy is proposed."
+    return Diagnosis(
+        key=cell.key,
+        status=cell.status,
+        reason=cell.reason,
+        finding=f"{_finding(symptoms, record, None, '')} {note}",
+        cures=(),
+        frequency=frequency,
+        signal=_unread_signal(cell, record, prepare_signals(signals_of(record, experiment), experiment.pick), (), None),
+    )
 
 
 def _stored_record(cell: CellResult) -> WaveRecord | None:

@@ -8,15 +8,7 @@ from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.campaign import refuse_other_campaign
 from calcidem.storage.records.canonical import canonical_json
-
-DECIDED_BY_PHYSICS = (
-    *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
-    *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
-    *("frequency", "distance", "wavelengths_on_path", "wavelength_over_d50", "time_step", "stability_limit", "steps"),
-    *("content_reached", "content_of_contacts", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
-    "broken_bonds",
-)
-"""Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
+from calcidem.storage.store import Store
 
 
 def physics_version(record: CampaignRecord) -> object:
@@ -34,6 +26,29 @@ def refuse_other_physics(record: CampaignRecord) -> None:
             "Its results can be read, reported and exported as before. Use the calcidem that computed it for more "
             "cells or to verify it, or begin a new database.",
         )
+
+
+def choose_campaign(store: Store, configuration: Configuration) -> bool:
+    """Choose the configuration's campaign in a store; tell whether the store has it.
+
+    Raises
+    ------
+    CampaignMismatchError
+        If the store has another campaign of that name, or this campaign under another name.
+    """
+    name = configuration.campaign.name
+    for record in store.campaigns():
+        if record.name == name:
+            refuse_other_configuration(record, configuration)
+            store.use_campaign(name)
+            return True
+    for record in store.campaigns():
+        if record.hash == configuration.hash:
+            raise CampaignMismatchError(
+                f"campaign.name = '{name}': the database has this campaign under the name '{record.name}'.",
+                f"Set campaign.name to '{record.name}', or give another database.",
+            )
+    return False
 
 
 def record_of(configuration: Configuration) -> CampaignRecord:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, physics_version
+from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
@@ -25,8 +25,11 @@ _OUTCOMES_AT_ONCE = 200
 _MOST_CONFLICTS = 10
 """Conflicts that are named one by one; more are only counted."""
 
+_MOST_RANGES = 8
+"""Ranges of seeds that are named of a content with pending cells."""
+
 _Values: TypeAlias = tuple[float | None, ...] | None
-"""`DECIDED_BY_PHYSICS` of a done cell, None for one that is not done."""
+"""`EXACT_QUANTITIES` of a done cell, None for one that is not done."""
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and the number that it had there."""
@@ -61,8 +64,10 @@ class Merged:
 
     Attributes
     ----------
-    planned, settled
-        Cells of the merged campaign, and those of them with an outcome.
+    settled
+        Number of cells with an outcome.
+    missing
+        Cells that are planned and have none.
     taken
         Outcomes taken from each source.
     shared
@@ -73,8 +78,8 @@ class Merged:
         Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
     """
 
-    planned: int
     settled: int
+    missing: tuple[CellKey, ...]
     taken: tuple[int, ...]
     shared: int
     overruled: int
@@ -137,6 +142,19 @@ def conflict_lines(merged: Merged, sources: list[str]) -> list[str]:
     return [*lines, f"  and {more} more"] if more > 0 else lines
 
 
+def missing_lines(merged: Merged) -> list[str]:
+    """One line for each content that has pending cells, with their seeds as ranges."""
+    lines = []
+    for content in sorted({key.content for key in merged.missing}):
+        seeds = [key.seed for key in merged.missing if key.content == content]
+        begins = [seed for seed, before in zip(seeds, [None, *seeds], strict=False) if before != seed - 1]
+        ends = [seed for seed, after in zip(seeds, [*seeds[1:], None], strict=True) if after != seed + 1]
+        ranges = [str(a) if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
+        more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
+        lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(ranges[:_MOST_RANGES])}{more}")
+    return lines
+
+
 def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
@@ -154,7 +172,7 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         candidates = done or found
         choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
         overruled += 0 < len(done) < len(found)
-        quantities = zip(DECIDED_BY_PHYSICS, zip(*done.values(), strict=True), strict=False)
+        quantities = zip(EXACT_QUANTITIES, zip(*done.values(), strict=True), strict=False)
         if different := tuple(name for name, values in quantities if len(set(values)) > 1):
             conflicts.append(
                 Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
@@ -162,8 +180,8 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         else:
             shared += len(done) > 1
     merged = Merged(
-        planned=len(set().union(*(source.store.statuses() for source in sources))),
         settled=len(choice),
+        missing=tuple(sorted(set().union(*(source.store.statuses() for source in sources)) - choice.keys())),
         taken=tuple(list(choice.values()).count(source) for source in range(len(sources))),
         shared=shared,
         overruled=overruled,
@@ -220,7 +238,7 @@ def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int,
     """Outcomes of all settled cells, by the position of the source."""
     settled: defaultdict[CellKey, dict[int, _Values]] = defaultdict(dict)
     for position, source in enumerate(sources):
-        columns = source.store.table(("seed", "content", "status", *DECIDED_BY_PHYSICS))
+        columns = source.store.table(("seed", "content", "status", *EXACT_QUANTITIES))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
             if status not in {CellStatus.PENDING, CellStatus.DAMAGED}:
                 known = tuple(None if math.isnan(value) else value for value in values)

@@ -40,7 +40,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -212,8 +212,8 @@ class OpenedCampaign(StoredCampaign):
         """Damping ratio D = alpha / pi of the samples."""
         return damping_ratio(self.config["wave"]["damping"])
 
-    def static_speed(self, *, seed: int, content: float) -> float:
-        """Compute the velocity of long shear waves of a sample, m/s, from its stiffness at rest.
+    def static_speed(self, *, seed: int, content: float) -> StaticSpeed:
+        """Compute the speed of long shear waves of a sample, m/s, from the stiffness of its inner part, and its error.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class OpenedCampaign(StoredCampaign):
         --------
         >>> campaign = open_campaign("quick.db")
         >>> static = campaign.static_speed(seed=1, content=5.0)
-        >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static < 1.0  # local damping slows the wave
+        >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static.speed < 1.0  # local damping slows the wave
         True
         """
         return static_speed(*self.cemented(seed=seed, content=content))

@@ -3,15 +3,16 @@
 from collections.abc import Iterator
 from contextlib import nullcontext
 
-from calcidem.app.campaign.identity import refuse_other_configuration
+from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing, readable_packing
+from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.records import CellStatus
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Selection, Store
+from calcidem.storage.store import Selection
 
 
 def preview_lines(configuration: Configuration) -> Iterator[str]:
@@ -22,22 +23,24 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     ConfigurationError
         If the packing can't hold what is planned.
     StoreError
-        If the database can't be read, or has another campaign of that name.
+        If the database can't be read, or has another campaign of that name, or this one under another.
     """
     plan, address = configuration.campaign, parse_address(configuration.database)
     is_new = address.path is not None and not address.path.exists()
+    own = [CellKey(*cell) for batch in planned_batches(configuration) for cell in batch.cells]
+    part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
     packing, settled = None, 0
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
-        if store is not None and _choose_campaign(store, configuration):
-            selection = Selection(plan.seed_numbers, plan.contents)
-            settled = sum(status is not CellStatus.PENDING for status in store.statuses(selection).values())
+        if store is not None and choose_campaign(store, configuration):
+            statuses = store.statuses(Selection(plan.seed_numbers, plan.contents))
+            settled = sum(statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING for key in own)
             if store.packing_indices():
                 packing = readable_packing(store, 0)
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (
-        f"Campaign {plan.name}: {len(plan.seed_numbers)} seeds x {len(plan.contents)} contents = {cells} cells, "
-        f"{settled} of them settled; {cells - settled} would be computed, {configuration.run.lanes} side by side."
+        f"Campaign {plan.name}: {len(plan.seed_numbers)} seeds x {len(plan.contents)} contents = {cells} cells{part}, "
+        f"{settled} of them settled; {len(own) - settled} would be computed, {configuration.run.lanes} side by side."
     )
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):
@@ -47,14 +50,3 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         return
     check_against_packing(configuration, packing)
     yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."
-
-
-def _choose_campaign(store: Store, configuration: Configuration) -> bool:
-    """Choose the configuration's campaign in a store, if it has one of that name."""
-    name = configuration.campaign.name
-    for record in store.campaigns():
-        if record.name == name:
-            refuse_other_configuration(record, configuration)
-            store.use_campaign(name)
-            return True
-    return False

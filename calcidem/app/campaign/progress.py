@@ -150,7 +150,8 @@ class ProgressReporter(Progress):
         for batch in batches:
             self._contents[batch.cells[0][1]][1] += len(batch.cells)
         total = pluralize(self._forecast.total, "cell")
-        parts = f"{pluralize(len(batches), 'batch', 'batches')} on {pluralize(workers, 'worker')}"
+        where = pluralize(workers, "worker") if workers else "the workers of the executor"
+        parts = f"{pluralize(len(batches), 'batch', 'batches')} on {where}"
         self._display.note(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
         self._tell_cells(workers, 0)
 

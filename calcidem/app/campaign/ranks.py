@@ -1,6 +1,8 @@
-"""One campaign on all the ranks there are: rank 0 prepares, hands out, stores and tells, the others compute."""
+"""One campaign on ranks or an executor: rank 0 prepares, hands out, stores and tells, the others compute."""
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn, Protocol
@@ -8,7 +10,7 @@ from typing import NoReturn, Protocol
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
 from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.store_sink import HeartbeatProgress
-from calcidem.app.campaign.task import cell_computation, kernel_compilations
+from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
@@ -53,30 +55,41 @@ class _Orders:
     anything_to_do: bool
 
 
-def run_on_ranks(load: Callable[[], Configuration], open_view: Callable[[], RunView]) -> NoReturn:
+def run_on_ranks(
+    load: Callable[[], Configuration],
+    open_view: Callable[[], RunView],
+    open_executor: Callable[[], AbstractContextManager[Executor | None]] = nullcontext,
+) -> NoReturn:
     """Run a campaign, or what is left of it, and end with the exit code that says how it went.
 
-    To be called on all ranks; the configuration is loaded, and the view opened, on rank 0 only.
+    To be called on all ranks; the configuration is loaded, and view and executor are opened, on rank 0 only. If there
+    is an executor its workers compute, and there are no other ranks.
     """
     keep_freed_memory()
     with Session() as session:
         if session.rank == 0:
             view = open_view()
-            with view.display() as display:
-                code, end = _lead(session, load, view, ProgressReporter(display))
+            with view.display() as display, ExitStack() as stack:
+                reporter = ProgressReporter(display)
+                code, end = _lead(session, load, view, reporter, lambda: stack.enter_context(open_executor()))
         else:
             code, end = _follow(session)
         session.end(code, end)
 
 
 def _lead(
-    session: Session, load: Callable[[], Configuration], view: RunView, reporter: ProgressReporter
+    session: Session,
+    load: Callable[[], Configuration],
+    view: RunView,
+    reporter: ProgressReporter,
+    open_executor: Callable[[], Executor | None],
 ) -> tuple[int, SweepEnd | None]:
     """What rank 0 does: prepare, have the cells computed, store them, and report; returns exit code and end."""
     workers = session.gather(describe_worker(session.rank))
-    code, work = 0, None
+    code, work, executor = 0, None, None
     try:
         refuse_singletons(session.size)
+        executor = open_executor()
         check = partial(_end_in_haste, session.stop_request)
         work = CampaignRun(load(), workers, view.say, check, reporter.on_packing)
     except SweepInterrupted:
@@ -95,12 +108,13 @@ def _lead(
         view.begin(work)
         if orders.anything_to_do:
             reporter.begin(RunStage.COMPILING)
-        _compile_on_nodes(session, orders)
+        if executor is None:
+            _compile_on_nodes(session, orders)
         try:
             work.end = run_sweep(
-                session.comm,
+                executor or session.comm,
                 work.batches,
-                cell_computation(orders.configuration, work.packing, work.lease_keeper),
+                CellComputation(orders.configuration, work.packing),
                 work.sink,
                 options=sweep_options(orders.configuration),
                 progress=HeartbeatProgress(reporter, work.lease_keeper),
@@ -123,7 +137,7 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
         return code, None
     orders: _Orders = session.broadcast(None)
     _compile_on_nodes(session, orders)
-    cells = cell_computation(orders.configuration, orders.packing)
+    cells = CellComputation(orders.configuration, orders.packing)
     end = run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
     return end.exit_code, end
 

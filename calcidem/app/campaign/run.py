@@ -4,23 +4,25 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
-from calcidem.app.campaign.identity import record_of, refuse_other_physics
-from calcidem.app.campaign.packing import Tell, packing_record, provide_packing
+from calcidem.app.campaign.identity import choose_campaign, record_of
+from calcidem.app.campaign.packing import Tell, packing_record, provide_packing, readable_packing
+from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.store_sink import LeaseKeeper, StoreSink
-from calcidem.app.campaign.task import cell_computation, expected_effort, kernel_compilations
+from calcidem.app.campaign.store_sink import HeartbeatProgress, LeaseKeeper, StoreSink
+from calcidem.app.campaign.task import CellComputation, expected_effort, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.storage.errors import LeaseHeldError, StoreError
+from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
 from calcidem.storage.records import WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import LeaseGrant, Store
@@ -28,6 +30,8 @@ from calcidem.sweep import (
     StopRequest,
     SweepEnd,
     SweepOptions,
+    SweepState,
+    WorkersLostError,
     keep_freed_memory,
     plan_batches,
     run_sweep,
@@ -47,8 +51,9 @@ def run(
     output: str | os.PathLike[str] | None = None,
     set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
     progress: Callable[[RunProgress], object] | bool | None = None,
+    executor: Executor | None = None,
 ) -> "OpenedCampaign":
-    """Compute a campaign, or what is left of it, in this process.
+    """Compute a campaign, or what is left of it, in this process or on the workers of an executor.
 
     Parameters
     ----------
@@ -63,6 +68,9 @@ def run(
     progress
         A function that is told how far the run is, a few times a second at most; what it raises ends the run, and the
         same call goes on later. True shows it, False does not; by default it is shown on a terminal and in a notebook.
+    executor
+        Whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an ``mpi4py.futures.MPIPoolExecutor``,
+        ``Client.get_executor()`` of Dask, or any other. They need this calcidem, not the database. It stays open.
 
     Returns
     -------
@@ -77,11 +85,20 @@ def run(
         If the database cannot be used.
     PackingError
         If the packing does not come to rest.
+    WorkersLostError
+        If the executor ended too early, for instance because one of its processes was killed: what was computed is
+        stored, and the same call with a new executor goes on.
 
     Examples
     --------
     >>> with calcidem.run("quick.toml", db="quick.db") as campaign:  # doctest: +SKIP
     ...     print(campaign.vs().mean("seed"))
+
+    On all cores:
+
+    >>> from concurrent.futures import ProcessPoolExecutor
+    >>> with ProcessPoolExecutor() as pool, calcidem.run("quick.toml", executor=pool) as campaign:  # doctest: +SKIP
+    ...     print(campaign.summary())
     """
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
     from calcidem.app.config.changed import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
@@ -97,18 +114,21 @@ def run(
         with CampaignRun(configuration, [describe_worker(rank=0)], display.note, watch=reporter.on_packing) as work:
             if work.batches:
                 reporter.begin(RunStage.COMPILING)
-                for compile_kernel in kernel_compilations(configuration, work.packing):
-                    compile_kernel()
+                if executor is None:
+                    for compile_kernel in kernel_compilations(configuration, work.packing):
+                        compile_kernel()
             work.end = run_sweep(
-                None,
+                executor,
                 work.batches,
-                cell_computation(configuration, work.packing, work.lease_keeper),
+                CellComputation(configuration, work.packing),
                 work.sink,
                 options=sweep_options(configuration),
-                progress=reporter,
+                progress=HeartbeatProgress(reporter, work.lease_keeper),
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
             )
             work.store.renew_lease()  # what was stored is still there
+            if work.end.state is not SweepState.COMPLETE:
+                raise WorkersLostError(f"{work.end.detail} (everything stored is safe)")
     return open_campaign(configuration.database, configuration.campaign.name)
 
 
@@ -146,7 +166,7 @@ class CampaignRun:
     sink
         Takes the outcomes.
     lease_keeper
-        To be called often while cells are computed.
+        To be called often while cells are computed (`HeartbeatProgress` does).
     end
         To be set to the end of the sweep.
     """
@@ -161,6 +181,7 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
+        _refuse_before_writing(configuration)
         configuration.output.mkdir(parents=True, exist_ok=True)  # before hours are spent on what is written there
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
@@ -184,8 +205,6 @@ class CampaignRun:
 
         store = open_store(configuration.database)
         try:
-            for namesake in (found for found in store.campaigns() if found.name == configuration.campaign.name):
-                refuse_other_physics(namesake)
             store.begin_campaign(record_of(configuration))
             grant = _acquire_lease(store, tell, check)
         except BaseException:
@@ -204,7 +223,9 @@ class CampaignRun:
         self.store.save_packing(record)
         self.store.extend(plan.seed_numbers, plan.contents)
         self.record = self.store.use_campaign(plan.name)
-        pending = self.store.pending(plan.seed_numbers, plan.contents)
+        own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
+        planned = self.store.pending(plan.seed_numbers, plan.contents)
+        pending = [key for key in planned if (key.seed, key.content) in own]
         self.sink = StoreSink(self.store, pending, tell)
         self.lease_keeper = LeaseKeeper(self.store, self.sink.busy)
         self.batches = plan_batches(
@@ -255,6 +276,26 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> Lease
         first = holder
         check()
         time.sleep(_LEASE_POLL)
+
+
+def _refuse_before_writing(configuration: Configuration) -> None:
+    """Refuse a configuration that its database, or the packing there, does not fit, before any byte is written.
+
+    Raises
+    ------
+    CampaignMismatchError
+        As `choose_campaign`.
+    ConfigurationError
+        If the packing cannot hold what is planned.
+    """
+    if not _exists(configuration.database):
+        return
+    from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
+
+    # An empty database is foreign to who reads, and new to who writes.
+    with suppress(ForeignDatabaseError), open_store(configuration.database, read_only=True) as store:
+        if choose_campaign(store, configuration) and store.packing_indices():
+            check_against_packing(configuration, readable_packing(store, 0))
 
 
 def _exists(database: str) -> bool:

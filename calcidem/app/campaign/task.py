@@ -1,9 +1,13 @@
 """What a worker does: cells of one content in, records of their outcomes and of their contact graphs out."""
 
 import contextlib
+import os
+import sys
+import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -14,27 +18,33 @@ from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
-from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.cement import PlacedCement, content_of_contacts
+from calcidem.app.campaign.provenance import version_of
+from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.sample.cement import CementOrdering, PlacedCement, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.recorder import WaveRecord
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
     CellStatus,
     CementPattern,
+    GrainPath,
     GraphSummary,
     PackedResult,
     PathFeatures,
     Signal,
 )
 from calcidem.storage.sql.rows import pack_result
-from calcidem.sweep import Batch, Cell, Compute
+from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
+
+if sys.platform != "win32":
+    import fcntl
 
 _SEEDS_REMEMBERED = 64
 """Seeds whose cement is not drawn again for each content; 0.3 MB each. Batches of the same seeds follow each other."""
@@ -43,46 +53,90 @@ _AFTER_FIRST_CHUNK = 2
 """Call of the check by which the kernel has run once."""
 
 
-def cell_computation(
-    configuration: Configuration, packing: Packing, alongside: Callable[[], None] = lambda: None
-) -> Compute[Cell, PackedResult]:
-    """The computation of a batch up to the bytes that are stored, for `calcidem.sweep.run_sweep`.
+@dataclass(frozen=True)
+class CellComputation:
+    """The computation of a batch up to the bytes that are stored, a `calcidem.sweep.Compute`.
 
-    Parameters
+    It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, once for all
+    processes of a machine that begin together.
+
+    Attributes
     ----------
-    configuration
+    configuration, packing
         Of the campaign.
-    packing
-        Its packing.
-    alongside
-        Called together with the check of the deadline.
     """
-    experiment = configuration.experiment(packing)
-    lanes, store_signals = configuration.run.lanes, configuration.run.store_signals
-    ordering = lru_cache(_SEEDS_REMEMBERED)(experiment.ordering)
-    graph = packing_graph(
-        packing_record(packing, index=0, packing_hash=configuration.packing_hash),
-        configuration.wave.transmitter_half_width,
-        configuration.wave.receiver_half_width,
-    )
 
-    def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
-        def check() -> None:
-            deadline_check()
-            alongside()
+    configuration: Configuration
+    packing: Packing
 
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
+        """Measure the cells of a batch, which share a content."""
+        run, experiment = self.configuration.run, self._experiment
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
-        measurements = measure(experiment, content, seeds, lanes=lanes, check=check, ordering=ordering)
-        results = [cell_result(measurement, experiment, store_signals, graph) for measurement in measurements]
-        if configuration.run.static_speed:
+        measurements = measure(
+            experiment, content, seeds, lanes=run.lanes, check=deadline_check, ordering=self._ordering
+        )
+        results = [cell_result(measurement, experiment, run.store_signals, self._graph) for measurement in measurements]
+        if run.static_speed:
             results = [
-                replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
+                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
         return tuple(map(pack_result, results))
 
-    return compute
+    def __reduce__(self) -> tuple[object, ...]:
+        """Be prepared by the process that unpickles it; the URL of the database, with its password, stays here."""
+        told = replace(self.configuration, run=replace(self.configuration.run, database=None))
+        return _prepared_computation, (told, self.packing, _version())
+
+    @cached_property
+    def _experiment(self) -> Experiment:
+        return self.configuration.experiment(self.packing)
+
+    @cached_property
+    def _ordering(self) -> Callable[[int], CementOrdering]:
+        return lru_cache(_SEEDS_REMEMBERED)(self._experiment.ordering)
+
+    @cached_property
+    def _graph(self) -> PackingGraph:
+        return packing_graph(
+            packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash),
+            self.configuration.wave.transmitter_half_width,
+            self.configuration.wave.receiver_half_width,
+        )
+
+
+def _version() -> str:
+    """What decides the bits of a cell."""
+    return f"calcidem {version_of('calcidem')} with physics version {PHYSICS_VERSION}"
+
+
+def _prepared_computation(configuration: Configuration, packing: Packing, version: str) -> CellComputation:
+    """The computation in a process of an executor, with the kernels compiled."""
+    if _version() != version:
+        raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
+    keep_freed_memory()
+    compilations = kernel_compilations(configuration, packing)
+    if sys.platform == "win32":  # each process for itself
+        for compile_kernel in compilations:
+            compile_kernel()
+        return CellComputation(configuration, packing)
+    with (Path(tempfile.gettempdir()) / f"calcidem-kernels-{os.getuid()}.lock").open("w", encoding="ascii") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fcntl.flock(file, fcntl.LOCK_SH)  # another process compiles: wait for it, and load what it leaves on disk
+        else:
+            for compile_kernel in compilations:
+                compile_kernel()
+    return CellComputation(configuration, packing)
+
+
+def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
+    """Static speed of a sample, m/s; None where its inner part does not tell it."""
+    found = static_speed(experiment, bonded)
+    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
 
 def cell_result(
@@ -94,7 +148,7 @@ def cell_result(
     """
     cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
-    features, summary = (None, None) if graph is None else _describe_graph(graph, pattern)
+    path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
         result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
     )
@@ -128,6 +182,7 @@ def cell_result(
         seconds=measurement.seconds,
         features=features,
         graph=summary,
+        path=path,
         signal=stored_signal(record) if store_signals else None,
         cement=pattern,
     )
@@ -156,14 +211,19 @@ def stored_signal(record: WaveRecord) -> Signal | None:
     )
 
 
-def _describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
-    """Features of the path and summary of the graph of one sample.
+def _describe_graph(
+    packing: PackingGraph, cement: CementPattern
+) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
+    """Path, its features and summary of the graph of one sample.
 
     Where no chain of contacts joins transmitter and receiver there is no path.
     """
     bonded = packing.bonded(cement)
     summary = graph_summary(packing.graph, bonded)
-    return None if summary.gap_contacts is None else packing.features(packing.path(bonded)), summary
+    if summary.graph_gap_contacts is None:
+        return None, None, summary
+    path = packing.path(bonded)
+    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
 
 
 def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
@@ -183,12 +243,12 @@ def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSu
     grains = np.bincount(component, minlength=pieces)
     larger = grains[grains > 1]
     return GraphSummary(
-        contacts=graph.contact_count,
-        bonded_contacts=int(np.count_nonzero(bonded)),
-        coordination_number=graph.coordination_number,
-        components=len(larger),
-        largest_component=int(larger.max(initial=0)),
-        gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
+        graph_contacts=graph.contact_count,
+        graph_bonded_contacts=int(np.count_nonzero(bonded)),
+        graph_coordination_number=graph.coordination_number,
+        graph_components=len(larger),
+        graph_largest_component=int(larger.max(initial=0)),
+        graph_gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
     )
 
 

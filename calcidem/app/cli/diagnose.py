@@ -92,7 +92,7 @@ def _cell_lines(diagnosis: "Diagnosis") -> Iterator[str]:
     key = diagnosis.key
     yield f"seed {key.seed}, {key.content:g} %: {diagnosis.status.replace('_', ' ')}, {diagnosis.reason}"
     yield from textwrap.wrap(diagnosis.finding, _WIDTH, initial_indent="  ", subsequent_indent="  ")
-    wide = max(len(str(cure)) for cure in diagnosis.cures)
+    wide = max((len(str(cure)) for cure in diagnosis.cures), default=0)
     for cure in diagnosis.cures:
         head = f"    {str(cure).ljust(wide)}   "
         yield from textwrap.wrap(cure.why, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))

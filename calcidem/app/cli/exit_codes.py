@@ -18,7 +18,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
 )
 from calcidem.storage.passwords import hide_passwords
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 
 _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""
@@ -30,6 +30,9 @@ _BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSE
 
 _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError)
 """Errors of the store that no other input would cure."""
+
+_NO_THREAD = "can't start new thread"
+"""What Python says, as a RuntimeError, where there is no memory for the stack of a thread."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -57,7 +60,12 @@ def exit_code_of(error: BaseException) -> int:
 
 def tell_error(error: Exception) -> int:
     """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
-    if isinstance(error, (*_BAD_INPUT, PackingError)):
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+        text = (
+            f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
+            "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
+        )
+    elif isinstance(error, (*_BAD_INPUT, PackingError, SweepError)):
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
         text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"

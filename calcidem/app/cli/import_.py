@@ -1,13 +1,16 @@
 """``calcidem import``: a database from an exported file."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
 from calcidem.app.cli.terminal import printable
 
-ERRORS_OF_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
+_RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 """What the library for NetCDF, and who takes its answers, raise where bytes of a file are others."""
 
 
@@ -22,15 +25,33 @@ def import_command(
     A file that was changed, and one whose cells are on another packing than the database's, are refused.
     """
     from calcidem.app.campaign.packing import identify_packing
-    from calcidem.storage.errors import DamagedStoreError
+    from calcidem.storage.files import write_atomically
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
+    from calcidem.storage.sql.engine import parse_address
     from calcidem.storage.sql.store import open_store
 
-    with open_store(database) as store:
-        try:
-            campaign = import_netcdf(file, store, identify_packing)
-        except ERRORS_OF_DAMAGE as error:
-            cure = f"Export it again, and import it again: what {database} has got of it by now stays."
-            raise DamagedStoreError(f"{file} is damaged ({type(error).__name__}: {error}).", cure) from error
+    path = parse_address(database).path
+    with _told_as_damage(file):
+        if path is not None and not path.exists():
+            with write_atomically(path) as begun, open_store(begun) as store:
+                campaign = import_netcdf(file, store, identify_packing)
+        else:
+            # Whatever a database refuses of it is found out in one that nobody misses.
+            with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:
+                import_netcdf(file, trial, identify_packing)
+            with open_store(database) as store:
+                campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
     typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))
+
+
+@contextmanager
+def _told_as_damage(file: Path) -> Iterator[None]:
+    """Tell whatever is raised by bytes that are not those that were exported."""
+    from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
+
+    try:
+        yield
+    except (*_RAISED_BY_DAMAGE, InvalidRecordError) as error:
+        problem = f"{file} is damaged ({type(error).__name__}: {error})."
+        raise DamagedStoreError(problem, "Export it again, and import it again; nothing was written.") from error

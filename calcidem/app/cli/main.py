@@ -23,7 +23,6 @@ PANELS = {
     },
     "Run": {
         "run": "Compute a campaign, or what is left of it.",
-        "packing": "Make or report on the packing alone.",
         "retry": "Make cells that went wrong pending again.",
         "plan": "How many more seeds a mean needs, and how long they take.",
     },
@@ -56,8 +55,6 @@ PANELS = {
     },
 }
 """What the list of all commands says of each."""
-
-COMMANDS = tuple(name for panel in PANELS.values() for name in panel)
 
 
 class _LazyGroup(TyperGroup):

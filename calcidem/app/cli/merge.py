@@ -21,7 +21,7 @@ def merge_command(
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Merge databases of one campaign, such as those of several seed ranges, into a new one.
+    """Merge databases of one campaign, such as those of `calcidem run --part`, into a new one.
 
     Done cells win over all others. Where two databases have different values for the same done cell, nothing is written
     unless --prefer says which to take.
@@ -36,10 +36,13 @@ def merge_command(
 
 def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     """What was done, for a person."""
-    from calcidem.app.campaign.merge import conflict_lines
+    from calcidem.app.campaign.merge import conflict_lines, missing_lines
 
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
-    lines = [f"Wrote {out}: {merged.settled} of {merged.planned} planned cells are finished", *taken]
+    lines = [
+        f"Wrote {out}: {merged.settled} of {merged.settled + len(merged.missing)} planned cells are finished",
+        *taken,
+    ]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
     if merged.overruled:
@@ -47,6 +50,7 @@ def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     if merged.conflicts:
         lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
         lines += ["  " + line for line in conflict_lines(merged, sources)]
-    if merged.settled < merged.planned:
-        lines.append(f"The other cells are pending; 'calcidem run CONFIG --db {out}' computes them.")
+    if merged.missing:
+        lines += ["Missing:", *missing_lines(merged)]
+        lines.append(f"'calcidem run CONFIG --db {out}' computes them.")
     return lines

@@ -1,5 +1,6 @@
 """``calcidem run``: one campaign, in this process or on MPI ranks."""
 
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,11 +24,20 @@ def run_command(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the results, instead of the configuration's.")
     ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K/N", help="Compute only part K of N of about equal effort, into a database to merge with theirs."
+        ),
+    ] = None,
     ranks: Annotated[
         int | None,
         typer.Option(
             min=0, max=100_000, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."
         ),
+    ] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of the Dask scheduler there.")
     ] = None,
     restarts: Annotated[
         int | None,
@@ -53,9 +63,25 @@ def run_command(
     check: Annotated[
         bool, typer.Option("--check", help="Compute nothing: check the configuration and say what would be computed.")
     ] = False,
+    packing_only: Annotated[
+        bool,
+        typer.Option(
+            "--packing-only", help="Compute no cell: make the packing, keep it in the cache and report on it."
+        ),
+    ] = False,
 ) -> None:
     """Compute a campaign, or what is left of it: after a stop, the same command continues."""
-    overrides = {"database": database, "output": None if output is None else str(output)}
+    overrides = {"database": database, "output": None if output is None else str(output), "part": part}
+    if part is not None and with_report:
+        raise typer.BadParameter("a part is no whole campaign; merge the parts first", param_hint="--report")
+    if packing_only:
+        from calcidem.app.campaign.packing import provide_packing
+        from calcidem.app.cli.tables import packing_lines
+        from calcidem.app.config.reader import load_configuration
+
+        packing = provide_packing(load_configuration(configuration, overrides), None, typer.echo)
+        typer.echo("\n".join(packing_lines(packing)))
+        return
     if check:
         from calcidem.app.campaign.preview import preview_lines
         from calcidem.app.config.reader import load_configuration
@@ -63,12 +89,15 @@ def run_command(
         lines = list(preview_lines(load_configuration(configuration, overrides)))  # or nothing, if something is wrong
         typer.echo(printable("\n".join(lines)))
         return
+    if dask is not None and ranks is not None:
+        raise typer.BadParameter("leave --ranks out: the workers of the cluster compute", param_hint="--dask")
     if ranks is not None and ranks != 1:
         from calcidem.app.campaign.launch import Launch, default_ranks
 
         arguments = ["run", str(configuration)]
         arguments += ["--db", database] if database is not None else []
         arguments += ["--output", str(output)] if output is not None else []
+        arguments += ["--part", part] if part is not None else []
         arguments += ["--report"] if with_report else []
         restarts = 3 if restarts is None else restarts
         raise typer.Exit(Launch(arguments, ranks or default_ranks(), restarts, start_timeout, silence_timeout).run())
@@ -76,9 +105,14 @@ def run_command(
         raise typer.BadParameter(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
+    from calcidem.app.campaign.dask_cluster import dask_executor
     from calcidem.app.campaign.ranks import run_on_ranks
 
-    run_on_ranks(partial(_read_overridden, configuration, overrides), partial(_open_view, with_report=with_report))
+    run_on_ranks(
+        partial(_read_overridden, configuration, overrides),
+        partial(_open_view, with_report=with_report, one_process=dask is None),
+        nullcontext if dask is None else partial(dask_executor, dask),
+    )
 
 
 def _read_overridden(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":
@@ -88,8 +122,8 @@ def _read_overridden(configuration: Path, overrides: dict[str, str | None]) -> "
     return load_configuration(configuration, overrides)
 
 
-def _open_view(*, with_report: bool) -> "TerminalView":
+def _open_view(*, with_report: bool, one_process: bool) -> "TerminalView":
     """What a person reads, on rank 0 alone."""
     from calcidem.app.cli.run_view import TerminalView
 
-    return TerminalView(with_report=with_report)
+    return TerminalView(with_report=with_report, one_process=one_process)

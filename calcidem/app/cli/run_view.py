@@ -18,8 +18,9 @@ from calcidem.sweep.environment import available_cores, launcher
 class TerminalView:
     """A `calcidem.app.campaign.ranks.RunView` on the terminal, or in the log, of this process."""
 
-    def __init__(self, *, with_report: bool) -> None:
+    def __init__(self, *, with_report: bool, one_process: bool) -> None:
         self.console = make_console()
+        self.one_process = one_process and launcher() is None
         self.with_report = with_report
 
     def say(self, text: str) -> None:
@@ -38,7 +39,7 @@ class TerminalView:
             self.say(line)
         if note := calibration_note(work.configuration):
             self.say(note)
-        if work.batches and launcher() is None and sys.platform == "linux" and (cores := available_cores()) > 1:
+        if work.batches and self.one_process and sys.platform == "linux" and (cores := available_cores()) > 1:
             self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:

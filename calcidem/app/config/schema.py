@@ -5,6 +5,7 @@ there are two, one comes from `calcidem.dem` and the other holds what a campaign
 """
 
 import itertools
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -232,6 +233,12 @@ class Excitation:
         return FrequencyTable((0.0, 100.0), (self.frequency, self.frequency))
 
 
+def _is_part(value: object) -> bool:
+    """Whether a value is the text of a part's number and of the number of parts."""
+    found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", value, re.ASCII) if isinstance(value, str) else None
+    return found is not None and 1 <= int(found[1]) <= int(found[2])
+
+
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """Section ``[run]``: what does not change the physics.
@@ -249,7 +256,10 @@ class RunOptions:
     output
         Folder for the database and the NetCDF file; made if it is missing.
     database
-        SQLite file or database URL; ``<output>/<name>.db`` by default.
+        SQLite file or database URL; ``<output>/<name>.db`` by default, ``<output>/<name>-part-3-of-8.db`` for a part.
+    part
+        Which part of the cells to compute: "3/8" is the third of eight of about equal effort. Each part needs its own
+        database, which `calcidem merge` joins. By default all cells are computed.
     """
 
     lanes: Annotated[int, Predicate(LANE_COUNTS.__contains__), "1, 2, 4, 8, 16 or 32"] = 8
@@ -266,6 +276,20 @@ class RunOptions:
     ) = None
     output: Annotated[str, Predicate(bool), 'the name of a folder, "." for the present one'] = "results"
     database: Annotated[str, Predicate(bool), "a file name, or leave the key out"] | None = None
+    part: (
+        Annotated[
+            str,
+            Predicate(_is_part),
+            '"3/8" for the third of eight parts, counted from 1 (of a Slurm array: --array=1-8)',
+        ]
+        | None
+    ) = None
+
+    @property
+    def part_numbers(self) -> tuple[int, int]:
+        """Number of the part, from 1, and of all parts."""
+        number, _, parts = (self.part or "1/1").partition("/")
+        return int(number), int(parts)
 
     def __post_init__(self) -> None:
         """Refuse what the kernel and the file system do not know."""
@@ -395,7 +419,9 @@ class Configuration:
     @property
     def database(self) -> str:
         """File name or URL of the database."""
-        return self.run.database or str(self.output / f"{self.campaign.name}.db")
+        number, parts = self.run.part_numbers
+        part = "" if self.run.part is None else f"-part-{number}-of-{parts}"
+        return self.run.database or str(self.output / f"{self.campaign.name}{part}.db")
 
     @property
     def netcdf(self) -> Path:

@@ -14,6 +14,7 @@ from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.wording import Table
+from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import write_netcdf
 
 _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
@@ -72,8 +73,8 @@ def analyse(
 
 
 def _write_table(table: Table, file: Path) -> None:
-    """Write a table as CSV, as it stands in the report; the exact numbers are in the NetCDF files."""
+    """Write a table as CSV, with the numbers as they stand in the report; the exact ones are in the NetCDF files."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(table.header)
-        writer.writerows(table.rows)
+        writer.writerows([spreadsheet_value(value) for value in row] for row in table.rows)

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, refuse_other_physics
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, Signal
+from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, Signal
 
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
@@ -148,10 +148,10 @@ def _verify_batch(
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
         computed = cell_result(measurement, experiment, store_signals=stored.signal is not None)
-        yield compare_outcomes(stored, computed)
+        yield _compare_outcomes(stored, computed)
 
 
-def compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
+def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
     """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
     differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:
@@ -165,7 +165,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*DECIDED_BY_PHYSICS, "expected_error", "error_bound"):
+    for name in (*EXACT_QUANTITIES, "expected_error", "error_bound"):
         one, other = getattr(stored, name), getattr(computed, name)
         if one is None or other is None:
             if one is not other:

@@ -10,7 +10,7 @@ from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.error_estimate import NumericalError, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import SILENCE, Reading, Verdict, read_section
+from calcidem.dem.wave.reading import Reading, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 
 LARGEST_BOUND = 0.05  # of the numerical error, above which a velocity is not trusted
@@ -118,7 +118,8 @@ def measure(
     frequency = experiment.frequency(content)
 
     def stop_when(record: WaveRecord) -> bool:
-        return experiment.early_stop and is_settled(record, experiment)
+        sent = record.section.duration * frequency > 1.0
+        return experiment.early_stop and sent and is_settled(record.section, experiment.pick, record.remaining_speed)
 
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
@@ -142,16 +143,6 @@ def measure_all(
     for begin in range(0, len(seeds), lanes):
         found += measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes, ordering=ordering)
     return tuple(found)
-
-
-def is_settled(record: WaveRecord, experiment: Experiment) -> bool:
-    """Return whether a longer record changes no reading: it is there, or what still moves is too weak to be one."""
-    section = record.section
-    if section.duration * section.frequency <= 1.0:
-        return False
-    if read_section(section, experiment.pick).verdict not in {Verdict.SILENT, Verdict.TOO_SHORT, Verdict.NO_LINE}:
-        return True
-    return record.remaining_speed < SILENCE * experiment.wave.amplitude
 
 
 def interpret_record(experiment: Experiment, record: WaveRecord) -> Interpretation:

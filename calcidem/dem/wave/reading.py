@@ -12,7 +12,7 @@
 A candidate depends on no sample behind its horizon, so a record that is cut there gives the same bits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
@@ -60,10 +60,10 @@ LEAST_ERROR = 0.014
 P_LEFT = 0.75
 """Standard error over the shift that taking the P wave off makes."""
 
-BLUR = 0.17
+BLUR = 0.16
 """Standard error over the relative width of the peak at 0.9 of its amplitude."""
 
-NEAR_FIELD = 0.066
+NEAR_FIELD = 0.075
 """Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
 
 EDGE_SPEED = 1.5
@@ -164,7 +164,7 @@ class Reading:
         Relative standard error of these velocities, see `reading_error`.
     path, path_error
         Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
-        error; None where too few stations saw the crest.
+        error; None where too few stations saw the crest, or the error is above `PickRule.largest_error`.
     """
 
     verdict: Verdict | None
@@ -327,15 +327,53 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
         section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
         for time in others
     )
-    velocity, scatter = section.distance / arrival.travel_time, arrival.path_scatter
-    path_error = None if scatter is None else float(np.sqrt(error * error + CREST * CREST * scatter * scatter))
-    return Reading(None, arrival, velocity, first, correlated, error, arrival.path_velocity, path_error)
+    reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
+    if arrival.path_scatter is None:
+        return reading
+    path_error = float(np.sqrt(error * error + (CREST * arrival.path_scatter) ** 2))
+    known = path_error <= rule.largest_error
+    return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
     """Length of record in which a pulse without dispersion is read, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
+
+
+def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
+    """Return whether a longer record changes no reading.
+
+    Parameters
+    ----------
+    section, rule
+        What was recorded so far, and how it is read.
+    remaining_speed
+        What no place of the section will exceed from now on, m/s.
+
+    Notes
+    -----
+    The S wave is there, or no later peak can be one: its stack would be too small. On its line each station is later
+    than on that of the present, so what is known of it and ``remaining_speed`` bound the stack.
+    """
+    verdict = read_section(section, rule).verdict
+    if verdict is None or verdict is Verdict.UNCERTAIN:
+        return True
+    if verdict is Verdict.TOO_SHORT:
+        return False
+    prepared = prepare(section, rule.smoothing)
+    loudest = float(np.sqrt(1.0 + STEEPEST * STEEPEST)) * remaining_speed / section.amplitude
+    unsmoothed = section.across[len(prepared.across) :]
+    tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
+    if max(loudest, float(tail[-1])) < SILENCE:
+        return True
+    if (prepared.p_top < 0).any():
+        return False
+    clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
+    now = (1.0 - STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
+    later = np.arange(len(clean))[:, None] >= now
+    highest = np.maximum(np.where(later, clean, 0.0).max(axis=0), np.maximum(tail, loudest))
+    return float(np.minimum(highest / np.maximum(clean.max(axis=0), SILENCE), 1.0).mean()) < LEAST_COHERENCE
 
 
 def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:

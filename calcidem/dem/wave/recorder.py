@@ -42,7 +42,8 @@ class WaveRecord:
     broken_bonds, bonds
         Bonds that broke until then, of how many.
     remaining_speed
-        Bound of the velocity from then on, m/s: that of its disks, were all that moves in the sample theirs.
+        Bound of the velocities of the section from then on, m/s: those of a place, were all that moves in the sample
+        its disks.
     nonlinear
         What the contact laws would change when the pulse has been sent, and after every `LOOKS_APART` periods from then
         on.
@@ -204,7 +205,8 @@ class Recorder:
         mass = self.state.scene.mass[self.state.assembly.order]
         velocity = self.state.motion.velocity[:, XY].astype(float)
         moving = (mass[:, None, None] * (velocity * velocity)).sum(axis=0).sum(axis=0)
-        return np.asarray(np.sqrt(moving / (len(self.listeners[-1]) * mass[self.listeners[-1]].min())))
+        fewest = min(len(disks) * float(mass[disks].min()) for disks in self.listeners)
+        return np.asarray(np.sqrt(moving / fewest))
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
         """What a lane has recorded so far, and why it cannot be trusted if it cannot."""

@@ -1,11 +1,13 @@
 """The store on a SQL database: SQLite by default, PostgreSQL by URL."""
 
+import errno
 import os
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from typing_extensions import override
 
 from calcidem.storage.errors import (
     DamagedStoreError,
+    ForeignDatabaseError,
     ReadOnlyStoreError,
     ReplacedStoreError,
     StoreError,
@@ -38,11 +41,12 @@ from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import (
     Address,
     bring_log_into_file,
+    execute_on_connect,
     make_engine,
     parse_address,
     transaction,
 )
-from calcidem.storage.sql.models import CampaignRow, LeaseRow, PackingRow, RunRow
+from calcidem.storage.sql.models import RUN, CampaignRow, LeaseRow, PackingRow, RunRow
 from calcidem.storage.sql.schema import is_empty, prepare_schema
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
 
@@ -87,6 +91,7 @@ class SqlStore(Store):
         self._campaign_id: int | None = None
         self._run_id: int | None = None
         self._token: str | None = None
+        self._closed = False
         self._next_checkpoint = 0.0
         self._lock = lease.FileLock(address.path) if address.path and not read_only else None
         _check_file(address, read_only=read_only)
@@ -95,7 +100,9 @@ class SqlStore(Store):
         self._engine = make_engine(address, read_only=read_only)
         try:
             with transaction(self._engine, address, write=not read_only) as session:
-                prepare_schema(session.connection(), address, read_only=read_only)
+                statements = prepare_schema(session.connection(), address, read_only=read_only)
+            if statements:
+                execute_on_connect(self._engine, statements)
             self._file = None if address.path is None else address.path.stat()
         except BaseException:
             self._engine.dispose()
@@ -104,11 +111,13 @@ class SqlStore(Store):
     # Transactions
 
     def _reading(self) -> AbstractContextManager[Session]:
+        self._refuse_closed()
         return transaction(self._engine, self.address, write=False)
 
     @contextmanager
     def _writing(self) -> Iterator[Session]:
         """Open a writing transaction that fails if the lease was lost."""
+        self._refuse_closed()
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
@@ -119,6 +128,10 @@ class SqlStore(Store):
             self._lock.note(self._token, heartbeat)
         if time.monotonic() > self._next_checkpoint:
             self._bring_log_into_file()
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise StoreUnavailableError(f"{self.address} was closed.", "Open it again to go on with it.")
 
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
@@ -203,7 +216,7 @@ class SqlStore(Store):
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             row.exit_state, row.ended = exit_state, as_utc(ended)
-            row.checksum = checksum_of(RunRow, (), rows.run_columns(row))
+            row.checksum = checksum_of(RUN, (), rows.run_columns(row))
         self._run_id = None
 
     @override
@@ -404,6 +417,7 @@ class SqlStore(Store):
             with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
                 self.release_lease()
         finally:
+            self._closed = True
             self._bring_log_into_file()
             self._engine.dispose()
 
@@ -415,10 +429,24 @@ def _check_file(address: Address, *, read_only: bool) -> None:
         return
     if path.is_dir():
         raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
+    if path.exists() and not _can_be_read_from_its_beginning(path):
+        raise ForeignDatabaseError(f"{path} is not a database file.", "Give a file name, not that of a device.")
     if read_only and not path.exists():
         raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     if not path.parent.is_dir():
         raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
+
+
+def _can_be_read_from_its_beginning(path: Path) -> bool:
+    """Whether this is a file, and not one of the kernel's that only look like one."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError as error:
+        return error.errno != errno.EIO  # what else is wrong SQLite says
+    return True
 
 
 def _look_before_writing(address: Address) -> None:

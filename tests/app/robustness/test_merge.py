@@ -38,6 +38,17 @@ def test_seed_ranges_join_to_the_whole(
         assert len(campaign.runs()) == 1  # both parts have it of the same database
 
 
+def test_what_no_part_has_is_named(part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path) -> None:
+    """Planned cells without an outcome are listed by content, with their seeds as ranges."""
+    first, second = part("a.db", {1, 2}), part("b.db", {6})
+    with open_store(first) as store:
+        contents = store.use_campaign().contents
+        store.extend(range(1, 9), contents)
+    output = invoke("merge", first, second, "--out", tmp_path / "out.db")
+    assert "Missing:" in output
+    assert all(f"  {content:g} %: 5 cells, seeds 3-5, 7-8\n" in output for content in contents)
+
+
 def test_merging_a_copy_changes_nothing(troubled: Path, tmp_path: Path) -> None:
     """A database merged with its copy has the same cells, attempts and runs as before."""
     copy, out = shutil.copy(troubled, tmp_path / "copy.db"), tmp_path / "out.db"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
-from calcidem.sweep.protocol import Backoff, wait_until
+from calcidem.sweep.backoff import Backoff, wait_until
 
 
 class Counter:

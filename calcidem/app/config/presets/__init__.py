@@ -8,7 +8,9 @@ PRESETS = ("quick", "paper", "paper-small-pulse", "paper-literal", "paper-locked
 
 
 def preset_text(name: str) -> str:
-    """Text of one of the example configurations in `PRESETS`; `FileNotFoundError` for another name."""
+    """Text of one of the example configurations in `PRESETS`; `ValueError` for another name."""
+    if name not in PRESETS:
+        raise ValueError(f"name = '{name}': there is no such preset; give one of {', '.join(PRESETS)}")
     return files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
 
 

@@ -19,7 +19,7 @@ from sqlalchemy import Engine, event
 from calcidem.app.campaign import ranks
 from calcidem.app.campaign import run as campaign
 from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.task import cell_computation
+from calcidem.app.campaign.task import CellComputation
 from calcidem.app.cli.main import main
 from calcidem.sweep import Batch, BatchOutcome
 
@@ -141,6 +141,6 @@ def let_go_on_later(victim: int) -> None:
 
 
 (FOLDER / f"rank-{RANK}").write_text(str(os.getpid()))
-ranks.cell_computation = lambda *arguments: FaultyComputation(cell_computation(*arguments))  # type: ignore[assignment]
+ranks.CellComputation = lambda *arguments: FaultyComputation(CellComputation(*arguments))  # type: ignore[assignment]
 campaign.StoreSink = FaultySink  # type: ignore[misc]
 main()

@@ -1,4 +1,4 @@
-"""The workers as the master sees them: who is idle, who computes what, who is lost."""
+"""The other ranks as rank 0 sees them: who is idle, who computes what, who is lost."""
 
 import time
 from collections import deque
@@ -7,6 +7,7 @@ from typing import Any, Generic
 
 from mpi4py import MPI
 
+from calcidem.sweep.backoff import wait_until
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.channel import command_listens, lost_according_to_command
 from calcidem.sweep.options import SweepOptions
@@ -21,9 +22,9 @@ from calcidem.sweep.protocol import (
     is_over,
     start_receive,
     start_send,
-    wait_until,
 )
 from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.workers import Loss
 
 _WATCHDOG_INTERVAL = 0.25
 """Seconds between looks for workers past their limit; going through all of them takes time."""
@@ -57,30 +58,8 @@ class _Worker(Generic[CellT]):
     task: MPI.Request | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Loss(Generic[CellT]):
-    """A worker that is gone.
-
-    Attributes
-    ----------
-    place
-        Its rank and host.
-    batch
-        What it was computing, or None.
-    reason
-        How the loss was noticed.
-    seconds
-        Time that it had spent on the batch, s.
-    """
-
-    place: Place
-    batch: Batch[CellT] | None
-    reason: str
-    seconds: float
-
-
-class WorkerPool(Generic[CellT]):
-    """All workers of a communicator; rank 0 is the master.
+class MPIWorkers(Generic[CellT]):
+    """All other ranks of a communicator; they join while the sweep runs, whenever they are ready.
 
     Parameters
     ----------
@@ -105,13 +84,22 @@ class WorkerPool(Generic[CellT]):
         self._known_failed: frozenset[int] = frozenset()
         self._given_up: set[int] = set()
         self._first_missed: dict[int, float] = {}
-        self.expected = set(range(comm.Get_size())) - {MASTER}
-        """Ranks not lost so far, whether they have reported yet or not."""
+        self._expected = set(range(comm.Get_size())) - {
+            MASTER
+        }  # ranks not lost so far, whether they have reported or not
 
     @property
-    def broken(self) -> bool:
-        """Whether a rank is lost and the MPI library cannot go on without it."""
-        return not self._fault_tolerant and len(self.expected) < self._comm.Get_size() - 1
+    def count(self) -> int:
+        """Number of ranks not lost, whether they have reported yet or not."""
+        return len(self._expected)
+
+    @property
+    def exhausted(self) -> str:
+        """Whether all are lost, or one is and the MPI library cannot go on without it."""
+        if not self._expected:
+            return "all workers are lost"
+        broken = not self._fault_tolerant and self.count < self._comm.Get_size() - 1
+        return "a worker is lost and MPI cannot go on without it" if broken else ""
 
     @property
     def running(self) -> int:
@@ -119,11 +107,11 @@ class WorkerPool(Generic[CellT]):
         return len(self._workers) - len(self._idle)
 
     @property
-    def has_idle(self) -> bool:
+    def wants_batch(self) -> bool:
         """Whether a worker waits for a batch."""
         return bool(self._idle)
 
-    def assign(self, batch: Batch[CellT]) -> None:
+    def submit(self, batch: Batch[CellT]) -> None:
         """Hand a batch to a worker that waits for one."""
         rank = self._idle.popleft()
         worker = self._workers[rank]
@@ -131,7 +119,13 @@ class WorkerPool(Generic[CellT]):
         worker.since = time.monotonic()
         worker.task = self._send(batch, rank, Tag.TASK)
 
-    def receive(self) -> list[BatchOutcome[CellT, Any]]:
+    def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
+        """Return the outcomes that have come and the workers that are lost."""
+        lost = self._find_lost()  # before the outcomes: one that was sent before the death counts
+        outcomes = self._receive()
+        return outcomes, self._remove(lost)
+
+    def _receive(self) -> list[BatchOutcome[CellT, Any]]:
         """Take in what has arrived: note new workers, return the outcomes."""
         while (message := self._probe()) is not None:
             self._incoming.append(message)
@@ -151,15 +145,15 @@ class WorkerPool(Generic[CellT]):
         self._incoming = on_their_way
         return outcomes
 
-    def find_lost(self) -> dict[int, str]:
-        """Return the ranks that are lost, each with the reason; they stay in the pool until `remove`."""
+    def _find_lost(self) -> dict[int, str]:
+        """Return the ranks that are lost, each with the reason; they stay among the workers until `_remove`."""
         told = lost_according_to_command()
-        reasons = {rank: reason for rank, reason in told.items() if rank in self.expected}
+        reasons = {rank: reason for rank, reason in told.items() if rank in self._expected}
         failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed
             acknowledge_failures(self._comm)
-        silent = dict.fromkeys(failed & self.expected, "MPI reports that its process failed")
+        silent = dict.fromkeys(failed & self._expected, "MPI reports that its process failed")
         silent |= dict.fromkeys(self._watch.find_ended(), "its process ended")
         now = time.monotonic()
         patience = _LAST_WORD if command_listens() else 0.0
@@ -169,18 +163,17 @@ class WorkerPool(Generic[CellT]):
         if now >= self._next_watchdog:
             self._next_watchdog = now + _WATCHDOG_INTERVAL
             for rank, worker in self._workers.items():
-                if worker.batch is not None and now - worker.since > (limit := self._patience(worker.batch)):
+                if worker.batch is not None and now - worker.since > (
+                    limit := self._options.patience(worker.batch.cost, self._slowest)
+                ):
                     reasons.setdefault(rank, f"no answer within {limit:.3g} s")
         return reasons
 
-    def remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
-        """Remove lost workers, kill those that still run, and return what they leave behind.
-
-        To be called after a `receive` that followed `find_lost`, so that an outcome sent before the death counts.
-        """
+    def _remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
+        """Remove lost workers, kill those that still run, and return what they leave behind."""
         losses: list[Loss[CellT]] = []
         for rank, reason in lost.items():
-            self.expected.discard(rank)
+            self._expected.discard(rank)
             worker = self._workers.pop(rank, None)
             # Without ULFM a kill would end the master as well; the session aborts all ranks instead.
             gone = rank in self._gone() or (self._fault_tolerant and self._watch.kill(rank))
@@ -198,11 +191,11 @@ class WorkerPool(Generic[CellT]):
 
     def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
         """Tell all workers how the sweep ended; return those that don't answer and may still run."""
-        sends = {rank: self._send(end, rank, Tag.STOP) for rank in self.expected}
+        sends = {rank: self._send(end, rank, Tag.STOP) for rank in self._expected}
         requests = {rank: request for rank, request in sends.items() if request is not None}
 
         def all_stopped() -> bool:
-            self.receive()  # a worker that joins only now waits to be heard before it listens
+            self._receive()  # a worker that joins only now waits to be heard before it listens
             for rank in [rank for rank, request in requests.items() if is_over(request)]:
                 del requests[rank]
             return requests.keys() <= self._gone()
@@ -223,15 +216,6 @@ class WorkerPool(Generic[CellT]):
             return reason
         return f"{reason} at the hard time limit of {hard:g} s"
 
-    def _patience(self, batch: Batch[CellT]) -> float:
-        """Seconds after which a worker that computes this batch counts as lost."""
-        options = self._options
-        if options.watchdog_limit is not None:
-            return options.watchdog_limit
-        if not self._slowest:
-            return 10.0 * options.silence_floor
-        return max(options.silence_floor, options.silence_factor * self._slowest * batch.cost)
-
     def _gone(self) -> set[int]:
         return self._watch.find_ended() | self._failed()
 
@@ -240,7 +224,7 @@ class WorkerPool(Generic[CellT]):
         return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
 
     def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
-        """Begin to send; return None if the receiver has just died, which `find_lost` will tell."""
+        """Begin to send; return None if the receiver has just died, which `_find_lost` will tell."""
         try:
             return start_send(self._comm, value, rank, tag)
         except MPI.Exception as error:
@@ -261,7 +245,7 @@ class WorkerPool(Generic[CellT]):
             raise error
 
     def _join(self, message: Incoming) -> None:
-        if message.source not in self.expected:
+        if message.source not in self._expected:
             return
         identity: ProcessIdentity = message.value()
         self._workers[message.source] = _Worker(Place(message.source, identity.host))

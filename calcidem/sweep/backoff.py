@@ -1,0 +1,38 @@
+"""Waiting without a busy core."""
+
+import time
+from collections.abc import Callable
+
+
+class Backoff:
+    """Sleeps that get longer while nothing happens.
+
+    2 ms at most: that delays a batch of seconds by nothing that matters, and polling so often costs between
+    1 and 2 % of a core.
+    """
+
+    SHORTEST = 20e-6
+    LONGEST = 2e-3
+
+    def __init__(self) -> None:
+        self._pause = self.SHORTEST
+
+    def reset(self) -> None:
+        """Start again with the shortest sleep, because something has happened."""
+        self._pause = self.SHORTEST
+
+    def sleep(self) -> None:
+        """Sleep, and twice as long the next time."""
+        time.sleep(self._pause)
+        self._pause = min(2.0 * self._pause, self.LONGEST)
+
+
+def wait_until(condition: Callable[[], bool], limit: float = float("inf")) -> bool:
+    """Poll with growing sleeps until `condition` holds or `limit` seconds have passed; tell which."""
+    backoff = Backoff()
+    end = time.monotonic() + limit
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        backoff.sleep()
+    return True

@@ -1,0 +1,276 @@
+"""The workers of a `concurrent.futures.Executor`, in other processes and on other machines.
+
+An executor tells little: not how many workers it has, who they are, or when one begins with a batch. So each outcome
+names its worker, and more batches are under way than workers were seen: a worker that joins finds one waiting, answers,
+and counts from then on.
+
+The computation, with the packing, is pickled once. It goes with the first batches. A process keeps it by its hash; one
+that has joined later and gets a batch without it says so, and the batch is submitted again together with it.
+"""
+
+import os
+import pickle
+import platform
+import threading
+import time
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass
+from hashlib import sha256
+from queue import SimpleQueue
+from typing import Any, Generic, TypeAlias
+
+from calcidem.sweep.attempt import Compute, Deadline, attempt, hard_stop
+from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.environment import available_cores
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.sweep_end import SweepEnd, SweepError
+from calcidem.sweep.workers import Loss
+
+_BEFORE_IN_QUEUE = 2
+"""Batches that a worker may have to finish before it begins with one: see `ExecutorWorkers.wants_batch`."""
+
+_MEMORY = 60.0
+"""Seconds without an answer after which a worker no longer counts, or ten batches if these take longer."""
+
+_Identity: TypeAlias = tuple[str, int, int]
+"""Host, process and thread."""
+
+
+@dataclass(slots=True)
+class _Flight(Generic[CellT]):
+    """A batch under way.
+
+    Attributes
+    ----------
+    batch
+        The batch.
+    since
+        Time of its submission, s on the monotonic clock.
+    alone
+        Whether nothing else was under way with it.
+    """
+
+    batch: Batch[CellT]
+    since: float
+    alone: bool
+
+
+class ExecutorWorkers(Generic[CellT]):
+    """The workers of an executor, which stays open.
+
+    A batch that has taken a worker down before is under way alone. Many an executor ends with its first lost process
+    (`ProcessPoolExecutor`): all that was under way counts as lost then, and alone the bad cell is told from the others.
+    Dask tries a batch on four workers before it gives it up as `KilledWorker`.
+
+    Parameters
+    ----------
+    executor
+        Takes the batches.
+    compute
+        Picklable computation.
+    options
+        Limits of a batch.
+
+    Attributes
+    ----------
+    exhausted
+        Why the executor takes no more batches, empty while it does.
+    """
+
+    def __init__(self, executor: Executor, compute: Compute[CellT, Any], options: SweepOptions) -> None:
+        self._executor, self._options = executor, options
+        self._computation = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
+        self._key = sha256(self._computation).hexdigest()
+        self._under_way: dict[Future[bytes], _Flight[CellT]] = {}
+        self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
+        self._held: Batch[CellT] | None = None
+        self._given_up: set[Future[bytes]] = set()
+        self._rank_of: dict[_Identity, int] = {}
+        self._last_answer: dict[_Identity, float] = {}
+        self._slowest = 0.0  # seconds for a unit of cost
+        self._longest = 0.0  # seconds of a batch
+        self._start = time.monotonic()
+        self._stranded = 0  # batches that the executor neither computed nor lost before its end
+        self._blamed = 0  # batches that lost the process with which the executor ended, as far as can be told
+        self.exhausted = ""
+
+    @property
+    def count(self) -> int:
+        """Number of workers that have answered lately."""
+        oldest = time.monotonic() - max(_MEMORY, 10.0 * self._longest)
+        return sum(answer > oldest for answer in self._last_answer.values())
+
+    @property
+    def running(self) -> int:
+        """Number of batches under way or held, or left behind by the executor."""
+        return len(self._under_way) + (self._held is not None) + self._stranded
+
+    @property
+    def wants_batch(self) -> bool:
+        """Whether fewer batches are under way than two for each worker and some for those that may join."""
+        if self.exhausted or self._held is not None or any(flight.batch.losses for flight in self._under_way.values()):
+            return False
+        enough = _BEFORE_IN_QUEUE * self.count + 2 if self._rank_of else available_cores() + 2
+        return len(self._under_way) + len(self._given_up) < enough
+
+    def submit(self, batch: Batch[CellT]) -> None:
+        """Have a batch computed; one that is suspect waits until nothing else is under way."""
+        if batch.losses and self._under_way:
+            self._held = batch
+        else:
+            self._submit(batch, with_computation=not self._rank_of)
+
+    def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
+        """Take in what has come.
+
+        Raises
+        ------
+        SweepError
+            If a worker cannot load the computation.
+        """
+        outcomes: list[BatchOutcome[CellT, Any]] = []
+        losses: list[Loss[CellT]] = []
+        while not self._done.empty():
+            future = self._done.get_nowait()
+            self._given_up.discard(future)
+            if (flight := self._under_way.pop(future, None)) is None:
+                continue
+            try:
+                outcome = self._answer(future.result(), flight)
+            except Exception as error:  # noqa: BLE001 - each executor has its own
+                losses += self._losses(error, flight)
+            else:
+                if outcome is None:
+                    self._submit(flight.batch, with_computation=True)
+                else:
+                    outcomes.append(outcome)
+        losses += self._find_silent()
+        if self._held is not None and not self._under_way:
+            batch, self._held = self._held, None
+            self._submit(batch, with_computation=False)
+        return outcomes, losses
+
+    def stop(self, _end: SweepEnd, _grace: float) -> frozenset[int]:
+        """Take back what no worker has begun with; what is being computed is dropped once it is done."""
+        for future in self._under_way:
+            future.cancel()
+        return frozenset()
+
+    def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
+        computation = self._computation if with_computation else None
+        flight = _Flight(batch, time.monotonic(), alone=not self._under_way)
+        try:
+            future = self._executor.submit(_compute_batch, self._key, computation, batch, self._options)
+        except Exception as error:  # noqa: BLE001 - each executor has its own
+            self._end(f"the executor takes no more batches ({type(error).__name__}: {error})")
+            self._stranded += 1
+        else:
+            self._under_way[future] = flight
+            future.add_done_callback(self._done.put)
+
+    def _answer(self, answer: bytes, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
+        """Outcome in a worker's answer, None if it lacks the computation."""
+        worker: _Identity
+        worker, packed = pickle.loads(answer)  # noqa: S301 - written by a worker of the same program
+        self._last_answer[worker] = time.monotonic()
+        place = Place(self._rank_of.setdefault(worker, len(self._rank_of) + 1), worker[0])
+        if packed is None:
+            return None
+        seconds, results, failure = packed
+        if results is not None:
+            try:
+                results = pickle.loads(results)  # noqa: S301 - as above
+            except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
+                results, failure = None, Failure.from_exception(FailureKind.FAILED, error)
+            else:
+                self._slowest = max(self._slowest, seconds / flight.batch.cost)
+                self._longest = max(self._longest, seconds)
+        return BatchOutcome(flight.batch, place, seconds, results, failure)
+
+    def _losses(self, error: Exception, flight: _Flight[CellT]) -> list[Loss[CellT]]:
+        """What it means that a batch has no answer: a loss, or that the executor has ended.
+
+        Raises
+        ------
+        SweepError
+            If the worker could not load the computation.
+        """
+        reason, workers = f"{type(error).__name__}: {error}", 1
+        if type(error).__name__ == "KilledWorker":  # of Dask, which is not imported for this
+            # A single cell in company may only have waited on the same workers as the cell that killed them.
+            if flight.alone or len(flight.batch.cells) > 1:
+                workers = int(getattr(error, "allowed_failures", 0)) + 1
+        elif isinstance(error, BrokenExecutor):
+            if not self.exhausted:  # batches are computed in the order of their submission: later ones had not begun
+                self._blamed = self.count + 1 if self._rank_of else available_cores() + 2
+            self._end(f"a process of the executor was lost ({error})")
+            self._blamed -= 1
+            if self._blamed < 0:
+                self._stranded += 1
+                return []
+        elif isinstance(error, CancelledError | OSError):
+            self._end(f"the executor has gone ({reason})")
+            self._stranded += 1
+            return []
+        else:
+            raise SweepError(
+                f"A worker of the executor could not compute a batch ({reason}): install the same calcidem for all "
+                "workers, and look at what they wrote"
+            ) from error
+        return [Loss(Place(0, "unknown host"), flight.batch, reason, time.monotonic() - flight.since, workers)]
+
+    def _find_silent(self) -> list[Loss[CellT]]:
+        """Give up batches that no worker has answered for long, and then the executor."""
+        now = time.monotonic()
+        if not self._rank_of:
+            limit = 10.0 * self._options.silence_floor
+            if self._under_way and now - self._start > limit:
+                self._end(f"no worker of the executor has answered within {limit:.3g} s")
+            return []
+        late = [future for future, flight in self._under_way.items() if now - flight.since > self._patience(flight)]
+        losses = []
+        for future in late:
+            flight = self._under_way.pop(future)
+            if not future.cancel():
+                self._given_up.add(future)
+            seconds = now - flight.since
+            losses.append(Loss(Place(0, "unknown host"), flight.batch, f"no answer within {seconds:.3g} s", seconds))
+        if self._given_up and len(self._given_up) >= self.count:
+            self._end("the workers of the executor do not answer any more")
+        return losses
+
+    def _patience(self, flight: _Flight[CellT]) -> float:
+        """Seconds after which a batch counts as lost; others of the queue may have come before it."""
+        return (1 + _BEFORE_IN_QUEUE) * self._options.patience(flight.batch.cost, self._slowest)
+
+    def _end(self, reason: str) -> None:
+        self.exhausted = self.exhausted or reason
+
+
+_computations: dict[str, Compute[Any, Any]] = {}
+"""The computation of the latest sweep in this process, by its hash."""
+
+_loading = threading.Lock()
+
+
+def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], options: SweepOptions) -> bytes:
+    """Compute a batch in a worker; return who it is and, if it has the computation, seconds, results and failure."""
+    worker: _Identity = (platform.node(), os.getpid(), threading.get_ident())
+    with _loading:
+        if key not in _computations:
+            if computation is None:
+                return pickle.dumps((worker, None))
+            _computations.clear()
+            _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
+        compute = _computations[key]
+    place = Place(0, worker[0])  # the master knows the rank
+    with hard_stop(options.hard_limit):
+        outcome = attempt(batch, compute, Deadline(options.time_limit, lambda: False), place)
+    results, failure = None, outcome.failure
+    if failure is None:
+        try:
+            results = pickle.dumps(outcome.results, pickle.HIGHEST_PROTOCOL)
+        except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
+            failure = Failure.from_exception(FailureKind.FAILED, error)
+    return pickle.dumps((worker, (outcome.seconds, results, failure)))

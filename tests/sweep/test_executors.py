@@ -1,0 +1,216 @@
+"""Any executor computes a sweep: the same results, failures, quarantine and resumption as in one process."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import pytest
+
+from calcidem.sweep import Batch, FailureKind, SweepError, SweepOptions, SweepState, plan_batches, run_sweep
+
+if TYPE_CHECKING:
+    from conftest import MemorySink
+
+CELLS = [(seed, content) for seed in range(8) for content in (0.0, 5.0)]
+BAD_CELL = (3, 5.0)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Squares cells, but misbehaves at one; notes in a folder each process that unpickles it."""
+
+    kind: str
+    folder: Path
+
+    def __call__(self, batch: Batch[tuple[int, float]], check: Callable[[], None]) -> list[Any]:
+        """Compute a batch."""
+        time.sleep(0.01)
+        if BAD_CELL in batch.cells:
+            if self.kind == "raise":
+                raise ArithmeticError("on order")
+            if self.kind == "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.kind == "unpicklable":
+                return [threading.Lock() for _ in batch.cells]
+            while self.kind == "slow":
+                check()
+                time.sleep(0.01)
+            while self.kind == "stuck":
+                time.sleep(1.0)
+        return [seed * content for seed, content in batch.cells]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Be made anew by the process that computes."""
+        return (_unpickle, (self.kind, self.folder))
+
+
+def _unpickle(kind: str, folder: Path) -> Fault:
+    with (folder / f"unpickled-{os.getpid()}").open("a") as file:
+        file.write("once\n")
+    if kind == "missing":
+        raise ModuleNotFoundError("No module named 'calcidem'")
+    return Fault(kind, folder)
+
+
+def planned(done: "MemorySink | None" = None) -> tuple[Batch[tuple[int, float]], ...]:
+    """Batches of what is left to do, as a campaign plans them after a restart."""
+    settled: set[Any] = {cell for outcome in done.outcomes for cell in outcome.batch.cells} if done else set()
+    losses = {cell: batch.losses for batch, _ in done.losses for cell in batch.cells} if done else {}
+    return plan_batches(set(CELLS) - settled, 2, lambda content: 1.0 + content, losses)
+
+
+def processes() -> ProcessPoolExecutor:
+    """Make a pool of two processes that share nothing with this one."""
+    return ProcessPoolExecutor(2, mp_context=get_context("forkserver"))
+
+
+EXPECTED = {(seed, content): seed * content for seed, content in CELLS}
+
+
+def test_processes_unpickle_the_computation_once(sink: "MemorySink", tmp_path: Path) -> None:
+    """All results come, from processes that are told apart, and each has loaded the computation a single time."""
+    with processes() as pool:
+        end = run_sweep(pool, planned(), Fault("", tmp_path), sink)
+    assert end.state is SweepState.COMPLETE
+    assert sink.results() == EXPECTED
+    notes = list(tmp_path.glob("unpickled-*"))
+    assert all(note.read_text() == "once\n" for note in notes)
+    assert {outcome.place.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
+
+
+@pytest.mark.parametrize("kind", ["raise", "unpicklable", "slow"])
+def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tmp_path: Path, kind: str) -> None:
+    """An exception or a result that cannot be pickled costs its cell, a time limit its batch."""
+    with ThreadPoolExecutor(2) as pool:
+        end = run_sweep(pool, planned(), Fault(kind, tmp_path), sink, options=SweepOptions(time_limit=0.2))
+    assert end.exit_code == 0
+    failed = [outcome for outcome in sink.outcomes if outcome.failure is not None]
+    cells = {cell for outcome in failed for cell in outcome.batch.cells}
+    assert cells == ({(2, 5.0), BAD_CELL} if kind == "slow" else {BAD_CELL})
+    assert failed[0].failure is not None
+    assert failed[0].failure.kind is (FailureKind.TIMED_OUT if kind == "slow" else FailureKind.FAILED)
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in cells}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["kill", "stuck"])
+def test_a_cell_that_kills_processes_is_quarantined_by_the_same_call(
+    sink: "MemorySink", tmp_path: Path, kind: str
+) -> None:
+    """Each lost process ends its pool and the sweep as resumable; the fourth call at the latest has all the rest."""
+    for _ in range(4):
+        with processes() as pool:
+            end = run_sweep(pool, planned(sink), Fault(kind, tmp_path), sink, options=SweepOptions(time_limit=0.3))
+        if end.state is SweepState.COMPLETE:
+            break
+        assert (end.state, end.exit_code) == (SweepState.OUT_OF_WORKERS, 75)
+        assert "a process of the executor was lost" in end.detail
+    assert end.state is SweepState.COMPLETE
+    failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
+    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
+
+
+def test_workers_that_cannot_load_the_computation_end_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:
+    """No cell is to blame for a library that is missing; the error says what to install."""
+    with ThreadPoolExecutor(1) as pool, pytest.raises(SweepError, match="install the same calcidem"):
+        run_sweep(pool, planned(), Fault("missing", tmp_path), sink)
+    assert not sink.outcomes
+    assert not sink.losses
+
+
+@dataclass
+class KilledWorker(Exception):  # noqa: N818 - as Dask calls it
+    """What Dask says of a task that has lost several workers."""
+
+    allowed_failures: int = 3
+
+
+@dataclass
+class Scripted(Executor):
+    """Computes at once, but answers as told wherever the bad cell is."""
+
+    answer: Callable[[], Exception | None]
+    sizes: list[int] = field(default_factory=list)
+    with_computation: int = 0
+
+    def submit(self, fn: Callable[..., Any], /, *arguments: Any, **_options: Any) -> "Future[Any]":  # noqa: ANN401 - as it is
+        """Compute, or not."""
+        future: Future[Any] = Future()
+        self.with_computation += arguments[1] is not None
+        batch = arguments[2]
+        if BAD_CELL in batch.cells:
+            self.sizes.append(len(batch.cells))
+            if (error := self.answer()) is not None:
+                future.set_exception(error)
+                return future
+            if self.answer is hang:
+                return future
+        future.set_result(fn(*arguments))
+        return future
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+
+def hang() -> None:
+    """Stand for an answer that does not come."""
+
+
+def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "MemorySink", tmp_path: Path) -> None:
+    """Four workers for its batch, four for the cell: all are counted, and its company is computed."""
+    end = run_sweep(Scripted(KilledWorker), planned(), Fault("", tmp_path), sink)
+    assert end.state is SweepState.COMPLETE
+    assert end.tally.lost_workers == len(sink.losses) == 8
+    assert end.tally.quarantined == 1
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
+
+
+def test_an_executor_that_is_gone_blames_no_cell(sink: "MemorySink", tmp_path: Path) -> None:
+    """When its scheduler is unreachable the sweep ends as resumable, not as complete."""
+    end = run_sweep(Scripted(ConnectionError), planned(), Fault("", tmp_path), sink)
+    assert (end.state, end.exit_code) == (SweepState.OUT_OF_WORKERS, 75)
+    assert not sink.losses
+
+
+def test_a_worker_that_does_not_answer_is_given_up(sink: "MemorySink", tmp_path: Path) -> None:
+    """The sweep does not wait for ever: one silent worker of one ends it, with the loss on its batch's account."""
+    options = SweepOptions(silence_floor=0.1, silence_factor=1.0)
+    end = run_sweep(Scripted(hang), planned(), Fault("", tmp_path), sink, options=options)
+    assert end.state is SweepState.OUT_OF_WORKERS or end.tally.quarantined == 1
+    assert all(BAD_CELL in batch.cells for batch, _ in sink.losses)
+
+
+def test_the_computation_travels_with_the_first_batches_only(sink: "MemorySink", tmp_path: Path) -> None:
+    """Once a worker has answered, a batch is sent without the packing."""
+    executor = Scripted(hang)
+    batches = [batch for batch in planned() if BAD_CELL not in batch.cells]
+    more = [Batch(100 + number, ((number, 1.0),)) for number in range(50)]
+    run_sweep(executor, [*batches, *more], Fault("", tmp_path), sink)
+    assert executor.with_computation < 20
+
+
+@pytest.mark.full
+def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "MemorySink", tmp_path: Path) -> None:
+    """Nannies replace three killed workers; the deadly cell is given up and all others are computed, in one sweep."""
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),  # a new worker takes seconds to start
+        distributed.LocalCluster(**options) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        end = run_sweep(client.get_executor(), planned(), Fault("kill", tmp_path), sink)
+    assert end.state is SweepState.COMPLETE
+    assert end.tally.lost_workers == 3
+    failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
+    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
