@@ -37,7 +37,7 @@ from calcidem.storage.sql.store import open_store
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
 
-def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_signals: bool = True) -> Path:
+def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
     """Compute a campaign and store it."""
     plan, experiment = configuration.campaign, configuration.experiment(packing)
     with open_store(path) as store:
@@ -48,7 +48,7 @@ def store_campaign(path: Path, configuration: Configuration, packing: Packing, *
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         for content in plan.contents:
             found = measure(experiment, content, plan.seed_numbers)
-            store.record_results(cell_result(cell, experiment, store_signals) for cell in found)
+            store.record_results(cell_result(cell, experiment, store_sections) for cell in found)
     return path
 
 
@@ -120,7 +120,7 @@ def test_signals_that_were_not_stored_are_computed_again(
     unread: Path, impatient: Configuration, small_packing: Packing, tmp_path: Path
 ) -> None:
     """Without stored signals a cell is diagnosed as with them, to the last bit."""
-    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, store_signals=False)
+    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, store_sections=False)
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
         (one,), (other,) = full.diagnose(seed=2), campaign.diagnose(seed=2)
     assert other.cures == one.cures

@@ -128,7 +128,7 @@ def _describe_cells(
     before: dict[int, NDArray[np.uint8]] = {}
     for cell in cells:
         described: dict[str, Any] = {"content": cell.key.content, "packing": cell.packing_index}
-        if cell.signal is not None:
+        if cell.section is not None:
             described["signal"] = _describe_signal(analysis, cell)
         if cell.cement is not None and cell.packing_index < len(graphs):
             graph = graphs[cell.packing_index]
@@ -151,7 +151,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
         "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
-        "unit": "N/m" if arrival.received_force else "m/s",
+        "unit": "m/s",
         "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
     }
     for name in ("sent", "received"):
