@@ -5,6 +5,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, NoReturn
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
