@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import norm
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.outcomes import bias_of_failed, is_in_doubt
+from calcidem.analysis.outcomes import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.cure_trials import CureTrial, Verdict, contradicted_cells, rank_trials
 from calcidem.app.campaign.cures import Cure, Symptoms, find_cures
 from calcidem.app.campaign.opened import open_campaign
@@ -24,7 +24,7 @@ from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration
-from calcidem.app.report.page import velocity_remarks
+from calcidem.app.report.page import _velocity_remarks
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
@@ -183,8 +183,8 @@ def test_the_bias_of_a_mean_is_that_of_a_normal_distribution_without_its_end(mea
     """Values of a normal distribution at equal steps of probability, less those at one end, have this mean."""
     values = norm.ppf((np.arange(200_000) + 0.5) / 200_000)
     left = values[round(len(values) * failed / (measured + failed)) :]
-    assert bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
-    assert bias_of_failed(measured, 0) == 0.0
+    assert _bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
+    assert _bias_of_failed(measured, 0) == 0.0
     assert is_in_doubt(measured, failed) == (left.mean() > 1.0 / np.sqrt(measured))
 
 
@@ -195,7 +195,7 @@ def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke:
     assert "calcidem diagnose" in said
     assert "calcidem retry" not in said
     with open_campaign(unread) as campaign:
-        remarks = " ".join(velocity_remarks(CampaignAnalysis(campaign)))
+        remarks = " ".join(_velocity_remarks(CampaignAnalysis(campaign)))
     assert f"{CONTENT:g} % ({len(SEEDS)} of {len(SEEDS)})" in remarks
 
 

@@ -20,7 +20,7 @@ import pytest
 import xarray as xr
 
 from calcidem.app.cli.exit_codes import exit_code_of
-from calcidem.app.cli.import_ import ERRORS_OF_DAMAGE
+from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
@@ -316,7 +316,7 @@ def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.
     random = np.random.default_rng(7)
     for number in range(100):
         path = endless_file(tmp_path, tuple(random.integers(last, size=2).tolist()))
-        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *ERRORS_OF_DAMAGE):
+        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *_RAISED_BY_DAMAGE):
             import_netcdf(path, store)
 
 

@@ -17,6 +17,7 @@ from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
 from calcidem.sweep.addresses import listening_addresses
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
+from calcidem.sweep.leftovers import remove_leftovers
 from calcidem.sweep.rank_watch import RankWatch
 from calcidem.sweep.signals import SignalHandlers, find_signals
 
@@ -112,6 +113,7 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
+        remove_leftovers()
         failure, begun = "", False
         hosts: dict[str, int] = {}
         with _Relay() as relay, CommandScreen() as screen:

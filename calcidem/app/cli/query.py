@@ -59,9 +59,9 @@ def query_command(
             raise QueryError("Parquet is a binary format.", "Give a file with --out.")
         _write_parquet(found, out)
     elif out is not None:
-        write_text_atomically(out, as_text(found, layout))
+        write_text_atomically(out, _as_text(found, layout))
     else:
-        typer.echo(printable(as_text(found, layout)), nl=False)
+        typer.echo(printable(_as_text(found, layout)), nl=False)
 
 
 def find(
@@ -85,7 +85,7 @@ def _split_list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def as_text(columns: Columns, layout: Format) -> str:
+def _as_text(columns: Columns, layout: Format) -> str:
     """Columns as a table, CSV or JSON."""
     rows = list(zip(*(_plain_values(name, values) for name, values in columns.items()), strict=True))
     if layout is Format.JSON:

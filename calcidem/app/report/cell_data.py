@@ -18,11 +18,11 @@ from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.wording import readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 
-MOST_FULL_RECORDS = 10_000
+_MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
 """Quantities of a cell where the campaign has more cells than that."""
 
-ROOM_FOR_SAMPLES = 3_500_000
+_ROOM_FOR_SAMPLES = 3_500_000
 """Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
 
 _MOST_POINTS = 300
@@ -61,7 +61,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         graphs = ()
         remarks.append(f"No samples are drawn: {error}.")
     shown: list[int] = []
-    room = ROOM_FOR_SAMPLES
+    room = _ROOM_FOR_SAMPLES
     for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
@@ -71,8 +71,8 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         shown.append(seed)
     for graph in graphs:
         blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
-    names = [quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.name not in {"seed", "content"}]
-    if analysis.vs.size > MOST_FULL_RECORDS:
+    names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
+    if analysis.vs.size > _MOST_FULL_RECORDS:
         names = [name for name in names if name in _SHORT_RECORD]
         remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
     if len(shown) < analysis.vs.sizes["seed"]:

@@ -148,10 +148,10 @@ def _verify_batch(
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
         computed = cell_result(measurement, experiment, store_signals=stored.signal is not None)
-        yield compare_outcomes(stored, computed)
+        yield _compare_outcomes(stored, computed)
 
 
-def compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
+def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
     """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
     differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.cli.query import Format, as_text, find
+from calcidem.app.cli.query import Format, _as_text, find
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.store import Selection
@@ -116,7 +116,7 @@ def test_no_text_gets_through_as_sql(campaign: OpenedCampaign, where: str, name:
         except QueryError:
             continue
         assert all(len(values) <= everything for values in found.values())
-        as_text(found, Format.JSON)
+        _as_text(found, Format.JSON)
     assert digest(campaign.store.address.path) == before  # type: ignore[attr-defined]  # as above
 
 
