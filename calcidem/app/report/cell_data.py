@@ -71,7 +71,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         shown.append(seed)
     for graph in graphs:
         blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
-    names = [quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.name not in {"seed", "content"}]
+    names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
     if analysis.vs.size > _MOST_FULL_RECORDS:
         names = [name for name in names if name in _SHORT_RECORD]
         remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
