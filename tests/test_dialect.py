@@ -14,7 +14,14 @@ PACKAGE = ROOT / "calcidem"
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "duplicate_names.py"))
 MODULES = sorted(PACKAGE.rglob("*.py"))
 MOST_DUPLICATES = 14
-LARGEST_ROOM = 0.15
+MOST_LINES = 5_700
+"""Of a room: a larger one has something in it that wants a room of its own."""
+
+TESTS_STILL_COUNT = (
+    *("calcidem.app.campaign", "calcidem.app.cli.exit_codes"),
+    *("calcidem.dem.kernels", "calcidem.dem.wave", "calcidem.storage", "calcidem.sweep"),
+)
+"""Rooms with names that only tests use."""
 
 
 @cache
@@ -29,8 +36,8 @@ def module_name(path: Path) -> str:
 
 
 def other_python_files() -> Iterator[Path]:
-    """Python files outside the package that use it."""
-    for folder in ("tests", "benchmarks", "docs", "examples", "scripts"):
+    """Python files outside the package that use it as people do: tests may look inside."""
+    for folder in ("benchmarks", "docs", "examples", "scripts"):
         yield from (ROOT / folder).rglob("*.py")
 
 
@@ -58,6 +65,10 @@ def uses() -> dict[str, set[str]]:
     for path in (*MODULES, *other_python_files()):
         for module, name in taken_names(path):
             found.get(module, set()).add(name)
+    for path in (ROOT / "tests").rglob("*.py"):
+        for module, name in taken_names(path):
+            if module.startswith(TESTS_STILL_COUNT) and not name.startswith("_"):
+                found.get(module, set()).add(name)
     # What is imported only when it is needed stands in these files by its name.
     lazy = (ROOT / "pyproject.toml", PACKAGE / "__init__.py", PACKAGE / "app" / "cli" / "__init__.py")
     named = {name for path in lazy for name in re.findall(r"\w+", path.read_text(encoding="utf-8"))}
@@ -136,11 +147,11 @@ def test_app_consists_of_rooms() -> None:
     assert [path.name for path in (PACKAGE / "app").glob("*.py")] == ["__init__.py"]
 
 
-def test_no_room_holds_more_than_its_share() -> None:
-    """No folder of the second level, nor the scheduler, has more than 15 % of the lines."""
+def test_no_room_is_too_large() -> None:
+    """No folder of the second level, nor the scheduler, has more lines than a reader can hold."""
     lines: dict[str, int] = {}
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(PACKAGE).parts
         room = "/".join(parts[:-1][: 1 if parts[0] == "sweep" else 2])
         lines[room] = lines.get(room, 0) + len(path.read_text(encoding="utf-8").splitlines())
-    assert max(lines.values()) < LARGEST_ROOM * sum(lines.values()), lines
+    assert max(lines.values()) <= MOST_LINES, lines

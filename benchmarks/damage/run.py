@@ -95,7 +95,7 @@ def damage_value(path: Path, generator: Generator) -> str:
     """Change a value of a row behind the constraints."""
     with sqlite3.connect(path, isolation_level=None) as connection:
         connection.execute("PRAGMA ignore_check_constraints=ON")
-        tables = ("result", "attempt", "signal", "cement_pattern", "path_features", "graph_summary", "packing", "run")
+        tables = ("result", "attempt", "arrays", "packing", "run")
         table = generator.choice((*tables, *tables, "cell", "campaign", "calcidem_schema"))
         column = generator.choice([row[1] for row in connection.execute(f"PRAGMA table_info({table})")])
         rowid, value = generator.choice(connection.execute(f"SELECT rowid, {column} FROM {table}").fetchall())  # noqa: S608 - of our own

@@ -1,28 +1,26 @@
-"""How often travel times are read wrong in silence, and how often not at all, if stations on the way are read, too.
+"""Sections of the signals of signals.py: what stations on the path record of the same waves.
 
-    python benchmarks/reading/sections.py [--seed 65] [--signals 1400]
-
-The signals are those of run.py, with the same meaning of *wrong*, *refused* and *readable*. Stations on the way record the
-same waves: each at its own time, as far as it has come, with what swings at the receiver only near it, and scattered arrivals
-that come the same way, from elsewhere or back; ranges.toml says how much. Each is read with stations and the
-motion along the way (polarisation), with stations alone, and from the receiver alone.
+Each station records at its own time, as far as the wave has come, with what swings at the receiver only near it, and scattered
+arrivals that come along the same path, from elsewhere or back; ranges.toml says how much. judge.py judges a reading on them.
 """
 
-import argparse
-from dataclasses import replace
+from collections.abc import Iterable
 
 import numpy as np
-from run import KINDS, RANGES, Known, Medium, draw_parts, draw_signal
+from section import Section
+from signals import RANGES, Medium, draw_parts, draw_signal
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.arrival import read_travel_times
-from calcidem.dem.wave.pick import PickRule
 
 _RULES = RANGES["stations"]
-_RULE = PickRule(smoothing=_RULES["smoothing"])
 
 
-def draw_section(seed: int, index: int) -> Known:
+def drawn_sections(seeds: Iterable[int], count: int = _RULES["signals"]) -> list[Section]:
+    """Sections of each seed, ``count`` of them."""
+    return [draw_section(seed, index) for seed in seeds for index in range(count)]
+
+
+def draw_section(seed: int, index: int) -> Section:
     """Draw one signal, and what the stations record of its waves."""
     known, drawn = draw_signal(seed, index), draw_parts(seed, index)
     generator = np.random.default_rng([seed, index, 1])
@@ -39,9 +37,23 @@ def draw_section(seed: int, index: int) -> Known:
         for (later, height), origin in zip(drawn.coda, origins, strict=True):
             waves += height * _scattered(medium, place, later, origin)
         columns.append(loudness * (waves + drawn.noise(generator, drawn.count)))
-    along = _draw_along(np.random.default_rng([seed, index, 2]), medium, np.append(places, 1.0), growth)
-    signals = replace(known.signals, stations=np.column_stack(columns), places=tuple(places.tolist()), along=along)
-    return replace(known, signals=signals)
+    ends = np.append(places, 1.0)
+    along = _draw_along(np.random.default_rng([seed, index, 2]), medium, ends, growth)
+    return Section(
+        kind=known.kind,
+        group=index,
+        times=drawn.interval * np.arange(drawn.count),
+        places=ends,
+        across=np.column_stack([*columns, known.signals.received]).T,
+        along=along.T,
+        distance=RANGES["distance"],
+        amplitude=1.0,
+        frequency=drawn.frequency,
+        delay=drawn.delay,
+        delay_error=0.0,
+        aperture=float("inf"),
+        readable=known.readable,
+    )
 
 
 def _draw_along(generator: np.random.Generator, medium: Medium, places: Floats, growth: float) -> Floats:
@@ -120,41 +132,3 @@ def _scattered(medium: Medium, place: float, later: float, origin: tuple[int, fl
     if height < _RULES["least"]:
         return np.zeros(medium.drawn.count)
     return np.asarray(height * medium.pulse(delay + later + lead, medium.drawn.parts["width"], 0.0))
-
-
-def read_sections(known: list[Known]) -> Floats:
-    """(N, 3) relative errors of the travel times: with polarisation, stations, receiver alone; NaN where there is none."""
-    errors = np.full((len(known), 3), np.nan)
-    for index, one in enumerate(known):
-        across = replace(one.signals, along=None)
-        for column, signals in enumerate((one.signals, across, replace(across, stations=None, places=()))):
-            found = read_travel_times(signals, _RULE).peak.travel_time
-            if found is not None:
-                errors[index, column] = found / one.delay - 1.0
-    return errors
-
-
-def main() -> None:
-    """Print a table: kind by reading."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=_RULES["judged_seeds"][0])
-    parser.add_argument("--signals", type=int, default=_RULES["signals"])
-    chosen = parser.parse_args()
-    known = [draw_section(chosen.seed, index) for index in range(chosen.signals)]
-    errors = read_sections(known)
-    kinds, readable = np.array([one.kind for one in known]), np.array([one.readable for one in known])
-    print(f"{len(known)} sections of seed {chosen.seed}, {readable.sum()} of them readable\n")
-    ways = "with polarisation", "stations alone", "receiver alone"
-    print("| kind | " + " | ".join(f"{way}: wrong % | refused %" for way in ways) + " |")
-    print("|---|" + "---|---|" * len(ways))
-    for kind in (*KINDS, "all"):
-        some = kinds == kind if kind != "all" else np.ones(len(known), dtype=bool)
-        cells = []
-        for error in errors.T:
-            wrong, refused = np.abs(error[some]) > RANGES["wrong"], np.isnan(error[some & readable])  # NaN is not wrong
-            cells += [f"{100.0 * wrong.mean():.1f}", f"{100.0 * refused.mean():.1f}"]
-        print(f"| {kind} | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main()

@@ -74,7 +74,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 seconds=0.1,
                 rank=3,
                 host="node7",
-                features=PathFeatures(41, 1, 40, 40 / 41, 0.5, 20, 12.1, 0.1, tuple(range(42))),
+                features=PathFeatures(41, 1, 40, 40 / 41, 0.5, 20, 12.1, 0.1),
                 graph=GraphSummary(7200, 1300, 3.05, 20, 4100, 1),
             )
 

@@ -28,8 +28,8 @@ from calcidem.storage.records import (
     CementPattern,
     PackingRecord,
     PathFeatures,
+    RecordedSection,
     RunRecord,
-    Signal,
 )
 
 
@@ -53,8 +53,8 @@ class CampaignReader(Protocol):
     def cell(self, *, seed: int, content: float) -> CellResult:
         """One outcome with its arrays; `UnknownCellError` if there is none."""
 
-    def signal(self, *, seed: int, content: float) -> Signal:
-        """The signals of a cell; `UnknownCellError` if none were kept."""
+    def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
+        """The section of a cell; `UnknownCellError` if it was not kept."""
 
     def packing(self, index: int = 0) -> PackingRecord:
         """A stored packing."""
@@ -234,7 +234,7 @@ class CampaignAnalysis:
     @cached_property
     def physical_law(self) -> LawFit:
         """The law with weights by their physical meaning (Eq. 8)."""
-        connectivity = np.array([sample.features.normalized_connectivity for sample in self.samples])
+        connectivity = np.array([sample.features.path_normalized_connectivity for sample in self.samples])
         return self._law("physical meaning", self.graphs[0].weights, connectivity)
 
     @cached_property
@@ -307,7 +307,7 @@ class CampaignAnalysis:
     def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]
         kinds = graph.kinds(cement)
-        path = graph.path(kinds > 0, cell.features.path if cell.features else ())
+        path = graph.path(kinds > 0, tuple(cell.path.grains.tolist()) if cell.path else ())
         return MeasuredSample(
             seed=cell.key.seed,
             content=cell.key.content,

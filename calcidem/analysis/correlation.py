@@ -75,7 +75,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     )
 
 
-def fisher_interval(
+def _fisher_interval(
     coefficient: NDArray[np.float64], n: int, level: float = 0.95, lost_freedom: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Give the lower and upper ends of the confidence interval of Pearson's coefficient.
@@ -105,7 +105,7 @@ def _correlation_matrix(
 ) -> xr.Dataset:
     """Correlation matrix of samples, shape (n, variables)."""
     pearson = _pearson_matrix(samples)
-    low, high = fisher_interval(pearson, len(samples), level, lost_freedom)
+    low, high = _fisher_interval(pearson, len(samples), level, lost_freedom)
     spearman = _pearson_matrix(stats.rankdata(samples, axis=0)) if len(samples) else pearson
     square = ("variable", "other")
     return xr.Dataset(

@@ -19,7 +19,7 @@ class Feature:
     Attributes
     ----------
     name
-        The attribute of `calcidem.storage.records.PathFeatures` that holds it.
+        Of the quantity, here and everywhere (`calcidem.storage.records.PathFeatures`).
     symbol
         As in the paper.
     definition
@@ -32,23 +32,23 @@ class Feature:
 
 
 FEATURES = (
-    Feature("contacts", "N", "number of contacts on the path"),
-    Feature("hertz_contacts", "N_h", "number of sand contacts on the path"),
-    Feature("bonded_contacts", "N_LPB", "number of cemented contacts on the path"),
-    Feature("bonded_fraction", "LP", "share of the path's contacts that are cemented, N_LPB / N"),
+    Feature("path_contacts", "N", "number of contacts on the path"),
+    Feature("path_hertz_contacts", "N_h", "number of sand contacts on the path"),
+    Feature("path_bonded_contacts", "N_LPB", "number of cemented contacts on the path"),
+    Feature("path_bonded_fraction", "LP", "share of the path's contacts that are cemented, N_LPB / N"),
     Feature(
-        "longest_bonded_run",
+        "path_longest_bonded_run",
         "QLLC",
         "largest number of cemented contacts that follow one another on the path",
     ),
     Feature(
-        "longest_bonded_run_fraction",
+        "path_longest_bonded_run_fraction",
         "PLLC",
         "share of the path's contacts in its longest run of cemented ones, QLLC / N",
     ),
-    Feature("connectivity", "C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
+    Feature("path_connectivity", "C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
     Feature(
-        "normalized_connectivity",
+        "path_normalized_connectivity",
         "C_d,n",
         "weighted length of the path on a scale where a straight row of median grains has 0 if all its "
         "contacts are cemented and 1 if none is",
@@ -77,13 +77,12 @@ def measure_path(path: PreferentialPath, weights: ContactWeights, scale: PathSca
     longest_run = max((sum(run) for _, run in groupby(path.bonded)), default=0)
     c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)
     return PathFeatures(
-        contacts=contacts,
-        hertz_contacts=path.hertz_contacts,
-        bonded_contacts=path.bonded_contacts,
-        bonded_fraction=path.bonded_contacts / contacts,
-        longest_bonded_run_fraction=longest_run / contacts,
-        longest_bonded_run=longest_run,
-        connectivity=c_d,
-        normalized_connectivity=normalized_connectivity(c_d, weights, scale),
-        path=path.grains,
+        path_contacts=contacts,
+        path_hertz_contacts=path.hertz_contacts,
+        path_bonded_contacts=path.bonded_contacts,
+        path_bonded_fraction=path.bonded_contacts / contacts,
+        path_longest_bonded_run_fraction=longest_run / contacts,
+        path_longest_bonded_run=longest_run,
+        path_connectivity=c_d,
+        path_normalized_connectivity=normalized_connectivity(c_d, weights, scale),
     )

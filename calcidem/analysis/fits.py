@@ -80,7 +80,7 @@ class PowerLawFit:
         really holds.
         """
         x = np.asarray(connectivity, dtype=np.float64)
-        gradient = power_law_gradient(x, self.a, self.b, self.c)
+        gradient = _power_law_gradient(x, self.a, self.b, self.c)
         curve = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
         quantile = float(stats.t.ppf((1 + level) / 2, self.n - _PARAMETER_COUNT))
         half = quantile * np.sqrt(self.residual_standard_deviation**2 + curve)
@@ -201,7 +201,7 @@ def power_law(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[n
     return a * x**b + c
 
 
-def power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
+def _power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
     """Give the derivatives of the law by a, b and c, shape (..., 3)."""
     power = x**b
     return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
@@ -236,7 +236,7 @@ def _least_squares(
     x: NDArray[np.float64], y: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
-        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=power_law_gradient)
+        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=_power_law_gradient)
     except RuntimeError as error:
         raise ValueError(
             f"the fit of Vs = a C^b + c did not converge for {x.size} samples ({error}); "

@@ -63,7 +63,7 @@ def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> Normal
     p-value among simulated samples of the same size is given as well.
     """
     statistic = float(_statistic(n, np.asarray(skewness), np.asarray(kurtosis)))
-    null = null_statistics(n)
+    null = _null_statistics(n)
     # The relative slack lets equal statistics count as equal in spite of round-off; the two ones count the
     # sample itself, so that p is never zero (Davison and Hinkley 1997, section 4.2).
     at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
@@ -98,7 +98,7 @@ def _statistic(n: int, skewness: NDArray[np.float64], kurtosis: NDArray[np.float
 
 
 @lru_cache(maxsize=256)
-def null_statistics(n: int) -> NDArray[np.float64]:
+def _null_statistics(n: int) -> NDArray[np.float64]:
     """Draw the sorted statistics of normal samples of size n; the same numbers on every call."""
     generator = np.random.default_rng([_SIMULATION_SEED, n])
     rows = max(1, 2_000_000 // n)  # 16 MB at a time

@@ -55,7 +55,7 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     )
 
 
-def bias_of_failed(measured: int, failed: int) -> float:
+def _bias_of_failed(measured: int, failed: int) -> float:
     """Largest bias that failed cells give a mean, over the standard deviation of all.
 
     It is that of the mean of a normal distribution that has lost the share p = failed / (measured + failed) of its
@@ -74,7 +74,7 @@ def is_in_doubt(measured: int, failed: int) -> bool:
 
     That is so from 2 failed of 8, 4 of 48 or 5 of 116 cells.
     """
-    return failed > 0 and (measured == 0 or bias_of_failed(measured, failed) > 1.0 / math.sqrt(measured))
+    return failed > 0 and (measured == 0 or _bias_of_failed(measured, failed) > 1.0 / math.sqrt(measured))
 
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:

@@ -160,7 +160,7 @@ def _left_out_errors(left: Matrix, values: Matrix, y: Matrix, penalty: float) ->
     return (centred - left @ (shrunk * part)) / (1.0 - influence), values * part / (values**2 + penalty * y.size)
 
 
-def interval_score(interval: Interval, value: float, level: float) -> float:
+def _interval_score(interval: Interval, value: float, level: float) -> float:
     """Width of an interval, and 2 / (1 - level) times the distance of a value that lies outside; smaller is better.
 
     Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; it is least on average for the true quantiles.
@@ -220,7 +220,7 @@ def check_predictor(
         fitted = fit_predictor(others, known, level, choices), fit_predictor(others[:, :0], known, level)
         for predictor, own in zip(fitted, (x[out], ()), strict=True):
             interval = predictor.predict(own).interval
-            found.append((interval.contains(y[out]), interval_score(interval, y[out], level)))
+            found.append((interval.contains(y[out]), _interval_score(interval, y[out], level)))
     (coverage, score), (content_coverage, content_score) = (
         np.mean(found[first::2], axis=0).tolist() for first in (0, 1)
     )

@@ -102,18 +102,18 @@ def scan_ratio(
     if known.sum() < _SMALLEST_SAMPLE:
         raise ValueError(f"only {known.sum()} samples have a velocity; a correlation needs at least three")
     lengths = np.stack([envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use])
-    sums = sums_by_seed(lengths, velocity[known], seeds[known])
+    sums = _sums_by_seed(lengths, velocity[known], seeds[known])
     seed_count = sums.shape[0]
-    correlation = correlate_sums(np.ones((1, seed_count)), sums)[0]
+    correlation = _correlate_sums(np.ones((1, seed_count)), sums)[0]
     if np.isnan(correlation).all():
         raise ValueError("no ratio has a correlation: all samples have the same path or the same velocity")
-    best = int(first_best(correlation[None])[0])
+    best = int(_first_best(correlation[None])[0])
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
-    drawn = correlate_sums(draws.astype(np.float64), sums)
+    drawn = _correlate_sums(draws.astype(np.float64), sums)
     # A replicate of one seed drawn over and over may have no correlation at all; it says nothing.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
-    best_ratios = grid[first_best(usable)]
+    best_ratios = grid[_first_best(usable)]
     low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])
     return RatioScan(
         ratios=grid,
@@ -126,7 +126,7 @@ def scan_ratio(
     )
 
 
-def first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
+def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     """Place of the smallest ratio that correlates as well as the best one, in each row of shape (replicates, ratios).
 
     From some ratio on the shortest paths no longer change, and with them neither does the correlation. The scan then
@@ -136,7 +136,7 @@ def first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.asarray(np.argmax(correlation <= best + _CORRELATION_TIE, axis=1))
 
 
-def sums_by_seed(
+def _sums_by_seed(
     lengths: NDArray[np.float64], vs: NDArray[np.float64], seeds: NDArray[np.generic]
 ) -> NDArray[np.float64]:
     """Add up n, x, y, x^2, y^2 and x y over the samples of each seed: all that Pearson's coefficient needs.
@@ -152,7 +152,7 @@ def sums_by_seed(
     return sums
 
 
-def correlate_sums(multiplicity: NDArray[np.float64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _correlate_sums(multiplicity: NDArray[np.float64], sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pearson's coefficient when each seed counts `multiplicity` times; shape (replicates, ratios)."""
     n, x, y, xx, yy, xy = np.moveaxis(np.tensordot(multiplicity, sums, axes=1), 1, 0)
     variance_x, variance_y = xx - x * x / n, yy - y * y / n

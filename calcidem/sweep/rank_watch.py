@@ -1,23 +1,33 @@
 """What the command knows of the ranks that its launcher started: from themselves and their starters, on all hosts."""
 
+import hmac
 import secrets
 import selectors
 import signal
 import socket
-import struct
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Self
 
-from calcidem.sweep.starter import GREETING
-
-_SIOCGIFADDR = 0x8915
-"""Asks the kernel for the address of a network interface, man 7 netdevice."""
+from calcidem.sweep.starter import LONGEST_GREETING, seal_words, this_host
 
 _LONGEST_LINE = 4096
 """Bytes of a line; one who sends more is no rank."""
+
+TIME_TO_GREET = 10.0
+"""Seconds in which one who connects must have shown that it is a rank."""
+
+_PAUSE_OF_WORDS = 60.0
+"""Seconds between two words to the user on connections that were hung up on."""
+
+_MOST_STRANGERS = 64
+"""Connections that may have to show that yet, beyond one for each rank; more end the oldest."""
+
+_PAUSE_WITHOUT_DESCRIPTORS = 0.05
+"""Seconds until the next connection is taken when this process has no file descriptor left."""
 
 _SETTLING = 1.0
 """Seconds after the first death of a rank in which others, and what rank 0 has to say of it, may follow."""
@@ -27,6 +37,8 @@ _LAST_WORDS = 10.0
 
 _HEARTBEAT_TIMEOUT = 120.0
 """Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
+
+_MOST_SIGNALS, _LARGEST_EXIT_CODE = 64, 255
 
 _VANISHED = "is gone without a word: it was killed together with its starter, or its host is down"
 
@@ -79,13 +91,40 @@ class _ReportedRank:
         return f"rank {self.number} on {self.host}"
 
 
+@dataclass(slots=True, eq=False)
+class _Caller:
+    """One who has connected and may be a rank.
+
+    Attributes
+    ----------
+    connection, buffer
+        To it, and what has come in of its line.
+    place
+        Its address and port, for the user.
+    challenge
+        What it was asked to seal_words.
+    since
+        Seconds of the launch at which it connected.
+    """
+
+    connection: socket.socket
+    place: str
+    challenge: str
+    since: float
+    buffer: bytes = b""
+
+
 class RankWatch:
     """Listens to the ranks of one launch; a context manager that hangs up in the end, which ends ranks that are left.
+
+    Anybody who can reach its address can connect. Whatever is sent there costs the sender its connection at worst.
 
     Parameters
     ----------
     size
         Number of ranks.
+    addresses
+        Where to listen.
     start_timeout
         Seconds in which all must have found one another.
     silence_timeout
@@ -101,13 +140,23 @@ class RankWatch:
         What rank 0 has said last of how far the run is; empty if nothing.
     """
 
-    def __init__(self, size: int, start_timeout: float, silence_timeout: float) -> None:
+    def __init__(
+        self, size: int, start_timeout: float, silence_timeout: float, addresses: Sequence[str] = ("127.0.0.1",)
+    ) -> None:
         self._size, self._start_timeout, self._silence_timeout = size, start_timeout, silence_timeout
-        self._listener = socket.create_server(("", 0), backlog=1024)
-        self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
+        places = []
+        for address in addresses:
+            listener = socket.create_server((address, 0), backlog=1024)
+            listener.setblocking(False)
+            self._selector.register(listener, selectors.EVENT_READ)
+            places.append(f"{address}:{listener.getsockname()[1]}")
         self._ranks: dict[int, _ReportedRank] = {}
+        self._callers: dict[_Caller, None] = {}
+        self._dropped = 0
+        self._first_dropped = ""
+        self._next_word_of_dropped = 0.0
+        self._now = time.monotonic()
         self._missing: set[str] = set()
         self._seconds = 0.0
         self._death: float | None = None
@@ -117,10 +166,8 @@ class RankWatch:
         self.exit_code: int | None = None
         self.exit_reason = ""
         self.progress = ""
-        self._token = secrets.token_hex(16)
-        port = self._listener.getsockname()[1]
-        hosts = [*_own_addresses(), socket.gethostname()]
-        self.address = " ".join([self._token, str(silence_timeout), *(f"{host}:{port}" for host in hosts)])
+        self._key = secrets.token_hex(32)
+        self.address = " ".join([self._key, str(silence_timeout), this_host(), *places])
 
     def __enter__(self) -> Self:
         """Use it in a `with` statement."""
@@ -144,17 +191,22 @@ class RankWatch:
 
     def listen(self, seconds: float) -> bool:
         """Take in what the ranks say within some seconds, at most; tell whether they said anything."""
-        before = time.monotonic()
         events = self._selector.select(seconds)
-        passed = min(time.monotonic() - before, 2.0 * seconds)  # no more, if this process itself was stopped
+        before, self._now = self._now, time.monotonic()
+        passed = min(self._now - before, 2.0 * seconds)  # no more, if this process itself was stopped
         self._seconds += passed
         for rank in self._ranks.values():
             rank.silent += passed
         for key, _ in events:
-            if key.fileobj is self._listener:
-                self._accept()
-            else:
+            if isinstance(key.data, _ReportedRank):
                 self._read(key.data)
+            elif isinstance(key.data, _Caller):
+                self._read_greeting(key.data)
+            else:
+                self._accept(key.fileobj)  # type: ignore[arg-type]
+        for caller in list(self._callers):
+            if self._seconds - caller.since > TIME_TO_GREET:
+                self._drop(caller, f"did not say within {TIME_TO_GREET:g} s who it is")
         self._note_deaths()
         return bool(events)
 
@@ -240,57 +292,143 @@ class RankWatch:
             "it is stopped, its disk is slow, or the network between the hosts fails; --start-timeout gives more time"
         )
 
-    def _accept(self) -> None:
-        connection, _ = self._listener.accept()
+    def describe_dropped(self) -> str:
+        """What to tell the user of connections that were no rank's, once a minute at most; empty if there were none."""
+        if not self._dropped or self._seconds < self._next_word_of_dropped:
+            return ""
+        self._next_word_of_dropped = self._seconds + _PAUSE_OF_WORDS
+        others = f", and on {self._dropped - 1} more" if self._dropped > 1 else ""
+        self._dropped = 0
+        return f"Hung up on {self._first_dropped}{others}; the run goes on."
+
+    def _accept(self, listener: socket.socket) -> None:
+        """Ask one who connects who it is; without room for it the one that has not answered for longest goes."""
+        try:
+            connection, place = listener.accept()
+        except BlockingIOError:
+            return
+        except OSError:  # no descriptors are left, or it has hung up already
+            if self._callers:
+                self._drop(next(iter(self._callers)), "had not said who it is when file descriptors ran out")
+            else:
+                time.sleep(_PAUSE_WITHOUT_DESCRIPTORS)
+            return
+        if len(self._callers) >= _MOST_STRANGERS + self._size:
+            self._drop(next(iter(self._callers)), "had not said who it is when many others connected")
         connection.setblocking(False)
-        self._selector.register(connection, selectors.EVENT_READ, _ReportedRank(-1, "", 0, connection))
+        caller = _Caller(connection, "{}:{}".format(*place[:2]), secrets.token_hex(16), self._seconds)
+        self._callers[caller] = None
+        self._selector.register(connection, selectors.EVENT_READ, caller)
+        try:
+            connection.send(f"{caller.challenge}\n".encode())
+        except OSError:
+            self._drop(caller, "hung up at once")
+
+    def _drop(self, caller: _Caller, why: str) -> None:
+        """Hang up on one who is no rank, and note why."""
+        del self._callers[caller]
+        self._hang_up(caller.connection)
+        self._note_dropped(f"{caller.place}, which {why}")
+
+    def _note_dropped(self, who: str) -> None:
+        self._first_dropped = self._first_dropped if self._dropped else who
+        self._dropped += 1
+
+    def _hang_up(self, connection: socket.socket) -> None:
+        self._selector.unregister(connection)
+        connection.close()
+
+    def _read_greeting(self, caller: _Caller) -> None:
+        """Take in who a caller is, and let its connection be that of a rank if that is sealed with the key."""
+        if caller not in self._callers:
+            return  # dropped since the selector told of it
+        try:
+            data = caller.connection.recv(LONGEST_GREETING)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        caller.buffer += data
+        line, newline, rest = caller.buffer.partition(b"\n")
+        if not newline:
+            if not data or len(line) > LONGEST_GREETING:
+                self._drop(caller, "did not say who it is")
+            return
+        words, _, sealed = line.decode(errors="replace").rpartition(" ")
+        if not hmac.compare_digest(sealed.encode(), seal_words(self._key, "rank", caller.challenge, words).encode()):
+            self._drop(caller, "does not know the key of this run")
+            return
+        try:
+            number, process, host, drawn = words.split(" ")
+            rank = _ReportedRank(int(number), host, int(process), caller.connection, rest)
+            caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
+        except (ValueError, OSError):
+            self._drop(caller, "is no rank, though it knows the key of this run")
+            return
+        if not 0 <= rank.number < self._size or rank.number in self._ranks:
+            self._drop(caller, f"says that it is rank {rank.number}, which is not expected (any more)")
+            return
+        del self._callers[caller]
+        self._ranks[rank.number] = rank
+        self._selector.modify(rank.connection, selectors.EVENT_READ, rank)
+        self._take_lines(rank)
 
     def _read(self, rank: _ReportedRank) -> None:
-        """Take in what a connection brings."""
+        """Take in what a rank says."""
         try:
             data = rank.connection.recv(1 << 16)
         except BlockingIOError:
             return
         except OSError:
             data = b""
-        *lines, rank.buffer = (rank.buffer + data).split(b"\n")
-        for line in lines:
-            text = line.decode(errors="replace")
-            if rank.number < 0:
-                self._greet(rank, text)
-            else:
-                self._hear(rank, text)
-        if data and len(rank.buffer) <= _LONGEST_LINE:
-            return
-        self._selector.unregister(rank.connection)
-        rank.connection.close()
-        if rank.number >= 0 and not rank.ended:
-            rank.ended, rank.killed = _VANISHED, True
+        rank.buffer += data
+        if not self._take_lines(rank) or not data or len(rank.buffer) > _LONGEST_LINE:
+            self._hang_up(rank.connection)
+            if not rank.ended:
+                rank.ended, rank.killed = _VANISHED, True
 
-    def _greet(self, rank: _ReportedRank, text: str) -> None:
-        """Let a connection be that of a rank, if it knows the token."""
-        token, _, rest = text.partition(" ")
-        if not secrets.compare_digest(token.encode(), self._token.encode()):
-            rank.buffer = b" " * (_LONGEST_LINE + 1)
-            return
-        number, process, rank.host = rest.split(" ", 2)
-        rank.number, rank.process = int(number), int(process)
-        self._ranks[rank.number] = rank
-        rank.connection.send(GREETING)
+    def _take_lines(self, rank: _ReportedRank) -> bool:
+        """Take in the whole lines that have come; tell whether all are such as ranks say."""
+        *lines, rank.buffer = rank.buffer.split(b"\n")
+        try:
+            for line in lines:
+                self._hear(rank, line.decode(errors="replace"))
+        except ValueError:
+            self._note_dropped(f"{rank}, which said what no rank says")
+            return False
+        return True
 
     def _hear(self, rank: _ReportedRank, text: str) -> None:
-        """Take in a line: see `calcidem.sweep.channel` for those of a rank, and `starter` for its own."""
+        """Take in a line: see `calcidem.sweep.channel` for those of a rank, and `starter` for its own.
+
+        Raises
+        ------
+        ValueError
+            If no rank, or not this one, says that.
+        """
         rank.silent = 0.0
         word, _, rest = text.partition(" ")
-        rank.worded |= word in {"dismissed", "ended"}
         match word:
             case "alive":
                 if int(rest) > 0:
                     self._missing.add(rank.host)
+            case "dismissed":
+                rank.worded = True
             case "loaded":
                 rank.loaded = True
             case "joined":
                 rank.joined = True
+            case "ended":
+                code, _, last = rest.partition(" ")
+                self._note_end(rank, _exit_code(code), last)
+            case _ if rank.number == 0:
+                self._hear_master(rank, word, rest)
+            case _:
+                raise ValueError(word)
+
+    def _hear_master(self, rank: _ReportedRank, word: str, rest: str) -> None:
+        """Take in what rank 0 alone says."""
+        match word:
             case "sweeping":
                 self._sweeping = True
             case "beat" | "pause":
@@ -300,18 +438,20 @@ class RankWatch:
                 with suppress(OSError):
                     rank.connection.send(b"heard\n")
             case "exit":
-                code, self.exit_reason = [*rest.split(), ""][:2]
-                self.exit_code, self._heartbeat, self._death = int(code), None, self._seconds
-            case "ended":
-                code, _, last = rest.partition(" ")
-                self._note_end(rank, int(code), last)
+                code, reason = [*rest.split(), ""][:2]
+                self.exit_code, self.exit_reason = _exit_code(code), reason
+                self._heartbeat, self._death = None, self._seconds
+            case _:
+                raise ValueError(word)
 
     def _note_end(self, rank: _ReportedRank, code: int, last: str) -> None:
         """Put into words how a rank has ended."""
         how, cure = f"ended with exit code {code}", ""
         if code < 0:
-            name = signal.Signals(-code).name
+            known = -code in set(signal.Signals)  # those of real time have no names
+            name = signal.Signals(-code).name if known else f"signal {-code}"
             how, cure = f"was killed by {name}", _SIGNAL_CURES.get(name, "")
+        rank.worded = True
         stage = "" if rank.joined else " while it started"
         if not rank.joined and code >= 0:
             cure = "`calcidem doctor` on that host says what it lacks"
@@ -332,13 +472,9 @@ class RankWatch:
                     self._ranks[0].connection.send(f"lost {rank.number} {rank.ended}\n".encode())
 
 
-def _own_addresses() -> list[str]:
-    """Addresses of this host's network interfaces, one of itself first."""
-    import fcntl  # noqa: PLC0415 - Windows, which has no ranks, lacks it
-
-    found = []
-    for _, name in socket.if_nameindex():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket, suppress(OSError):
-            answer = fcntl.ioctl(any_socket.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()))
-            found.append(socket.inet_ntoa(answer[20:24]))
-    return found
+def _exit_code(text: str) -> int:
+    """Exit code, or number of a signal with a minus; raises `ValueError` for what no process ends with."""
+    code = int(text)
+    if not -_MOST_SIGNALS <= code <= _LARGEST_EXIT_CODE:
+        raise ValueError(text)
+    return code

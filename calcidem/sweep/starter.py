@@ -6,7 +6,9 @@ command breaks it ends its rank, so that none is left behind on a host that the 
 """
 
 import ctypes
+import hmac
 import os
+import secrets
 import select
 import signal
 import socket
@@ -15,13 +17,16 @@ import time
 from pathlib import Path
 
 COMMAND_VARIABLE = "CALCIDEM_COMMAND"
-"""Tells the ranks of the command: a token, the seconds of silence that it bears, and where it listens, host:port."""
+"""Tells the ranks of the command: a key, the seconds of silence that it bears, its host, and where it listens."""
 
 DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
 """Tells a rank which of its file descriptors is the connection that its starter has made."""
 
-GREETING = b"calcidem\n"
-"""What the command answers to one that knows the token."""
+LONGEST_GREETING = 512
+"""Bytes of each of the lines by which the command and a rank come to know one another."""
+
+_MEANS_ITSELF = "127."
+"""Beginning of addresses by which each host means itself."""
 
 _RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 
@@ -36,6 +41,9 @@ _TIME_TO_COUNT = 60.0
 
 _TIME_TO_CONNECT = 5.0
 """Seconds for each of the command's addresses."""
+
+_ATTEMPTS = 3
+"""Times that all of them are tried: the command may be busy, or strangers may be in the way."""
 
 _TIME_TO_HANG_UP = 2.0
 """Seconds in which the command acknowledges the last words of a rank."""
@@ -67,14 +75,51 @@ def die_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-class _Starter:
+def this_host() -> str:
+    """What two processes have in common exactly if a loopback address means the same for both."""
+    boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    return f"{boot}/{Path('/proc/self/ns/net').readlink()}"
+
+
+def seal_words(key: str, *words: str) -> str:
+    """Return what only those who know the key can say of some words."""
+    return hmac.new(key.encode(), " ".join(words).encode(), "sha256").hexdigest()
+
+
+def introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool:
+    """Say to the command which rank this is, as one who knows the key, and tell whether it knows that, too.
+
+    Each side seals what the other has drawn for this connection alone; the key itself does not travel, and what was
+    heard cannot be said again. `multiprocessing.connection` does the same but waits for each line, which would let one
+    stranger hold the command up.
+    """
+    challenge = _read_line(connection)
+    own = secrets.token_hex(16)
+    words = f"{rank} {os.getpid()} {host} {own}"
+    connection.sendall(f"{words} {seal_words(key, 'rank', challenge, words)}\n".encode())
+    return hmac.compare_digest(_read_line(connection).encode(), seal_words(key, "command", own, challenge).encode())
+
+
+def _read_line(connection: socket.socket) -> str:
+    """Read a line and nothing beyond it, which is for the rank; no more bytes, and seconds, than one may take."""
+    line, end = b"", time.monotonic() + _TIME_TO_CONNECT
+    while not line.endswith(b"\n"):
+        data = connection.recv(1)
+        if not data or len(line) > LONGEST_GREETING or time.monotonic() > end:
+            raise ConnectionError("it is not the command that listens there")
+        line += data
+    return line.decode(errors="replace").rstrip("\n")
+
+
+class Starter:
     """One rank and its connection to the command."""
 
     def __init__(self) -> None:
         self._rank = next(os.environ[name] for name in _RANK_VARIABLES if name in os.environ)
-        token, silence, *self._addresses = os.environ[COMMAND_VARIABLE].split()
+        self._key, silence, host, *addresses = os.environ[COMMAND_VARIABLE].split()
+        # On another host anybody may listen at an address that means itself.
+        self._addresses = [at for at in addresses if host == this_host() or not at.startswith(_MEANS_ITSELF)]
         self._silence = float(silence)
-        self._token = token.encode()
         self._connection = self._connect()
         self._tail = b""
         self._begin = time.monotonic()
@@ -102,22 +147,24 @@ class _Starter:
     def _connect(self) -> socket.socket:
         """Reach the command at one of its addresses, and say which rank this is."""
         host = os.uname().nodename
-        for address in self._addresses:
+        for address in self._addresses * _ATTEMPTS:
             name, _, port = address.rpartition(":")
             try:
                 connection = socket.create_connection((name, int(port)), _TIME_TO_CONNECT)
-                connection.sendall(b"%s %s %d %s\n" % (self._token, self._rank.encode(), os.getpid(), host.encode()))
-                if connection.recv(len(GREETING)) == GREETING:
+                if introduce(connection, self._key, self._rank, host):
                     connection.settimeout(None)
                     limit = int(1000.0 * self._silence)  # what is sent must be acknowledged by then
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
                     return connection
+                connection.close()
             except OSError:
                 continue
-        sys.exit(
-            f"Rank {self._rank} on {host} cannot reach the command that started it, at {' or '.join(self._addresses)}: "
-            "let these hosts connect to one another, firewalls included"
-        )
+        where = f"at {' or '.join(self._addresses)}: let these hosts connect to one another, firewalls included"
+        if not self._addresses:
+            where = (
+                "which listens on its own host alone: nothing that it knows of names other hosts, as a hostfile does"
+            )
+        sys.exit(f"Rank {self._rank} on {host} cannot reach the command that started it, {where}")
 
     def _become(self, command: list[str], standard_error: int) -> None:
         """Be the rank from now on, from its first moment to end with the starter."""
@@ -204,7 +251,7 @@ class _Starter:
 def _start_rank() -> None:
     """Run the rank whose command line this program was given, and end as it does."""
     die_with_parent()
-    code = _Starter().run(sys.argv[1:])
+    code = Starter().run(sys.argv[1:])
     if code < 0:
         if -code != signal.SIGKILL:
             signal.signal(-code, signal.SIG_DFL)

@@ -6,7 +6,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.correlation import correlate, fisher_interval
+from calcidem.analysis.correlation import _fisher_interval, correlate
 
 
 def table(**variables: NDArray[np.float64]) -> xr.Dataset:
@@ -60,7 +60,7 @@ def test_within_is_the_partial_correlation_given_content() -> None:
     residuals = [v.ravel() - indicators @ np.linalg.lstsq(indicators, v.ravel(), rcond=None)[0] for v in (x, y)]
     found = correlate(table(x=x, y=y)).within
     assert pair(found, "pearson") == pytest.approx(stats.pearsonr(*residuals).statistic)
-    low, _ = fisher_interval(np.array(pair(found, "pearson")), 24 - 2)
+    low, _ = _fisher_interval(np.array(pair(found, "pearson")), 24 - 2)
     assert pair(found, "pearson_low") == pytest.approx(float(low))
 
 

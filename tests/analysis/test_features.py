@@ -18,19 +18,19 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     path = preferential_path(*drawn_sample, WEIGHTS)
     found = measure_path(path, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
-    assert found.path == path.grains == (5, 6, 7, 8, 9)
-    assert (found.contacts, found.hertz_contacts, found.bonded_contacts) == (4, 1, 3)
-    assert found.bonded_fraction == 3 / 4
-    assert found.longest_bonded_run == 2
-    assert found.longest_bonded_run_fraction == 2 / 4
-    assert found.connectivity == pytest.approx(1 + 3 * 0.5)
-    assert found.normalized_connectivity == pytest.approx(1 / 4)  # one of four contacts is sand
+    assert path.grains == (5, 6, 7, 8, 9)
+    assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
+    assert found.path_bonded_fraction == 3 / 4
+    assert found.path_longest_bonded_run == 2
+    assert found.path_longest_bonded_run_fraction == 2 / 4
+    assert found.path_connectivity == pytest.approx(1 + 3 * 0.5)
+    assert found.path_normalized_connectivity == pytest.approx(1 / 4)  # one of four contacts is sand
 
 
 def test_each_feature_is_defined_once() -> None:
     """The eight definitions are the eight fields of the record, each with its own symbol and words."""
     names = [feature.name for feature in FEATURES]
-    assert {*names, "path"} == {field.name for field in fields(PathFeatures)}
+    assert set(names) == {field.name for field in fields(PathFeatures)}
     assert len(FEATURES) == len({feature.symbol for feature in FEATURES}) == 8
     assert len({feature.definition for feature in FEATURES}) == 8
 
@@ -42,6 +42,6 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
     path = PreferentialPath(tuple(range(len(bonded) + 1)), tuple(bonded))
     found = measure_path(path, WEIGHTS, PathScale(0.1, 2.5e-3))
     text = "".join("b" if kind else " " for kind in bonded)
-    assert found.longest_bonded_run == max((len(run) for run in text.split()), default=0)
-    assert found.contacts == found.hertz_contacts + found.bonded_contacts == len(bonded)
-    assert 0 <= found.longest_bonded_run_fraction <= found.bonded_fraction <= 1
+    assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
+    assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)
+    assert 0 <= found.path_longest_bonded_run_fraction <= found.path_bonded_fraction <= 1

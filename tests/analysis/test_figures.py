@@ -16,9 +16,9 @@ from places import TUTORIAL
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, load_arrival, published_velocities
-from calcidem.analysis.figures.relations import law_text, symbol
+from calcidem.analysis.figures.relations import _law_text, _symbol
 from calcidem.analysis.figures.samples import draw_preferential_paths
-from calcidem.analysis.figures.signals import received_peak_index
+from calcidem.analysis.figures.signals import _received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
 from calcidem.storage.campaign import open_stored_campaign
 
@@ -120,7 +120,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     grains = list(sample.path.grains)
     assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
-    assert len(rings.get_xdata()) == sample.features.hertz_contacts
+    assert len(rings.get_xdata()) == sample.features.path_hertz_contacts
 
 
 def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: CampaignAnalysis) -> None:
@@ -138,7 +138,7 @@ def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: Campaig
 def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None:
     """The arrival from peak to peak lies on a maximum of the received signal, within the picking's smoothing."""
     arrival = load_arrival(analysis, 1, 0.34)
-    index = received_peak_index(arrival)
+    index = _received_peak_index(arrival)
     period = 1.0 / float(analysis.cells["frequency"].sel(seed=1, content=0.34))
     reach = round(0.1 * period / (arrival.time[1] - arrival.time[0]))
     near = arrival.received[index - reach : index + reach + 1]
@@ -160,9 +160,9 @@ def test_published_means_are_shown_for_the_published_sand_where_contents_match(a
 
 def test_symbols_are_upright_where_they_are_names() -> None:
     """Names of several letters are upright, single letters are not, indices are kept together."""
-    assert symbol("normalized_connectivity") == "$C_{d,n}$"
-    assert symbol("longest_bonded_run") == r"$\mathrm{QLLC}$"
-    assert "\N{MINUS SIGN} 338" in law_text(623.0, -1.01, -338.0)
+    assert _symbol("path_normalized_connectivity") == "$C_{d,n}$"
+    assert _symbol("path_longest_bonded_run") == r"$\mathrm{QLLC}$"
+    assert "\N{MINUS SIGN} 338" in _law_text(623.0, -1.01, -338.0)
 
 
 def test_colours_differ_in_brightness() -> None:

@@ -22,7 +22,7 @@ def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) ->
     """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
     packing = analysis.campaign.packing()
     for sample in analysis.samples:
-        first, last = sample.features.path[0], sample.features.path[-1]
+        first, last = sample.path.grains[0], sample.path.grains[-1]
         assert packing.x[first] < packing.radius[first]
         assert abs(packing.y[first] - packing.height / 2) < 0.01
         assert packing.width - packing.x[last] < packing.radius[last]
@@ -42,7 +42,7 @@ def test_stored_features_give_the_same_as_a_search(analysis: CampaignAnalysis) -
     graph = analysis.graphs[0]
     for sample in analysis.samples[::5]:
         bonded = sample.kinds > 0
-        again = graph.path(bonded, sample.features.path)
+        again = graph.path(bonded, sample.path.grains)
         assert again == sample.path == graph.path(bonded)
         assert graph.features(again) == sample.features
 

@@ -10,7 +10,7 @@ from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.frequency_and_damping import damping_study, frequency_study, pulse_frequency
+from calcidem.app.studies.frequency_and_damping import _damping_study, _frequency_study, _pulse_frequency
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.storage.campaign import open_stored_campaign
@@ -33,8 +33,8 @@ def studies(experiment: Experiment) -> dict[str, xr.Dataset]:
     """Both studies with few values."""
     own = experiment.frequency(0.66)
     return {
-        "frequency": frequency_study(experiment, contents=(0.66,), frequencies=(own, 1.5 * own), seeds=SEEDS),
-        "damping": damping_study(experiment, contents=(0.66,), factors=(0.1, experiment.wave.damping), periods=9.0),
+        "frequency": _frequency_study(experiment, contents=(0.66,), frequencies=(own, 1.5 * own), seeds=SEEDS),
+        "damping": _damping_study(experiment, contents=(0.66,), factors=(0.1, experiment.wave.damping), periods=9.0),
     }
 
 
@@ -44,14 +44,14 @@ def test_width_of_the_sent_pulse_gives_its_frequency() -> None:
     for frequency in (4e3, 25e3):
         pulse = Pulse(1e-3, frequency)
         signal = pulse.velocity(np.arange(0, 2 / frequency, interval))
-        found = pulse_frequency(signal, interval, pulse.peak_time, reach=0.1 / frequency)
+        found = _pulse_frequency(signal, interval, pulse.peak_time, reach=0.1 / frequency)
         # The straight line between two samples is off by less than (omega dt)^2 / 8.
         assert found == pytest.approx(frequency, rel=(2 * np.pi * frequency * interval) ** 2)
 
 
 def test_pulse_that_does_not_end_has_no_frequency() -> None:
     """A signal that stays above half its peak has no width."""
-    assert np.isnan(pulse_frequency(np.linspace(0.6, 1.0, 50), 1e-6, 40e-6, reach=5e-6))
+    assert np.isnan(_pulse_frequency(np.linspace(0.6, 1.0, 50), 1e-6, 40e-6, reach=5e-6))
 
 
 def test_study_at_the_campaigns_frequency_gives_the_campaigns_velocity(

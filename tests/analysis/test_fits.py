@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize
 
-from calcidem.analysis.fits import fit_power_law, leave_one_seed_out, power_law, power_law_gradient
+from calcidem.analysis.fits import _power_law_gradient, fit_power_law, leave_one_seed_out, power_law
 
 LAW = (623.0, -1.01, -338.0)
 """The paper's law for weights by physical meaning."""
@@ -55,7 +55,7 @@ def test_the_gradient_is_the_derivative() -> None:
         up[index] += step
         down[index] -= step
         numeric = (power_law(x, *up) - power_law(x, *down)) / (2 * step)
-        np.testing.assert_allclose(power_law_gradient(x, *LAW)[:, index], numeric, rtol=1e-6)
+        np.testing.assert_allclose(_power_law_gradient(x, *LAW)[:, index], numeric, rtol=1e-6)
 
 
 def test_parameter_and_prediction_intervals_cover_as_promised(

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from calcidem.analysis.normality import (
+    _null_statistics,
     jarque_bera,
     jarque_bera_from_moments,
     kurtosis,
-    null_statistics,
     skewness,
 )
 
@@ -82,11 +82,11 @@ def test_moments_alone_give_the_same_test() -> None:
 
 def test_the_simulation_is_done_once_for_a_size_and_is_the_same_every_time() -> None:
     """The simulated statistics of a size are kept, read-only, and come out alike when drawn again."""
-    first = null_statistics(25)
-    assert null_statistics(25) is first
+    first = _null_statistics(25)
+    assert _null_statistics(25) is first
     assert not first.flags.writeable
-    null_statistics.cache_clear()
-    np.testing.assert_array_equal(null_statistics(25), first)
+    _null_statistics.cache_clear()
+    np.testing.assert_array_equal(_null_statistics(25), first)
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [5.0, 5.0, 5.0]])

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calcidem.analysis.intervals import mean_interval
-from calcidem.analysis.planning import mean_half_width, narrowing, plan_seeds, seeds_needed
+from calcidem.analysis.planning import _mean_half_width, _seeds_needed, narrowing, plan_seeds
 
 
 def test_seeds_for_the_papers_widest_content() -> None:
     """A deviation of 260.74 m/s (5 %) needs 656 seeds for a half-width of 20 m/s."""
-    assert seeds_needed(260.74, 20.0) == 656
+    assert _seeds_needed(260.74, 20.0) == 656
     assert 1.9636 * 260.74 / np.sqrt(656) < 20.0 < 1.9636 * 260.74 / np.sqrt(655)
 
 
@@ -19,9 +19,9 @@ def test_seeds_for_the_papers_widest_content() -> None:
 @settings(deadline=None)
 def test_the_number_is_the_smallest_that_suffices(deviation: float, half_width: float, level: float) -> None:
     """The half-width with that many seeds is small enough, and with one fewer it is not."""
-    n = seeds_needed(deviation, half_width, level)
-    assert mean_half_width(deviation, n, level) <= half_width
-    assert n == 2 or mean_half_width(deviation, n - 1, level) > half_width
+    n = _seeds_needed(deviation, half_width, level)
+    assert _mean_half_width(deviation, n, level) <= half_width
+    assert n == 2 or _mean_half_width(deviation, n - 1, level) > half_width
 
 
 def test_plan_counts_what_is_there() -> None:
@@ -52,7 +52,7 @@ def test_the_range_of_the_plan_covers_the_true_need(
     within_binomial: Callable[[int, int, float], bool],
 ) -> None:
     """Of 400 plans from 10 normal values each, 95 % have the true need in their range."""
-    truth = seeds_needed(100.0, 10.0)
+    truth = _seeds_needed(100.0, 10.0)
     samples = np.random.default_rng(2).normal(0, 100, (400, 10))
     plans = [plan_seeds(sample, 10.0) for sample in samples]
     hits = sum(plan.needed_low <= truth <= plan.needed_high for plan in plans)
@@ -86,9 +86,9 @@ def test_values_without_scatter_have_no_error() -> None:
 def test_impossible_plans_are_refused() -> None:
     """A half-width of zero, a deviation of NaN, a single value and counts below three are refused."""
     with pytest.raises(ValueError, match="half_width"):
-        seeds_needed(100.0, 0.0)
+        _seeds_needed(100.0, 0.0)
     with pytest.raises(ValueError, match="standard_deviation"):
-        seeds_needed(float("nan"), 10.0)
+        _seeds_needed(float("nan"), 10.0)
     with pytest.raises(ValueError, match="at least two"):
         plan_seeds([1.0, float("nan")], 10.0)
     with pytest.raises(ValueError, match="at least 3 seeds"):

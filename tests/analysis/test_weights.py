@@ -5,7 +5,7 @@ from scipy import stats
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, normalized_connectivity
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine
-from calcidem.analysis.weights import correlate_sums, first_best, scan_ratio, sums_by_seed
+from calcidem.analysis.weights import _correlate_sums, _first_best, _sums_by_seed, scan_ratio
 
 SEEDS, CONTENTS = 20, 6
 
@@ -63,7 +63,7 @@ def test_a_replicate_counts_a_seed_as_often_as_it_was_drawn() -> None:
     envelopes, velocity, seeds = campaign(0.6, 100.0)
     lengths = np.array([envelope.connectivity(0.4) for envelope in envelopes])
     times = np.random.default_rng(1).integers(0, 4, SEEDS)
-    found = correlate_sums(times[None].astype(float), sums_by_seed(lengths[:, None], velocity, seeds))
+    found = _correlate_sums(times[None].astype(float), _sums_by_seed(lengths[:, None], velocity, seeds))
     expected = stats.pearsonr(np.repeat(lengths, times[seeds]), np.repeat(velocity, times[seeds])).statistic
     assert found[0, 0] == pytest.approx(expected)
 
@@ -95,7 +95,7 @@ def test_a_true_ratio_beyond_the_scan_gives_its_edge() -> None:
 def test_the_smallest_of_a_plateau_is_best() -> None:
     """Where the correlation no longer changes, round-off does not choose the ratio."""
     rows = np.array([[-0.80, -0.84, -0.84, -0.84 - 1e-15], [np.nan, -0.5, -0.6, -0.55]])
-    assert first_best(rows).tolist() == [1, 2]
+    assert _first_best(rows).tolist() == [1, 2]
 
 
 def test_samples_that_are_all_alike_are_refused() -> None:

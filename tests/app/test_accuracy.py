@@ -10,11 +10,11 @@ from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.command import parse_target
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json, measured_errors
-from calcidem.app.studies.accuracy.reference import FINEST, HALVING, measure_convergence
+from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, measure_convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
-from calcidem.app.studies.explain import Explanation, precision, with_errors
+from calcidem.app.studies.explain import Explanation, _precision, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
@@ -93,7 +93,7 @@ def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> 
     """The last halving moved every velocity by less than 1e-4, unless the finest step was reached."""
     cells = [cell for cell in study.references if cell.halving is not None]
     assert len(cells) >= 0.93 * len(study.references)
-    assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= FINEST for cell in cells)
+    assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= _FINEST for cell in cells)
     if len(cells) >= 30:  # a median of four tells nothing
         assert np.median([abs(cell.halving or 0.0) for cell in cells]) < HALVING
 
@@ -119,10 +119,10 @@ def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, 
     file = tmp_path / "accuracy.json"
     file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
     measured = measured_errors("a" * 64, "c" * 64, file)
-    row = with_errors(Explanation(0.66, precision(experiment), 1.0, 0.0), measured)
+    row = _with_errors(Explanation(0.66, _precision(experiment), 1.0, 0.0), measured)
     assert row.error is not None
     assert row.other_error is not None
-    assert with_errors(Explanation(4.0, precision(experiment), 1.0, 0.0), measured).error is None
+    assert _with_errors(Explanation(4.0, _precision(experiment), 1.0, 0.0), measured).error is None
 
 
 def test_a_wave_starts_in_equilibrium(experiment: Experiment) -> None:

@@ -8,7 +8,7 @@ import pytest
 from calcidem.app.campaign.task import CellComputation
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.sweep import Batch, Cell
 
 pytestmark = pytest.mark.slow
@@ -18,7 +18,7 @@ def computed(configuration: Configuration, packing: Packing, seed: int, content:
     """Compute one cell as a worker does; return the numbers that it sends."""
     batch: Batch[Cell] = Batch(0, ((seed, content),))
     (result,) = CellComputation(configuration, packing)(batch, lambda: None)
-    return result.columns["result"]
+    return result.columns
 
 
 def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(
@@ -32,5 +32,6 @@ def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(
     options = RunOptions(static_speed=True)
     asked = computed(replace(small_configuration, run=options), small_packing, 1, 0.66)
     experiment = small_configuration.experiment(small_packing)
-    assert asked["static_speed"] == static_speed(experiment, experiment.ordering(1).at(0.66).bonded)
+    found = static_speed(experiment, experiment.ordering(1).at(0.66).bonded)
+    assert asked["static_speed"] == (found.speed if found.error <= LARGEST_STATIC_ERROR else None)
     assert asked["vs"] == cell["vs"]

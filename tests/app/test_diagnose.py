@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import norm
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.outcomes import bias_of_failed, is_in_doubt
+from calcidem.analysis.outcomes import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.cure_trials import CureTrial, Verdict, contradicted_cells, rank_trials
 from calcidem.app.campaign.cures import Cure, Symptoms, find_cures
 from calcidem.app.campaign.opened import open_campaign
@@ -24,7 +24,7 @@ from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration
-from calcidem.app.report.page import velocity_remarks
+from calcidem.app.report.page import _velocity_remarks
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
@@ -37,7 +37,7 @@ from calcidem.storage.sql.store import open_store
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
 
-def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_signals: bool = True) -> Path:
+def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
     """Compute a campaign and store it."""
     plan, experiment = configuration.campaign, configuration.experiment(packing)
     with open_store(path) as store:
@@ -48,7 +48,7 @@ def store_campaign(path: Path, configuration: Configuration, packing: Packing, *
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         for content in plan.contents:
             found = measure(experiment, content, plan.seed_numbers)
-            store.record_results(cell_result(cell, experiment, store_signals) for cell in found)
+            store.record_results(cell_result(cell, experiment, store_sections) for cell in found)
     return path
 
 
@@ -120,7 +120,7 @@ def test_signals_that_were_not_stored_are_computed_again(
     unread: Path, impatient: Configuration, small_packing: Packing, tmp_path: Path
 ) -> None:
     """Without stored signals a cell is diagnosed as with them, to the last bit."""
-    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, store_signals=False)
+    bare = store_campaign(tmp_path / "bare.db", impatient, small_packing, store_sections=False)
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
         (one,), (other,) = full.diagnose(seed=2), campaign.diagnose(seed=2)
     assert other.cures == one.cures
@@ -183,8 +183,8 @@ def test_the_bias_of_a_mean_is_that_of_a_normal_distribution_without_its_end(mea
     """Values of a normal distribution at equal steps of probability, less those at one end, have this mean."""
     values = norm.ppf((np.arange(200_000) + 0.5) / 200_000)
     left = values[round(len(values) * failed / (measured + failed)) :]
-    assert bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
-    assert bias_of_failed(measured, 0) == 0.0
+    assert _bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
+    assert _bias_of_failed(measured, 0) == 0.0
     assert is_in_doubt(measured, failed) == (left.mean() > 1.0 / np.sqrt(measured))
 
 
@@ -195,7 +195,7 @@ def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke:
     assert "calcidem diagnose" in said
     assert "calcidem retry" not in said
     with open_campaign(unread) as campaign:
-        remarks = " ".join(velocity_remarks(CampaignAnalysis(campaign)))
+        remarks = " ".join(_velocity_remarks(CampaignAnalysis(campaign)))
     assert f"{CONTENT:g} % ({len(SEEDS)} of {len(SEEDS)})" in remarks
 
 

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 from places import CHECKOUT
 
+from calcidem.app.cli.exit_codes import tell_error
+from calcidem.sweep import SweepError
+
 if TYPE_CHECKING:
     from conftest import Cells, Workshop
 
@@ -94,3 +97,9 @@ def test_a_pool_of_mpi_gives_the_same_bits(workshop: "Workshop", expected: "Cell
     )
     assert done.returncode == 0, done.stderr
     assert workshop.cells() == expected
+
+
+def test_workers_without_calcidem_end_the_command_with_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    """The exit code is 1, since the same command would meet it again; there is neither a traceback nor a log."""
+    assert tell_error(SweepError("A worker of the executor could not compute a batch")) == 1
+    assert capsys.readouterr().err == "Error: A worker of the executor could not compute a batch\n"

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import sqlite3
+import subprocess
 import sys
 import time
 from contextlib import closing
@@ -14,8 +15,10 @@ from typing import TYPE_CHECKING
 import pytest
 from places import CHECKOUT
 
+from calcidem.sweep import starter
+
 if TYPE_CHECKING:
-    from conftest import Workshop
+    from conftest import Cells, Workshop
 
 FULL = pytest.mark.full
 
@@ -149,13 +152,14 @@ def test_a_launcher_that_is_killed_before_any_rank_began_is_started_twice(worksh
 
 RANK_THAT_ENDS = """#!{python} -IS
 import os, socket, sys
+sys.path.append("{folder}")
+from starter import introduce
 if "--version" not in sys.argv:
     print("start", file=open("starts", "a"))
-    token, _, address, *_ = os.environ["CALCIDEM_COMMAND"].split()
+    key, _, _, address, *_ = os.environ["CALCIDEM_COMMAND"].split()
     for number in 1, 0:
         rank = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
-        rank.sendall(f"{{token}} {{number}} 1 here\\n".encode())
-        rank.recv(100)
+        introduce(rank, key, str(number), "here")
         rank.sendall(b"joined\\nsweeping\\nexit 75 {why}\\nended 75\\n" if number == 0 else b"joined\\nended 0\\n")
 """
 """A launcher whose ranks only say that they have ended."""
@@ -165,7 +169,7 @@ if "--version" not in sys.argv:
 def test_only_what_another_start_may_cure_is_started_again(workshop: "Workshop", why: str, starts: int) -> None:
     """A run whose workers are lost is; one ended by a signal, or by a database that is away, ends with 75 at once."""
     launcher = workshop.folder / "launcher"
-    launcher.write_text(RANK_THAT_ENDS.format(python=sys.executable, why=why))
+    launcher.write_text(RANK_THAT_ENDS.format(python=sys.executable, folder=Path(starter.__file__).parent, why=why))
     launcher.chmod(0o755)
     workshop.variables["MPIRUN"] = str(launcher)
     workshop.configure(seeds=1, contents=(9.0,))
@@ -246,3 +250,58 @@ def test_a_master_on_another_machine_that_lives_is_not_disturbed(workshop: "Work
     refused = workshop.wait(process)
     assert refused.code == 1
     assert "nodeZ" in refused.errors
+
+
+STRANGERS = CHECKOUT / "tests" / "sweep" / "programs" / "strangers.py"
+NOBODY = "65534"  # the user without rights on Linux
+
+
+def port_of(process: int) -> int | None:
+    """Port at which a process listens, as any user sees it; None if it does not yet."""
+    files = [str(path.readlink()) for path in Path(f"/proc/{process}/fd").iterdir() if path.is_symlink()]
+    for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:
+        words = line.split()
+        if words[3] == "0A" and f"socket:[{words[9]}]" in files:
+            address, port = words[1].split(":")
+            assert address == "0100007F"  # loopback: all ranks are on this host
+            return int(port, 16)
+    return None
+
+
+@pytest.mark.full
+@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv")
+def test_another_user_can_do_nothing_to_a_run(workshop: "Workshop", expected: "Cells") -> None:
+    """Idle connections, garbage and pretenders, from the first moment to the export, change neither cells nor end."""
+    workshop.configure()
+    command = workshop.start("run", "c.toml", "--ranks", "3")
+    while (port := port_of(command.pid)) is None:
+        assert command.poll() is None
+    another = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", sys.executable, "-I", "-S", "-c"]
+    ways = ("idle", "garbage", "reset", "slow", "long", "half-open", "pretend")
+    strangers = subprocess.Popen([*another, STRANGERS.read_text(encoding="utf-8"), str(port), *ways])
+    try:
+        ended = workshop.wait(command)
+    finally:
+        strangers.kill()
+        strangers.wait()
+    assert ended.code == 0, ended.errors
+    assert "Hung up on 127.0.0.1:" in ended.errors
+    assert "Traceback" not in ended.errors
+    assert workshop.cells() == expected
+    assert (workshop.folder / "results").exists()
+
+
+@pytest.mark.full
+def test_a_second_signal_ends_a_run_whose_rank_0_is_frozen_at_once(workshop: "Workshop") -> None:
+    """A stopped rank 0 cannot obey, so the second SIGTERM ends all within the seconds that an obedient one has."""
+    workshop.configure(seeds=40)
+    command = workshop.start("run", "c.toml", "--ranks", "3")
+    workshop.wait_for_cells(1)
+    os.kill(workshop.rank(0), signal.SIGSTOP)
+    for _ in range(2):
+        command.send_signal(signal.SIGTERM)
+        time.sleep(0.5)
+    ended = workshop.wait(command)
+    assert ended.code == 75
+    assert "a second signal asked for it" in ended.errors
+    assert workshop.leaves_no_process()

@@ -14,7 +14,7 @@ from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.packing import PackingError
-from calcidem.dem.sample.packing_file import read_disks
+from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import CampaignMismatchError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def test_own_disks_make_a_campaign(workshop: "Workshop", own: Path, monkeypatch:
     results = workshop.folder / "results"
     done = workshop.run("run", "own/c.toml", "--output", "results")
     assert done.code == 0, done.errors
-    radius = read_disks(own / "disks.csv")[2]
+    radius = _read_disks(own / "disks.csv")[2]
     with open_campaign(workshop.database) as campaign:
         assert sorted(campaign.packing().radius) == sorted(radius)
         assert "file_sha256" in campaign.record.config

@@ -152,8 +152,8 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
-    monkeypatch.setattr(cell_data, "MOST_FULL_RECORDS", 10)
-    monkeypatch.setattr(cell_data, "ROOM_FOR_SAMPLES", 20_000)
+    monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
+    monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
     with open_stored_campaign(small_database) as campaign:
         found = gather_cell_data(CampaignAnalysis(campaign))
         analysis = CampaignAnalysis(campaign, most_samples=12)

@@ -9,10 +9,10 @@ import pytest
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
 from calcidem.app.studies.sensitivity.sobol import (
+    _parameters_out_of_reach,
     evaluate_points,
     indices_of_points,
     load_sobol_plan,
-    parameters_out_of_reach,
     sobol_table,
     stored_points,
 )
@@ -158,7 +158,7 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
     """Velocities whose mean is linear in one parameter and deviation in the other give each its share, and no other."""
     plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
     points = stored_points(plan, tmp_path / "none.nc")
-    assert not parameters_out_of_reach(indices_of_points(plan, points))  # nothing is known before anything is computed
+    assert not _parameters_out_of_reach(indices_of_points(plan, points))  # nothing is known before anything is computed
     low, high = np.array(list(plan.ranges.values())).T
     first, second = ((points["value"].to_numpy() - low) / (high - low)).T
     signs = np.tile([1.0, -1.0], 4)
@@ -175,7 +175,7 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
     assert bool(indices["total"].sel(output="readable_share").isnull().all())
     assert "does not vary" in sobol_table(indices)
     only_mean = indices.where(indices["output"] != "relative_deviation", 0.0)
-    assert parameters_out_of_reach(only_mean.sel(content=[0.66])) == ["cement.bond_modulus"]
+    assert _parameters_out_of_reach(only_mean.sel(content=[0.66])) == ["cement.bond_modulus"]
 
 
 def test_points_are_computed_once_and_of_one_plan(

@@ -5,9 +5,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calcidem.app.studies.stability.endurance import energy_drift
-from calcidem.app.studies.stability.limits import force_step, limits
-from calcidem.app.studies.stability.own_scenes import OWN_KINDS, draw_own_scenes
+from calcidem.app.studies.stability.endurance import _energy_drift
+from calcidem.app.studies.stability.limits import _force_step, limits
+from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, draw_own_scenes
 from calcidem.app.studies.stability.scenes import (
     Extreme,
     Packed,
@@ -17,7 +17,7 @@ from calcidem.app.studies.stability.scenes import (
     experiment_of_scene,
     small_packing,
 )
-from calcidem.app.studies.stability.verdict import StabilityVerdict, judge_own_scene, judge_packing, judge_scene
+from calcidem.app.studies.stability.verdict import StabilityVerdict, _judge_packing, judge_own_scene, judge_scene
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
@@ -60,24 +60,24 @@ def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
         for judgement in judgements
         if judgement.verdict == StabilityVerdict.STABLE
     )
-    assert all(count[kind] >= scenes // len(OWN_KINDS) // 2 for kind in OWN_KINDS), count
+    assert all(count[kind] >= scenes // len(_OWN_KINDS) // 2 for kind in _OWN_KINDS), count
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
     """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
-    caught = force_step(1.05, "linear")
+    caught = _force_step(1.05, "linear")
     assert caught.steps == caught.looks
     assert "moves at" in caught.problem
-    assert force_step(0.99, "linear").steps is None
+    assert _force_step(0.99, "linear").steps is None
 
 
 @pytest.mark.full
 def test_undamped_runs_keep_their_energy() -> None:
     """Over 100,000 steps the linear regime keeps its invariant to rounding, the others their balance to 2 %."""
-    assert energy_drift("linear", 100_000) < 1e-11
+    assert _energy_drift("linear", 100_000) < 1e-11
     # The balance of the leapfrog swings by (omega dt)^2 but does not drift.
-    assert energy_drift("small", 100_000) < 0.02
+    assert _energy_drift("small", 100_000) < 0.02
 
 
 @pytest.mark.parametrize("floating", [1, 3])
@@ -103,7 +103,7 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
     """A bare packing has the finite regime's velocity within the linear one's bound, and none below isostaticity."""
     packing = small_packing(stress, friction, seed)
     scene = Packed(stress, friction, 0.0, "linear", seed)
-    judgement = judge_packing(scene, experiment_of_packing(packing, scene))
+    judgement = _judge_packing(scene, experiment_of_packing(packing, scene))
     assert judgement.verdict != StabilityVerdict.WRONG, judgement
     if friction > Sand().friction and seed == 1:
         assert packing.report.coordination_number_without_rattlers < 3.0
@@ -123,7 +123,7 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
 )
 def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
     """Contacts of cemented packings near isostaticity slip after the pulse was sent; what was stated is not given."""
-    judgement = judge_packing(
+    judgement = _judge_packing(
         scene, experiment_of_packing(small_packing(scene.stress, scene.friction, scene.seed), scene)
     )
     assert judgement.verdict != StabilityVerdict.WRONG, judgement

@@ -61,7 +61,7 @@ def test_eight_pairs_at_once_give_the_bits_of_one_after_the_other(
     features: Features, precision: Precision, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A heap that slides, rolls, opens, breaks its bonds and meets its walls moves the same to the last bit."""
-    monkeypatch.setattr(leapfrog, "SMALLEST_BLOCK", 3)  # several blocks even in a small heap
+    monkeypatch.setattr(leapfrog, "_SMALLEST_BLOCK", 3)  # several blocks even in a small heap
     bundled = replace(features, bundles=True)
     assert bundled.bundled
     together, in_turn = flown(bundled, precision), flown(features, precision)

@@ -13,7 +13,7 @@ from calcidem.dem.sample.cement import (
     CementKind,
     CementOrdering,
     CementRule,
-    contact_points,
+    _contact_points,
     content_of_contacts,
     draw_cement,
 )
@@ -47,7 +47,7 @@ class Sample:
     @property
     def points(self) -> npt.NDArray[np.float64]:
         """Contact points, m."""
-        return contact_points(self.x, self.y, self.radius, self.pairs)
+        return _contact_points(self.x, self.y, self.radius, self.pairs)
 
 
 def make_sample(box: tuple[float, float], disks: int, contacts: int, smallest: float) -> Sample:
@@ -279,7 +279,7 @@ def test_random_streams_are_pinned() -> None:
 
 def test_contact_points_are_between_the_surfaces() -> None:
     """A contact point has the same distance, half the overlap, from both surfaces, inside both disks."""
-    points = contact_points(np.array([0.0, 3.0]), np.array([0.0, 4.0]), np.array([2.0, 3.4]), np.array([[0, 1]]))
+    points = _contact_points(np.array([0.0, 3.0]), np.array([0.0, 4.0]), np.array([2.0, 3.4]), np.array([[0, 1]]))
     from_first, from_second = np.hypot(*points[0]), np.hypot(*(points[0] - np.array([3.0, 4.0])))
     assert (2.0 - from_first, 3.4 - from_second) == pytest.approx((0.2, 0.2))
 

@@ -136,12 +136,12 @@ def test_steps_in_flight_together_change_no_bit(
     """Steps that run through the disks one behind the other give the bits of one step after the other."""
     scene = scene_of()
     velocities = {lane: thrown(scene, lane) for lane in range(WIDTH)}
-    monkeypatch.setattr(leapfrog, "SMALLEST_BLOCK", 3)  # several blocks even in a small heap
-    monkeypatch.setattr(leapfrog, "STEPS_TOGETHER", 1)
+    monkeypatch.setattr(leapfrog, "_SMALLEST_BLOCK", 3)  # several blocks even in a small heap
+    monkeypatch.setattr(leapfrog, "_STEPS_TOGETHER", 1)
     one_by_one = run(scene, velocities, features)
-    monkeypatch.setattr(leapfrog, "STEPS_TOGETHER", together)
+    monkeypatch.setattr(leapfrog, "_STEPS_TOGETHER", together)
     in_flight = run(scene, velocities, features)
-    assert leapfrog.make_front(in_flight).levels == together
-    assert 3 * leapfrog.make_front(in_flight).block <= scene.count
+    assert leapfrog._make_front(in_flight).levels == together
+    assert 3 * leapfrog._make_front(in_flight).block <= scene.count
     for lane in range(WIDTH):
         assert lane_bytes(in_flight, lane) == lane_bytes(one_by_one, lane)

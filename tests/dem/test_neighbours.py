@@ -9,7 +9,7 @@ from scenes import GROUPED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 from calcidem.dem.engine import state as state_module
 from calcidem.dem.engine.assembly import assemble, near_pairs
 from calcidem.dem.engine.histories import listed_pairs
-from calcidem.dem.engine.leapfrog import State, renew_neighbours
+from calcidem.dem.engine.leapfrog import State, _renew_neighbours
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Bonds, Regime, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
@@ -117,10 +117,10 @@ def test_histories_survive_a_renewal() -> None:
     scene = jumble(6, 20, share_bonded=0.5, damping=0.2)
     velocity, spin = throw(scene, 6, 0.01)
     state = advance(start(scene, features=GROUPED, velocity=velocity, spin=spin), 200)
-    before, after = contact_forces(state), contact_forces(renew_neighbours(state))
+    before, after = contact_forces(state), contact_forces(_renew_neighbours(state))
     for name in ("pairs", "overlap", "normal", "shear", "moment", "bonded"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    fresh = renew_neighbours(state).assembly.wall_pairs
+    fresh = _renew_neighbours(state).assembly.wall_pairs
     old = state.assembly.wall_pairs
     assert old.shear.any()
     assert sorted(fresh.shear[fresh.shear != 0.0]) == sorted(old.shear[old.shear != 0.0])

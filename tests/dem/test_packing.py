@@ -17,27 +17,25 @@ from calcidem.dem.engine.readout import (
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import contact_springs
+from calcidem.dem.engine.statics import _contact_springs
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import (
-    FLOOR,
-    LEFT,
-    LID,
-    RIGHT,
+    WALL_NAMES,
     Cost,
     Packing,
     PackingError,
     PackingRule,
     PackingStage,
+    _draw_radii,
+    _place_apart,
     box_walls,
-    draw_radii,
     make_packing,
-    place_apart,
     relax,
 )
 
 pytestmark = pytest.mark.slow
 
+LEFT, RIGHT, FLOOR, LID = range(len(WALL_NAMES))
 SMALL = PackingRule(width=0.02, height=0.03, stress=5.0e3)
 SAND = Sand()
 
@@ -150,7 +148,7 @@ def test_the_step_of_scaled_densities_is_stable_and_long(small: Packing) -> None
     state = rebuilt(small, SMALL)
     depths = overlaps(state), wall_overlaps(state)
     grains, (limit,) = scaled_densities(state.scene, state.assembly, state.features, *depths, 0.35)
-    springs, stiffness = contact_springs(state, 0)
+    springs, stiffness = _contact_springs(state, 0)
     inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia * grains.radius**2])
     modes = np.sqrt(stiffness)[:, None] * springs.toarray() * np.sqrt(inverse.ravel())
     assert 0.5 < limit * np.linalg.norm(modes, 2) / 2.0 <= 1.0
@@ -178,14 +176,14 @@ def test_the_same_generator_makes_the_same_packing(small: Packing) -> None:
 
 def test_radii_fill_the_box_to_its_porosity_exactly() -> None:
     """The summed area of the disks is (1 - porosity) of the box."""
-    radius = draw_radii(SMALL, generator())
+    radius = _draw_radii(SMALL, generator())
     assert np.pi * np.sum(radius**2) == pytest.approx((1.0 - SMALL.porosity) * SMALL.width * SMALL.height, rel=1e-12)
 
 
 def test_disks_are_placed_apart() -> None:
     """Before the expansion no two disks overlap and all lie within the box."""
-    radius = 0.6 * draw_radii(SMALL, generator())
-    x, y = place_apart(SMALL, radius, generator())
+    radius = 0.6 * _draw_radii(SMALL, generator())
+    x, y = _place_apart(SMALL, radius, generator())
     first, second = np.triu_indices(len(radius), 1)
     assert np.all(np.hypot(x[first] - x[second], y[first] - y[second]) >= radius[first] + radius[second])
     assert np.all((x >= radius) & (x <= SMALL.width - radius) & (y >= radius) & (y <= SMALL.height - radius))
@@ -194,7 +192,7 @@ def test_disks_are_placed_apart() -> None:
 def test_a_box_without_room_is_refused() -> None:
     """Disks too large to be placed at random are an error that says what to change."""
     with pytest.raises(PackingError, match="raise the porosity or enlarge the box"):
-        place_apart(SMALL, draw_radii(SMALL, generator()), generator())
+        _place_apart(SMALL, _draw_radii(SMALL, generator()), generator())
 
 
 def test_a_packing_that_does_not_come_to_rest_is_given_up() -> None:

@@ -12,7 +12,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.sample import packing as packing_module
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingRule, make_packing
-from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv, read_disks, write_packing_csv
+from calcidem.dem.sample.packing_file import PackingFileError, _read_disks, packing_from_csv, write_packing_csv
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()
@@ -46,7 +46,7 @@ def test_files_keep_every_bit_and_may_have_more(packing: Packing, tmp_path: Path
     mixed = ["# my packing", "radius, name, y, x"]
     mixed += [f"{radius},disk,{y},{x}" for x, y, radius in (line.split(",") for line in lines[1:])]
     file.write_text("\n".join([*mixed, "", ""]))
-    x, y, radius, numbers = read_disks(file)
+    x, y, radius, numbers = _read_disks(file)
     for read, given in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
         np.testing.assert_array_equal(read, given)
     assert numbers[0] == 3
@@ -67,7 +67,7 @@ def just_touching(folder: Path) -> tuple[Path, PackingRule]:
 def test_disks_that_just_touch_come_to_rest_soon(tmp_path: Path) -> None:
     """Without an overlap to choose a step by they bear the lid after some thousand steps, moved by some overlaps."""
     file, rule = just_touching(tmp_path)
-    x, y, *_ = read_disks(file)
+    x, y, *_ = _read_disks(file)
     packed = packing_from_csv(file, SAND, rule)
     assert packed.report.unbalanced_ratio < rule.unbalanced_force_ratio
     for wall in (LID - 1, LID):

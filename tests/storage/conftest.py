@@ -17,6 +17,7 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
+    GrainPath,
     GraphSummary,
     PackingRecord,
     PathFeatures,
@@ -114,30 +115,32 @@ class Records:
         """Build a done cell with path, signals and cement."""
         samples, contacts, clusters = 30 + seed, 20 + seed, int(content)
         features = PathFeatures(
-            contacts=3,
-            hertz_contacts=1,
-            bonded_contacts=2,
-            bonded_fraction=2 / 3,
-            longest_bonded_run_fraction=1 / 3,
-            longest_bonded_run=1,
-            connectivity=2.66,
-            normalized_connectivity=None if seed == 0 else 1.1,
-            path=(4, 8, 15, 16),
+            path_contacts=3,
+            path_hertz_contacts=1,
+            path_bonded_contacts=2,
+            path_bonded_fraction=2 / 3,
+            path_longest_bonded_run_fraction=1 / 3,
+            path_longest_bonded_run=1,
+            path_connectivity=2.66,
+            path_normalized_connectivity=None if seed == 0 else 1.1,
         )
+        path = GrainPath(np.array([4, 8, 15, 16]))
         start = 12.5 * 8e-8
         signal = Signal(1e-6, start, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
         graph = GraphSummary(
-            contacts=90 + seed,
-            bonded_contacts=contacts,
-            coordination_number=3.6,
-            components=4,
-            largest_component=12,
-            gap_contacts=None if seed == 0 else 2,
+            graph_contacts=90 + seed,
+            graph_bonded_contacts=contacts,
+            graph_coordination_number=3.6,
+            graph_components=4,
+            graph_largest_component=12,
+            graph_gap_contacts=None if seed == 0 else 2,
         )
         retry = "velocities above ten times that of the pulse"
-        return self.done(seed, content, features=features, signal=signal, cement=cement, graph=graph, retry=retry)
+        return self.done(
+            seed, content, features=features, graph=graph, path=path, signal=signal, cement=cement, retry=retry
+        )
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401
         """Build a packing of 50 grains."""

@@ -127,13 +127,13 @@ def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: "Record
 
 
 def test_cell_round_trip(store: SqlStore, records: "Records") -> None:
-    """Everything of a cell comes back as given; without arrays only signal and cement are left out."""
+    """Everything of a cell comes back as given; without arrays only path, signal and cement are left out."""
     given = [records.with_arrays(seed, content) for seed in range(4) for content in (0.0, 5.0)]
     given.append(records.failed(2, 0.3, status=CellStatus.NO_ARRIVAL))
     store.record_results(reversed(given))
     in_order = sorted(given, key=lambda result: result.key)
     assert list(store.results(with_arrays=True)) == in_order
-    assert list(store.results()) == [dataclasses.replace(r, signal=None, cement=None) for r in in_order]
+    assert list(store.results()) == [dataclasses.replace(r, path=None, signal=None, cement=None) for r in in_order]
     assert store.signal(CellKey(0, 5.0)) == given[1].signal
     assert store.signal(CellKey(2, 0.3)) is None
 
@@ -297,8 +297,9 @@ def test_quoted_text_stays_data(store: SqlStore, records: "Records") -> None:
         "UPDATE cell SET seed = -1",
         "DELETE FROM attempt",
         "INSERT INTO cell (campaign_id, seed, content) SELECT campaign_id, seed, content FROM cell",
-        "UPDATE path_features SET contacts = 99",
-        "UPDATE signal SET sampling_interval = 0",
+        "UPDATE result SET path_contacts = 99",
+        "UPDATE arrays SET name = 'picture'",
+        "UPDATE result SET graph_components = -1",
     ],
 )
 def test_schema_refuses_nonsense(store: SqlStore, records: "Records", statement: str) -> None:

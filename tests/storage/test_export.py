@@ -20,7 +20,7 @@ import pytest
 import xarray as xr
 
 from calcidem.app.cli.exit_codes import exit_code_of
-from calcidem.app.cli.import_ import ERRORS_OF_DAMAGE
+from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
@@ -176,7 +176,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
             assert variable.long_name
             assert variable.dtype is str or hasattr(variable, "units") or variable.name == "status"
         assert file["vs"].filters()["zlib"]
-        assert file["signals/received_force"].filters()["zlib"]
+        assert file["signal/received_force"].filters()["zlib"]
 
 
 @pytest.mark.slow
@@ -234,12 +234,12 @@ def test_unusable_targets(
 
 def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, exported: Path, tmp_path: Path) -> None:
     """Leaving out signals, cement and paths keeps the numbers of every cell, and such a file can be imported."""
-    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signals", "cement", "paths"))
+    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signal", "cement", "path"))
     assert small.stat().st_size < exported.stat().st_size
     with xr.open_dataset(exported) as whole, xr.open_dataset(small) as numbers:
         xr.testing.assert_equal(whole, numbers)
     with netCDF4.Dataset(small) as file:
-        assert not {"signals", "cement", "paths"} & set(file.groups)
+        assert not {"signal", "cement", "path"} & set(file.groups)
     with open_store(tmp_path / "imported.db") as other:
         import_netcdf(small, other)
         assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled[0].results()}
@@ -283,7 +283,7 @@ def test_a_file_that_the_library_never_finishes_is_refused(
     blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
-    monkeypatch.setattr(trial, "_PATIENCE", 1.0)
+    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 1.0)
     path = endless_file(tmp_path, blocks)
     with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
         import_netcdf(path, store)
@@ -311,12 +311,12 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
-    monkeypatch.setattr(trial, "_PATIENCE", 2.0)
+    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 2.0)
     last = (ASSETS / "calcidem_0.1.0.nc").stat().st_size // 64
     random = np.random.default_rng(7)
     for number in range(100):
         path = endless_file(tmp_path, tuple(random.integers(last, size=2).tolist()))
-        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *ERRORS_OF_DAMAGE):
+        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *_RAISED_BY_DAMAGE):
             import_netcdf(path, store)
 
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.query import Format, as_text, find
+from calcidem.app.cli.query import Format, _as_text, find
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import export_netcdf
@@ -58,8 +58,8 @@ def test_seeds_are_exact_on_every_path(tmp_path: Path, records: "Records") -> No
     merge_databases([str(database), str(tmp_path / "imported.db")], tmp_path / "merged.db")
     check_seeds(tmp_path / "merged.db", records)
     columns = find(str(database), Selection(seeds=(LARGEST_SEED,)), ("seed", "status"))
-    assert json.loads(as_text(columns, Format.JSON)) == [{"seed": LARGEST_SEED, "status": "pending"}]
-    assert str(LARGEST_SEED) in as_text(columns, Format.TABLE)
+    assert json.loads(_as_text(columns, Format.JSON)) == [{"seed": LARGEST_SEED, "status": "pending"}]
+    assert str(LARGEST_SEED) in _as_text(columns, Format.TABLE)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**63, 10**400, 1.5])

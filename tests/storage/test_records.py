@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         ({"vs_peak": float("nan")}, "vs_peak is nan"),
         ({"time_step": None}, "lacks time_step"),
         ({"steps": -1}, "steps is -1"),
-        ({"attempt": 0}, "attempts count from 1"),
+        ({"attempt": 0}, "attempt is 0; give a positive number"),
         ({"status": "failed"}, "only a done cell"),
         ({"status": "failed", "vs": None}, "say why"),
         ({"status": "pending", "vs": None}, "an outcome is one of"),

@@ -1,12 +1,22 @@
-"""The tables have the constraints that are declared, on either backend."""
+"""The tables are those that are declared, on either backend, and take quantities that are added."""
 
 import re
+import sqlite3
 from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sqlalchemy import CheckConstraint, inspect
+import pytest
+from sqlalchemy import CheckConstraint, inspect, text
 
+from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.errors import NewerSchemaError, OlderSchemaError
+from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.sql.models import Base
-from calcidem.storage.sql.store import SqlStore
+from calcidem.storage.sql.store import SqlStore, open_store
+
+if TYPE_CHECKING:
+    from conftest import Records
 
 
 def test_every_constraint_is_in_the_database(open_here: Callable[..., SqlStore]) -> None:
@@ -20,3 +30,86 @@ def test_every_constraint_is_in_the_database(open_here: Callable[..., SqlStore])
             # SQLAlchemy 2.0.30 takes what follows a column's constraint in SQLite for a part of its name.
             reflected = " ".join(f"{check['name']} {check['sqltext']}" for check in found.get_check_constraints(name))
             assert set(re.findall(r"\bck_\w+", reflected)) == checks
+
+
+def test_a_view_has_whole_cells(store: SqlStore, records: "Records") -> None:
+    """Whoever asks the database itself finds each planned cell in one row, with its campaign and all quantities."""
+    store.record_results([records.with_arrays(1, 5.0), records.failed(2, 5.0)])
+    with store._engine.connect() as connection:
+        found = connection.execute(text("SELECT * FROM cells WHERE content = 5 ORDER BY seed")).mappings().all()
+    assert [(row["campaign"], row["seed"], row["status"], row["vs"]) for row in found] == [
+        ("quick", 0, CellStatus.PENDING, None),
+        ("quick", 1, CellStatus.DONE, records.done(1).vs),
+        ("quick", 2, CellStatus.FAILED, None),
+        ("quick", 3, CellStatus.PENDING, None),
+    ]
+    assert list(found[0].keys()) == ["campaign", *QUANTITY_BY_NAME]
+    assert (found[1]["path_contacts"], found[1]["host"]) == (3, "node7")
+
+
+NEWEST = ("broken_bonds", "retry", "path_connectivity")
+
+
+def leave_out(path: Path) -> None:
+    """Take quantities out of a database, as if they had been added to the catalogue after it was made."""
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP VIEW cells")
+        (table,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'result'").fetchone()
+        for name in NEWEST:
+            table = re.sub(rf"\n\s*{name} [^\n]*,", "", table)
+            table = re.sub(rf"\n\s*CONSTRAINT ck_result_{name}_[^\n]*,", "", table)
+        columns = [row[1] for row in connection.execute("PRAGMA table_info(result)") if row[1] not in NEWEST]
+        kept = ", ".join(columns)
+        connection.execute(f"CREATE TEMP TABLE kept AS SELECT {kept} FROM result")  # noqa: S608 - a test's own
+        connection.execute("DROP TABLE result")
+        connection.execute(table)
+        connection.execute(f"INSERT INTO result SELECT {kept} FROM kept")  # noqa: S608 - as above
+        connection.execute("CREATE VIEW cells AS SELECT seed FROM cell")
+    connection.close()
+
+
+def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, records: "Records") -> None:
+    """A reader finds None for it and changes nothing; a writer adds the column with its check; old rows stay intact."""
+    path = tmp_path / "older.db"
+    with open_store(path) as store:
+        store.begin_campaign(records.campaign())
+        store.record_results([records.done(1, 5.0, **dict.fromkeys(NEWEST[:2]))])
+    leave_out(path)
+    before = path.read_bytes()
+    with open_stored_campaign(path) as campaign:
+        found = campaign.cell(seed=1, content=5.0)
+        assert (found.vs, found.broken_bonds) == (1151.0, None)
+        assert not campaign.store.integrity().cells
+        assert list(campaign.select(where="broken_bonds > 0")) == []
+    assert path.read_bytes() == before
+    with open_store(path) as store:
+        store.use_campaign()
+        store.record_results([records.with_arrays(2, 5.0)])
+        assert not store.integrity().cells
+        assert [found.broken_bonds for found in store.results()] == [None, 3]
+        with store._engine.connect() as connection:
+            assert connection.scalar(text("SELECT count(broken_bonds) FROM cells")) == 1
+    with sqlite3.connect(path) as connection, pytest.raises(sqlite3.IntegrityError, match="broken_bonds"):
+        connection.execute("UPDATE result SET broken_bonds = -1")
+    connection.close()
+
+
+def test_a_server_lets_only_a_writer_add_a_quantity(
+    postgresql_socket: Path, address: str, open_here: Callable[..., SqlStore]
+) -> None:
+    """A reader of a server's older tables says what to do; a database with unknown quantities is one of the future."""
+    if "postgresql" not in address:
+        pytest.skip("of servers alone")
+    assert postgresql_socket
+    with open_here()._engine.begin() as connection:
+        connection.execute(text("DROP VIEW cells"))
+        connection.execute(text("ALTER TABLE result DROP COLUMN broken_bonds"))
+        connection.execute(text("CREATE VIEW cells AS SELECT 1 AS one"))
+    with pytest.raises(OlderSchemaError, match="lacks the quantities broken_bonds"):
+        open_here(read_only=True)
+    open_here()
+    open_here(read_only=True)
+    with open_here()._engine.begin() as connection:
+        connection.execute(text("ALTER TABLE result ADD COLUMN later FLOAT"))
+    with pytest.raises(NewerSchemaError, match="the quantities later"):
+        open_here()

@@ -11,8 +11,7 @@ from sqlalchemy.dialects import sqlite
 
 from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.models import AttemptRow, CellRow
-from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.sql.models import EXPRESSIONS, AttemptRow, CellRow
 from calcidem.storage.sql.reading import cell_in, conditions, join_results
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.sql.writing import attempt_in
@@ -86,7 +85,7 @@ def test_queries_use_indices(large: Large, selection: Selection, index: str) -> 
     """Among many cells every selection searches an index and scans no table, whatever columns it joins."""
     path, *_ = large
     with open_store(path) as store, store._reading() as session:
-        columns = [quantity.expression for quantity in QUANTITIES]
+        columns = list(EXPRESSIONS.values())
         statement = (
             join_results(select(*columns)).where(*conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
         )

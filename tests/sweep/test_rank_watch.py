@@ -1,43 +1,15 @@
 """What a command concludes from the words of its ranks, which are sockets of the test here."""
 
-import fcntl
 import selectors
 import socket
-import sys
-import termios
-import time
 from collections.abc import Iterator
-from typing import Self
+from typing import Any
 
 import pytest
+from spoken_rank import SpokenRank, hear
 
 from calcidem.sweep import rank_watch
 from calcidem.sweep.rank_watch import RankWatch
-from calcidem.sweep.starter import GREETING
-
-
-class SpokenRank:
-    """A rank as its command hears it."""
-
-    def __init__(self, watch: RankWatch, number: int, host: str = "nodeA", token: str = "") -> None:
-        right, _, address, *_ = watch.address.split()
-        name, _, port = address.rpartition(":")
-        self._watch = watch
-        self.connection = socket.create_connection((name, int(port)), 10.0)
-        self.say(f"{token or right} {number} 4711 {host}")
-
-    def say(self, *lines: str) -> Self:
-        """Tell the command some lines, which it takes in."""
-        self.connection.sendall("".join(f"{line}\n" for line in lines).encode())
-        until = time.monotonic() + 10.0
-        while self._unsent() and time.monotonic() < until:  # on a busy machine even a loopback takes its time
-            time.sleep(1e-3)
-        hear(self._watch)
-        return self
-
-    def _unsent(self) -> int:
-        """Bytes that are not yet where the watch can read them."""
-        return int.from_bytes(fcntl.ioctl(self.connection, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 class Clock:
@@ -67,12 +39,6 @@ class ImpatientSelector(selectors.DefaultSelector):
         return super().select(0.0 if timeout == 1.0 else 0.02)
 
 
-def hear(watch: RankWatch) -> None:
-    """Take in what was said, until nothing comes any more."""
-    while watch.listen(0.0):
-        pass
-
-
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """Give the time of all watches."""
@@ -97,14 +63,15 @@ def ranks(watch: RankWatch) -> list[SpokenRank]:
 
 
 @pytest.mark.parametrize(
-    "said", [{"token": "0" * 32}, {"host": "a" * 5000, "token": "a" * 5000}], ids=["token", "length"]
+    "said", [{"key": "0" * 64}, {"host": "a" * 5000}, {"number": 3}, {"number": -1}, {"number": 1}, {"host": "a b"}]
 )
-def test_who_does_not_know_the_token_is_no_rank(watch: RankWatch, said: dict[str, str]) -> None:
-    """The connection is closed without a word, whatever was said, and those of ranks are not disturbed."""
+def test_who_does_not_know_the_key_is_no_rank(watch: RankWatch, said: dict[str, Any]) -> None:
+    """Nor is one of another number, or of a rank that is there: it is hung up on, and ranks are not disturbed."""
     rank = SpokenRank(watch, 1)
-    assert rank.connection.recv(100) == GREETING
-    stranger = SpokenRank(watch, 0, **said)
-    assert stranger.connection.recv(100) == b""
+    assert rank.welcome
+    stranger = SpokenRank(watch, **({"number": 0} | said))
+    assert not stranger.connection.recv(100)
+    assert "Hung up on 127.0.0.1:" in watch.describe_dropped()
     rank.say("loaded", "joined")
     SpokenRank(watch, 2).say("joined")
     assert not watch.begun
@@ -162,7 +129,6 @@ def test_a_lost_worker_is_told_to_rank_0_and_no_reason_to_end(
         clock.let_pass(watch, 20.0)
         for rank in ranks[:2]:
             rank.say("alive 0")
-    assert ranks[0].connection.recv(len(GREETING)) == GREETING
     told = ranks[0].connection.recv(1000).decode()
     assert told == "lost 2 has not been heard of for 60 s: its host or the network is down\n"
     assert watch.reason_to_end() is None

@@ -41,7 +41,7 @@ _SAME_RATIO = 0.02
 """C_d,n of weight ratios further apart than this are different quantities."""
 
 
-def symbol(name: str) -> str:
+def _symbol(name: str) -> str:
     """Give the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
     base, _, index = _VARIABLE_SYMBOLS[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
@@ -83,7 +83,7 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
             text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
             colour = "white" if abs(value) > _READABLE_ON_DARK else BLACK
             axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
-    labels = [symbol(name) for name in names]
+    labels = [_symbol(name) for name in names]
     axes.set_xticks(range(len(names)), labels, fontsize=8)
     axes.set_yticks(range(len(names)), labels, fontsize=8)
     axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
@@ -156,7 +156,7 @@ def draw_laws(
         bars = {"color": BLACK, "linewidth": 1.0, "path_effects": outlined, "zorder": 3}
         label = "95 % of new samples at each content"
         axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
-        axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=law_text(fit.a, fit.b, fit.c))
+        axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=_law_text(fit.a, fit.b, fit.c))
         for other in published:
             if abs(other.weights.ratio - law.weights.ratio) < _SAME_RATIO:
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
@@ -165,7 +165,7 @@ def draw_laws(
                     power_law(span, other.a, other.conclusions_b, other.c),
                     color=VERMILION,
                     linestyle="--",
-                    label="published: " + law_text(other.a, other.conclusions_b, other.c),
+                    label="published: " + _law_text(other.a, other.conclusions_b, other.c),
                 )
         axes.set_title(f"weights by {law.name}" if law.name != "Monte-Carlo" else "weights by the scan")
         weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
@@ -197,7 +197,7 @@ def _intervals_by_content(
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
-def law_text(a: float, b: float, c: float) -> str:
+def _law_text(a: float, b: float, c: float) -> str:
     """Give a law as mathematical text."""
     sign = "\N{MINUS SIGN}" if c < 0 else "+"
     return f"$V_s = {a:.0f}\\,C_{{d,n}}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"

@@ -162,7 +162,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         Three samples from slow to fast.
     """
     packing = graph.packing
-    heights = np.concatenate([packing.y[list(sample.features.path)] for sample in samples])
+    heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
     margin = 0.012
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
@@ -177,10 +177,10 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         lines = (
             f"seed {sample.seed}",
             velocity,
-            f"$C_{{d,n}}$ = {features.normalized_connectivity:.2f}",
-            f"path of {features.contacts} contacts:",
-            f"{features.bonded_contacts} cemented, {features.hertz_contacts} not,",
-            f"longest cemented run {features.longest_bonded_run}",
+            f"$C_{{d,n}}$ = {features.path_normalized_connectivity:.2f}",
+            f"path of {features.path_contacts} contacts:",
+            f"{features.path_bonded_contacts} cemented, {features.path_hertz_contacts} not,",
+            f"longest cemented run {features.path_longest_bonded_run}",
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     letter_panels(panels)

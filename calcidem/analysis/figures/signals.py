@@ -42,8 +42,6 @@ class Arrival:
         s, shape (t,).
     sent, received
         The two signals at these times, shape (t,), m/s.
-    received_force
-        Whether the received one is a force instead, N per metre of thickness.
     distance
         Between transmitter and receiver, m.
     velocities
@@ -57,7 +55,6 @@ class Arrival:
     time: NDArray[np.float64]
     sent: NDArray[np.float64]
     received: NDArray[np.float64]
-    received_force: bool
     distance: float
     velocities: Mapping[str, float]
     onset: float
@@ -88,7 +85,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     time = arrival.time * MS
     axes.axhline(0, color=GREY, linewidth=0.6)
     axes.fill_between(time, arrival.sent / np.max(arrival.sent), color=GREY, alpha=0.35, linewidth=0, label="sent")
-    end = received_peak_index(arrival)
+    end = _received_peak_index(arrival)
     largest = np.abs(arrival.received[: end + 1]).max()
     axes.plot(time, arrival.received / largest, color=BLUE, label="received")
     for method, (label, colour, marker) in METHOD_STYLES.items():
@@ -114,7 +111,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     axes.set_ylabel("signal / its peak")
 
 
-def received_peak_index(arrival: Arrival) -> int:
+def _received_peak_index(arrival: Arrival) -> int:
     """Index of the received peak, or of the last sample where none was read."""
     if "peak" not in arrival.velocities:
         return len(arrival.time) - 1

@@ -10,15 +10,6 @@ from calcidem.storage.records.campaign import refuse_other_campaign
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.store import Store
 
-DECIDED_BY_PHYSICS = (
-    *("vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"),
-    *("quality_peak", "quality_first_arrival", "quality_cross_correlation"),
-    *("frequency", "distance", "wavelengths_on_path", "wavelength_over_d50", "time_step", "stability_limit", "steps"),
-    *("content_reached", "content_of_contacts", "p_contacts", "c_contacts", "clusters", "bonded_contacts"),
-    "broken_bonds",
-)
-"""Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
-
 
 def physics_version(record: CampaignRecord) -> object:
     """`PHYSICS_VERSION` of the program that a stored campaign was computed with."""

@@ -15,7 +15,9 @@ from types import FrameType
 from calcidem.app.campaign.screen import CommandScreen
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
+from calcidem.sweep.addresses import listening_addresses
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
+from calcidem.sweep.leftovers import remove_leftovers
 from calcidem.sweep.rank_watch import RankWatch
 from calcidem.sweep.signals import SignalHandlers, find_signals
 
@@ -43,7 +45,7 @@ _TIME_TO_END = 5.0
 _TIME_FOR_LAST_WORDS = 10.0
 """Seconds in which it arrives how the ranks have ended, unless their host is lost."""
 
-_PATIENCE_OF_USERS = 10.0
+_PATIENCE_OF_USERS = 2.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
 
 _FORWARDED_VARIABLES = (
@@ -111,6 +113,7 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
+        remove_leftovers()
         failure, begun = "", False
         hosts: dict[str, int] = {}
         with _Relay() as relay, CommandScreen() as screen:
@@ -135,7 +138,8 @@ class Launch:
         """
         name = Path(mpirun).name
         ranks = sum(hosts.values()) or self.ranks
-        with RankWatch(ranks, self.start_timeout, self.silence_timeout) as watch:
+        addresses = listening_addresses(mpirun)
+        with RankWatch(ranks, self.start_timeout, self.silence_timeout, addresses) as watch:
             process = self._start(mpirun, watch.address, ranks, hosts, screen.outputs)
             screen.begin(process, ranks)
             why = _attend(process, watch, relay, screen)
@@ -219,7 +223,7 @@ def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay
         for number in relay.take():
             if watch.begun:
                 process.send_signal(number)
-        if text := watch.describe_silent_master():
+        for text in filter(None, (watch.describe_silent_master(), watch.describe_dropped())):
             screen.say(text)
         why = watch.reason_to_end()
         if why is None and relay.asked and not watch.begun:

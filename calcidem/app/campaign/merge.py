@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, physics_version
+from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import open_store
@@ -29,7 +29,7 @@ _MOST_RANGES = 8
 """Ranges of seeds that are named of a content with pending cells."""
 
 _Values: TypeAlias = tuple[float | None, ...] | None
-"""`DECIDED_BY_PHYSICS` of a done cell, None for one that is not done."""
+"""`EXACT_QUANTITIES` of a done cell, None for one that is not done."""
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and the number that it had there."""
@@ -172,7 +172,7 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
         candidates = done or found
         choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
         overruled += 0 < len(done) < len(found)
-        quantities = zip(DECIDED_BY_PHYSICS, zip(*done.values(), strict=True), strict=False)
+        quantities = zip(EXACT_QUANTITIES, zip(*done.values(), strict=True), strict=False)
         if different := tuple(name for name, values in quantities if len(set(values)) > 1):
             conflicts.append(
                 Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
@@ -238,7 +238,7 @@ def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int,
     """Outcomes of all settled cells, by the position of the source."""
     settled: defaultdict[CellKey, dict[int, _Values]] = defaultdict(dict)
     for position, source in enumerate(sources):
-        columns = source.store.table(("seed", "content", "status", *DECIDED_BY_PHYSICS))
+        columns = source.store.table(("seed", "content", "status", *EXACT_QUANTITIES))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
             if status not in {CellStatus.PENDING, CellStatus.DAMAGED}:
                 known = tuple(None if math.isnan(value) else value for value in values)

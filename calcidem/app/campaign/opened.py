@@ -25,12 +25,12 @@ from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
-from calcidem.app.campaign.cure_trials import CureTrial, rank_trials, try_cures
 from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
+from calcidem.app.campaign.remedy_trials import RemedyTrial, rank_trials, try_remedies
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -40,7 +40,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -212,8 +212,8 @@ class OpenedCampaign(StoredCampaign):
         """Damping ratio D = alpha / pi of the samples."""
         return damping_ratio(self.config["wave"]["damping"])
 
-    def static_speed(self, *, seed: int, content: float) -> float:
-        """Compute the velocity of long shear waves of a sample, m/s, from its stiffness at rest.
+    def static_speed(self, *, seed: int, content: float) -> StaticSpeed:
+        """Compute the speed of long shear waves of a sample, m/s, from the stiffness of its inner part, and its error.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class OpenedCampaign(StoredCampaign):
         --------
         >>> campaign = open_campaign("quick.db")
         >>> static = campaign.static_speed(seed=1, content=5.0)
-        >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static < 1.0  # local damping slows the wave
+        >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static.speed < 1.0  # local damping slows the wave
         True
         """
         return static_speed(*self.cemented(seed=seed, content=content))
@@ -350,22 +350,22 @@ class OpenedCampaign(StoredCampaign):
     ) -> tuple[Diagnosis, ...]:
         """Say of cells without a velocity why they have none, and which values may give them one.
 
-        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its signal.
+        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section.
 
         Examples
         --------
         >>> campaign = open_campaign("quick.db")
         >>> for cell in campaign.diagnose(content=9.0):  # all of 9 % have a velocity
-        ...     print(cell.key, cell.reason, *cell.cures)
+        ...     print(cell.key, cell.reason, *cell.remedies)
         """
         return diagnose(self, seed=seed, content=content)
 
-    def try_cures(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[CureTrial, ...]:
-        """Compute so many of these cells again with each of their cures, and rank these; nothing is written.
+    def try_remedies(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[RemedyTrial, ...]:
+        """Compute so many of these cells again with each of their remedies, and rank these; nothing is written.
 
-        See `calcidem.app.campaign.cure_trials.try_cures`.
+        See `calcidem.app.campaign.remedy_trials.try_remedies`.
         """
-        return tuple(rank_trials(try_cures(self, diagnoses, count)))
+        return tuple(rank_trials(try_remedies(self, diagnoses, count)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.

@@ -165,14 +165,14 @@ def _velocities_at(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
     stored = [name for name in names if name != COLUMN]
-    cells = campaign.to_xarray(("vs", *(f"path_{name}" for name in stored)))
+    cells = campaign.to_xarray(("vs", *stored))
     contents = cells["content"].to_numpy()
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
     cells = cells.isel(content=int(np.argmin(np.abs(contents - content))))
     vs, seeds = cells["vs"].to_numpy().astype(float), cells["seed"].to_numpy()
-    found = {name: cells[f"path_{name}"].to_numpy() for name in stored}
+    found = {name: cells[name].to_numpy() for name in stored}
     found[COLUMN] = np.array([shares.get((seed, float(cells["content"])), np.nan) for seed in seeds.tolist()])
     table = np.array([found[name] for name in names], dtype=float).reshape(len(names), len(vs))
     known = np.isfinite(vs) & np.isfinite(table).all(axis=0)

@@ -20,23 +20,25 @@ from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.provenance import version_of
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
-from calcidem.dem.wave.recorder import WaveRecord
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
     CellStatus,
     CementPattern,
+    GrainPath,
     GraphSummary,
     PackedResult,
     PathFeatures,
-    Signal,
+    RecordedSection,
 )
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
@@ -75,10 +77,12 @@ class CellComputation:
         measurements = measure(
             experiment, content, seeds, lanes=run.lanes, check=deadline_check, ordering=self._ordering
         )
-        results = [cell_result(measurement, experiment, run.store_signals, self._graph) for measurement in measurements]
+        results = [
+            cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
+        ]
         if run.static_speed:
             results = [
-                replace(result, static_speed=static_speed(experiment, measurement.cement.bonded))
+                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
         return tuple(map(pack_result, results))
@@ -131,8 +135,14 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
     return CellComputation(configuration, packing)
 
 
+def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
+    """Static speed of a sample, m/s; None where its inner part does not tell it."""
+    found = static_speed(experiment, bonded)
+    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
+
+
 def cell_result(
-    measurement: Measurement, experiment: Experiment, store_signals: bool, graph: PackingGraph | None = None
+    measurement: Measurement, experiment: Experiment, store_sections: bool, graph: PackingGraph | None = None
 ) -> CellResult:
     """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it.
 
@@ -140,7 +150,7 @@ def cell_result(
     """
     cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
-    features, summary = (None, None) if graph is None else _describe_graph(graph, pattern)
+    path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(
         result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
     )
@@ -153,7 +163,10 @@ def cell_result(
         vs_peak=reading.peak,
         vs_first_arrival=reading.first_arrival,
         vs_cross_correlation=reading.cross_correlation,
-        quality_peak=reading.arrival.coherence if reading.arrival else None,
+        coherence=reading.arrival.coherence if reading.arrival else None,
+        reading_error=reading.error,
+        path_vs=reading.path,
+        path_error=reading.path_error,
         frequency=measurement.frequency,
         distance=record.section.distance,
         wavelengths_on_path=on_path,
@@ -174,7 +187,8 @@ def cell_result(
         seconds=measurement.seconds,
         features=features,
         graph=summary,
-        signal=stored_signal(record) if store_signals else None,
+        path=path,
+        section=stored_section(record.section) if store_sections else None,
         cement=pattern,
     )
 
@@ -190,26 +204,47 @@ def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
     return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
 
 
-def stored_signal(record: WaveRecord) -> Signal | None:
-    """Signals as the store keeps them."""
-    section = record.section
-    return Signal(
+def stored_section(section: Section) -> RecordedSection:
+    """Section as the store keeps it."""
+    return RecordedSection(
         sampling_interval=section.sampling_interval,
         start_time=section.start_time,
-        sent_velocity=section.transmitted,
-        received_force=np.zeros_like(section.received),
-        received_velocity=section.received,
+        pulse_frequency=section.frequency,
+        resolution=section.amplitude * RESOLUTION,
+        aperture=section.aperture,
+        places=np.array(section.places),
+        across=section.across,
+        along=section.along,
     )
 
 
-def _describe_graph(packing: PackingGraph, cement: CementPattern) -> tuple[PathFeatures | None, GraphSummary]:
-    """Features of the path and summary of the graph of one sample.
+def section_of(stored: RecordedSection) -> Section:
+    """Section as it is read: with the same bits as when it was recorded."""
+    return Section(
+        sampling_interval=stored.sampling_interval,
+        start_time=stored.start_time,
+        frequency=stored.pulse_frequency,
+        amplitude=stored.resolution / RESOLUTION,
+        aperture=stored.aperture,
+        places=tuple(stored.places.tolist()),
+        across=stored.across,
+        along=stored.along,
+    )
+
+
+def _describe_graph(
+    packing: PackingGraph, cement: CementPattern
+) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
+    """Path, its features and summary of the graph of one sample.
 
     Where no chain of contacts joins transmitter and receiver there is no path.
     """
     bonded = packing.bonded(cement)
     summary = graph_summary(packing.graph, bonded)
-    return None if summary.gap_contacts is None else packing.features(packing.path(bonded)), summary
+    if summary.graph_gap_contacts is None:
+        return None, None, summary
+    path = packing.path(bonded)
+    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
 
 
 def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
@@ -229,12 +264,12 @@ def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSu
     grains = np.bincount(component, minlength=pieces)
     larger = grains[grains > 1]
     return GraphSummary(
-        contacts=graph.contact_count,
-        bonded_contacts=int(np.count_nonzero(bonded)),
-        coordination_number=graph.coordination_number,
-        components=len(larger),
-        largest_component=int(larger.max(initial=0)),
-        gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
+        graph_contacts=graph.contact_count,
+        graph_bonded_contacts=int(np.count_nonzero(bonded)),
+        graph_coordination_number=graph.coordination_number,
+        graph_components=len(larger),
+        graph_largest_component=int(larger.max(initial=0)),
+        graph_gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
     )
 
 

@@ -15,9 +15,9 @@ from calcidem.app.cli.terminal import printable
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
-    from calcidem.app.campaign.cure_trials import CureTrial
     from calcidem.app.campaign.diagnosis import Diagnosis
     from calcidem.app.campaign.opened import OpenedCampaign
+    from calcidem.app.campaign.remedy_trials import RemedyTrial
 
 _MOST_SHOWN = 12
 """Cells that are shown one by one if none is chosen."""
@@ -31,18 +31,18 @@ def diagnose_command(
     seed: OnlySeeds = None,
     content: OnlyContents = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for a picture of each cell's signal.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for a picture of each cell's section.")
     ] = None,
     trials: Annotated[
-        int, typer.Option("--try", min=0, metavar="N", help="Compute N of these cells again with each cure.")
+        int, typer.Option("--try", min=0, metavar="N", help="Compute N of these cells again with each remedy.")
     ] = 0,
     campaign: CampaignName = None,
 ) -> None:
     """Say of every cell without a velocity why it has none, and which values may give it one.
 
-    A cell that cannot be read gives the same again, so 'calcidem retry' does not help it: its configuration has to
-    change, and that makes another campaign. With --try the cures are computed on some of the cells, beside readable
-    ones of the same content, to see what becomes of their Vs; nothing is written to the database.
+    Another computation of such a cell gives the same result, so 'calcidem retry' does not help. Its configuration has
+    to change, which makes another campaign. --try tests the remedies on some of the cells, beside readable ones of the
+    same content. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
     from calcidem.app.campaign.opened import open_campaign
@@ -75,31 +75,39 @@ def _overview_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *,
     total = pluralize(sum(counts.values()), "cell")
     unread = counts[CellStatus.NO_ARRIVAL] + counts[CellStatus.UNSTABLE]
     if not unread:
-        yield f"Campaign {campaign.record.name}: none of its {total} was computed without giving a velocity."
+        yield f"Campaign {campaign.record.name}: every computed cell of its {total} has a velocity."
     else:
-        yield f"Campaign {campaign.record.name}: {unread} of {total} can't be read or trusted, nor would they be again."
+        yield f"Campaign {campaign.record.name}: {unread} of {total} have no velocity. Repeating the run does not help."
     if chosen and unread:
         yield f"Of the cells chosen these are {len(found)}."
     elif found:
         places = Counter(diagnosis.key.content for diagnosis in found)
         yield "They are " + ", ".join(f"{number} at {content:g} %" for content, number in sorted(places.items())) + "."
+    packings: dict[str, list[str]] = {}
+    for diagnosis in found:
+        contents = packings.setdefault(diagnosis.packing, [])
+        if f"{diagnosis.key.content:g}" not in contents:
+            contents.append(f"{diagnosis.key.content:g}")
+    for packing, contents in packings.items():
+        if packing:
+            yield f"All cells at {', '.join(contents)} % failed. Look at the packing first: {packing}"
     if others := counts[CellStatus.FAILED] + counts[CellStatus.TIMED_OUT]:
         yield f"{others} more failed or ran out of time: those 'calcidem retry' makes pending again."
 
 
 def _cell_lines(diagnosis: "Diagnosis") -> Iterator[str]:
-    """Reason, finding and cures of a cell."""
+    """Reason, finding and remedies of a cell."""
     key = diagnosis.key
     yield f"seed {key.seed}, {key.content:g} %: {diagnosis.status.replace('_', ' ')}, {diagnosis.reason}"
     yield from textwrap.wrap(diagnosis.finding, _WIDTH, initial_indent="  ", subsequent_indent="  ")
-    wide = max((len(str(cure)) for cure in diagnosis.cures), default=0)
-    for cure in diagnosis.cures:
-        head = f"    {str(cure).ljust(wide)}   "
-        yield from textwrap.wrap(cure.why, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+    wide = max(len(str(remedy)) for remedy in diagnosis.remedies)
+    for remedy in diagnosis.remedies:
+        head = f"    {str(remedy).ljust(wide)}   "
+        yield from textwrap.wrap(remedy.why, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
 
 
 def _save_picture(diagnosis: "Diagnosis", folder: Path | None) -> list[Path]:
-    """Draw the signal of a cell, if a folder is given."""
+    """Draw the section of a cell, if a folder is given."""
     if folder is None:
         return []
     from calcidem.analysis.figures.style import save
@@ -109,10 +117,10 @@ def _save_picture(diagnosis: "Diagnosis", folder: Path | None) -> list[Path]:
 
 
 def _frequency_lines(
-    campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", tried: "Sequence[CureTrial]"
+    campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", tried: "Sequence[RemedyTrial]"
 ) -> Iterator[str]:
-    """Frequencies that the cures ask for, or that helped, as a configuration has them for all contents."""
-    from calcidem.app.campaign.cure_trials import frequency_table
+    """Frequencies that the remedies ask for, or that helped, as a configuration has them for all contents."""
+    from calcidem.app.campaign.remedy_trials import frequency_table
     from calcidem.app.config.reference import written
 
     table = frequency_table(campaign, found, tried)
@@ -124,19 +132,16 @@ def _frequency_lines(
         yield f"    {key} = {written(values)}"
 
 
-def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> "list[CureTrial]":
-    """Compute the cures on some cells; the best of each content first."""
-    from calcidem.app.campaign.cure_trials import rank_trials, try_cures
+def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> "list[RemedyTrial]":
+    """Compute the remedies on some cells; the best of each content first."""
+    from calcidem.app.campaign.remedy_trials import rank_trials, try_remedies
     from calcidem.app.cli.tables import tell
 
-    return rank_trials(try_cures(campaign, found, count, tell))
+    return rank_trials(try_remedies(campaign, found, count, tell))
 
 
-def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", count: int) -> Table:
-    """What the cures gave on some cells."""
-    from calcidem.app.campaign.cure_trials import contradicted_cells
-
-    doubted = contradicted_cells(trials)
+def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[RemedyTrial]", count: int) -> Table:
+    """What the remedies gave on some cells."""
     title = f"Tried on {min(count, len(found))} of {pluralize(len(found), 'cell')}; nothing is stored"
     table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("content %", justify="right", no_wrap=True)
@@ -144,32 +149,12 @@ def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[CureTrial]", co
     for name in ("have Vs now", "Vs m/s (seed)", "Vs of neighbours"):
         table.add_column(name, no_wrap=name != "Vs m/s (seed)")
     for trial in trials:
-        table.add_row(f"{trial.content:g}", *(printable(text) for text in _trial_entries(trial, doubted)))
-    if doubted:
-        table.caption = "? cures differ by more than a tenth on this cell: look at its signals before you take either"
-        table.caption_justify = "left"
+        read = [f"{vs:.0f}\N{NO-BREAK SPACE}({seed})" for seed, vs in trial.velocities.items() if vs is not None]
+        still = len(trial.neighbours) - trial.lost
+        changes = [f"{trial.change:+.1%} on {still}"] * bool(still) + [f"{trial.lost} lost"] * bool(trial.lost)
+        entries = (
+            *(f"{trial.content:g}", str(trial.remedy), f"{trial.read} of {len(trial.velocities)}, {trial.outcome}"),
+            *(trial.refusal or ", ".join(read) or "-", ", ".join(changes) or "there are none"),
+        )
+        table.add_row(*map(printable, entries))
     return table
-
-
-def _trial_entries(trial: "CureTrial", doubted: set[tuple[float, int]]) -> tuple[str, str, str, str]:
-    """What a cure gave, in the columns of the table."""
-    if trial.refusal:
-        return str(trial.cure), trial.verdict, trial.refusal, "-"
-    velocities = [
-        f"{vs:.0f}\N{NO-BREAK SPACE}({seed}){'?' if (trial.content, seed) in doubted else ''}"
-        for seed, vs in trial.velocities.items()
-        if vs is not None
-    ]
-    return (
-        str(trial.cure),
-        f"{trial.cured} of {len(trial.velocities)}, {trial.verdict}",
-        ", ".join(velocities) or "-",
-        _neighbours_text(trial),
-    )
-
-
-def _neighbours_text(trial: "CureTrial") -> str:
-    """How the readable neighbours changed."""
-    still = len(trial.neighbours) - trial.lost
-    text = f"{trial.change:+.1%} on {still}" if still else ""
-    return ", ".join(part for part in (text, f"{trial.lost} lost" if trial.lost else "") if part) or "there are none"

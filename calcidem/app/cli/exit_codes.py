@@ -18,7 +18,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
 )
 from calcidem.storage.passwords import hide_passwords
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 
 _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""
@@ -65,7 +65,7 @@ def tell_error(error: Exception) -> int:
             f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
         )
-    elif isinstance(error, (*_BAD_INPUT, PackingError)):
+    elif isinstance(error, (*_BAD_INPUT, PackingError, SweepError)):
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
         text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"

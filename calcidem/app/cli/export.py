@@ -1,6 +1,5 @@
 """``calcidem export``: a campaign as a NetCDF file."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,17 +7,17 @@ import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
 
-_ArrayGroup = StrEnum("_ArrayGroup", ["PATHS", "SIGNALS", "CEMENT"])
-"""Arrays of single cells in an exported file."""
-
 
 def export_command(
     database: Database,
     netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
     campaign: CampaignName = None,
     without: Annotated[
-        list[_ArrayGroup] | None,
-        typer.Option(help="Leave out these arrays of single cells, nearly all of the file; may be repeated."),
+        list[str] | None,
+        typer.Option(
+            metavar="path|signal|cement",
+            help="Leave out these arrays of single cells, nearly all of the file; may be repeated.",
+        ),
     ] = None,
 ) -> None:
     """Write a campaign to a NetCDF file."""

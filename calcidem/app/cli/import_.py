@@ -10,7 +10,7 @@ import typer
 
 from calcidem.app.cli.terminal import printable
 
-ERRORS_OF_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
+_RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 """What the library for NetCDF, and who takes its answers, raise where bytes of a file are others."""
 
 
@@ -52,6 +52,6 @@ def _told_as_damage(file: Path) -> Iterator[None]:
 
     try:
         yield
-    except (*ERRORS_OF_DAMAGE, InvalidRecordError) as error:
+    except (*_RAISED_BY_DAMAGE, InvalidRecordError) as error:
         problem = f"{file} is damaged ({type(error).__name__}: {error})."
         raise DamagedStoreError(problem, "Export it again, and import it again; nothing was written.") from error

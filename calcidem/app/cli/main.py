@@ -56,8 +56,6 @@ PANELS = {
 }
 """What the list of all commands says of each."""
 
-COMMANDS = tuple(name for panel in PANELS.values() for name in panel)
-
 
 class _LazyGroup(TyperGroup):
     """Commands whose modules are imported when they are used: they need libraries that take seconds to load.

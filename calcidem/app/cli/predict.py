@@ -34,7 +34,9 @@ def predict_command(
     ] = None,
     feature: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Or a feature, such as normalized_connectivity=0.6; may be repeated."),
+        typer.Option(
+            metavar="NAME=VALUE", help="Or a feature, such as path_normalized_connectivity=0.6; may be repeated."
+        ),
     ] = None,
     level: Annotated[
         float,
@@ -73,7 +75,7 @@ def predict_command(
                 typer.echo(_check_line(check))
 
 
-_parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as normalized_connectivity=0.6")
+_parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
 
 
 def _read_pattern(path: Path) -> CementPattern:

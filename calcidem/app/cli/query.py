@@ -48,7 +48,7 @@ def query_command(
 ) -> None:
     """Show the cells of a campaign that meet all given conditions."""
     from calcidem.storage.files import write_text_atomically
-    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+    from calcidem.storage.records import QUANTITY_BY_NAME
 
     selection = Selection(seed or None, content or None, status or None, where)
     names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
@@ -59,9 +59,9 @@ def query_command(
             raise QueryError("Parquet is a binary format.", "Give a file with --out.")
         _write_parquet(found, out)
     elif out is not None:
-        write_text_atomically(out, as_text(found, layout))
+        write_text_atomically(out, _as_text(found, layout))
     else:
-        typer.echo(printable(as_text(found, layout)), nl=False)
+        typer.echo(printable(_as_text(found, layout)), nl=False)
 
 
 def find(
@@ -85,7 +85,7 @@ def _split_list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def as_text(columns: Columns, layout: Format) -> str:
+def _as_text(columns: Columns, layout: Format) -> str:
     """Columns as a table, CSV or JSON."""
     rows = list(zip(*(_plain_values(name, values) for name, values in columns.items()), strict=True))
     if layout is Format.JSON:
@@ -101,7 +101,7 @@ def as_text(columns: Columns, layout: Format) -> str:
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     """Values of a column as Python's own, None where missing."""
-    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+    from calcidem.storage.records import QUANTITY_BY_NAME
 
     kind = QUANTITY_BY_NAME[name].kind
     if kind == "text":
@@ -112,7 +112,7 @@ def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
 
 def _as_table(names: Collection[str], rows: Sequence[Sequence[Any]]) -> str:
     """Rows in aligned columns with the units in the head; no wider than the numbers need."""
-    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+    from calcidem.storage.records import QUANTITY_BY_NAME
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in names:
@@ -143,7 +143,7 @@ def _write_parquet(columns: Columns, out: Path) -> None:
     import pandas as pd
 
     from calcidem.storage.files import write_atomically
-    from calcidem.storage.sql.quantities import QUANTITY_BY_NAME
+    from calcidem.storage.records import QUANTITY_BY_NAME
 
     frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
     frame = frame.astype({name: "Int64" for name in columns if QUANTITY_BY_NAME[name].kind == "whole"})

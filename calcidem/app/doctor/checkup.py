@@ -41,10 +41,10 @@ def findings(folder: Path) -> Iterator[Finding]:
     yield _processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
         quota = _CPU_QUOTA.read_text(encoding="ascii") if _CPU_QUOTA.exists() else ""
-        yield cores_finding(available_cores(), quota)
-    yield thread_finding(os.environ)
-    yield from slurm_findings(os.environ)
-    yield from folder_findings(folder)
+        yield _cores_finding(available_cores(), quota)
+    yield _thread_finding(os.environ)
+    yield from _slurm_findings(os.environ)
+    yield from _folder_findings(folder)
     yield _packing_cache_finding()
     yield _compile_cache_finding()
     yield from mpi_findings()
@@ -59,7 +59,7 @@ def _processor_finding() -> Finding:
     return Finding(WARNING, "processor", fact, "compute a campaign on machines of one kind")
 
 
-def cores_finding(cores: int, quota: str) -> Finding:
+def _cores_finding(cores: int, quota: str) -> Finding:
     """Compare the cores that can be seen with the CPU time that the container is given."""
     words = quota.split()
     allowed = int(words[0]) / int(words[1]) if words and words[0] != "max" else math.inf
@@ -70,7 +70,7 @@ def cores_finding(cores: int, quota: str) -> Finding:
     return Finding(OK, "cores", f"{cores} of {os.cpu_count()} can be used, so {ranks}")
 
 
-def thread_finding(variables: Mapping[str, str]) -> Finding:
+def _thread_finding(variables: Mapping[str, str]) -> Finding:
     """Look for thread counts other than 1; calcidem sets those that are not set."""
     wrong = {name: variables[name] for name in THREAD_VARIABLES if variables.get(name, "1") != "1"}
     if not wrong:
@@ -79,7 +79,7 @@ def thread_finding(variables: Mapping[str, str]) -> Finding:
     return Finding(WARNING, "threads", f"{found}: the threads of the ranks compete", f"unset {' '.join(wrong)}")
 
 
-def slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
+def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Look at the Slurm job this runs in, or say how to start one."""
     if "SLURM_JOB_ID" not in variables:
         template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
@@ -98,7 +98,7 @@ def slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
         yield Finding(PROBLEM, "Slurm", fact, "add Slurm's programs to PATH")
 
 
-def folder_findings(folder: Path) -> Iterator[Finding]:
+def _folder_findings(folder: Path) -> Iterator[Finding]:
     """Try a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
     where = folder.absolute()
     if not where.is_dir():
@@ -115,7 +115,7 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
         yield Finding(PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
     kind = filesystem_type(where) or "an unknown file system"
-    yield network_finding(where, kind, network=is_network_filesystem(where), locks=locks)
+    yield _network_finding(where, kind, network=is_network_filesystem(where), locks=locks)
     speed = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
     yield (
         Finding(OK, "SQLite", speed)
@@ -131,7 +131,7 @@ def folder_findings(folder: Path) -> Iterator[Finding]:
     )
 
 
-def network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
+def _network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
     """What the file system of the database means for it."""
     if not network:
         return Finding(OK, "file system", f"{where} is on {kind}, which counts as local")

@@ -37,7 +37,7 @@ print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_
 
 
 @dataclass(frozen=True, slots=True)
-class Rank:
+class _Rank:
     """What a rank says of itself.
 
     Attributes
@@ -71,11 +71,11 @@ def mpi_findings() -> Iterator[Finding]:
     except LaunchError as error:
         yield Finding(PROBLEM, "MPI launcher", str(error), _INSTALL)
         return
-    yield launcher_finding(mpirun, library)
-    yield from rank_findings(mpirun)
+    yield _launcher_finding(mpirun, library)
+    yield from _rank_findings(mpirun)
 
 
-def launcher_finding(mpirun: str, library: str) -> Finding:
+def _launcher_finding(mpirun: str, library: str) -> Finding:
     """Compare the launcher with the library that its ranks load."""
     done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=_RANKS_TIMEOUT)  # noqa: S603 - found above
     said = (done.stdout or done.stderr).strip().partition("\n")[0]
@@ -88,7 +88,7 @@ def launcher_finding(mpirun: str, library: str) -> Finding:
     return Finding(WARNING, "MPI launcher", fact, cure)
 
 
-def rank_findings(mpirun: str) -> Iterator[Finding]:
+def _rank_findings(mpirun: str) -> Iterator[Finding]:
     """Start two ranks as a campaign does and see whether they know about each other."""
     try:
         ranks = _start_ranks(mpirun)
@@ -104,10 +104,10 @@ def rank_findings(mpirun: str) -> Iterator[Finding]:
         return
     yield Finding(OK, "two ranks", "start and know about each other")
     yield _fault_tolerance_finding(ranks)
-    yield binding_finding(ranks, available_cores())
+    yield _binding_finding(ranks, available_cores())
 
 
-def _start_ranks(mpirun: str) -> list[Rank]:
+def _start_ranks(mpirun: str) -> list[_Rank]:
     """Start two ranks and return what they say; raises `SubprocessError` or `ValueError` if they can't or won't."""
     done = subprocess.run(  # noqa: S603 - our own program
         [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM],
@@ -121,7 +121,7 @@ def _start_ranks(mpirun: str) -> list[Rank]:
         | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
-    return [Rank(*json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
+    return [_Rank(*json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
 
 
 def _failure_text(error: Exception) -> str:
@@ -131,7 +131,7 @@ def _failure_text(error: Exception) -> str:
     return lines[-1] if lines else str(error)
 
 
-def _fault_tolerance_finding(ranks: list[Rank]) -> Finding:
+def _fault_tolerance_finding(ranks: list[_Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
         return Finding(OK, "lost ranks", "cost only what they were computing (ULFM)")
@@ -140,7 +140,7 @@ def _fault_tolerance_finding(ranks: list[Rank]) -> Finding:
     return Finding(WARNING, "lost ranks", fact, cure)
 
 
-def binding_finding(ranks: list[Rank], cores: int) -> Finding:
+def _binding_finding(ranks: list[_Rank], cores: int) -> Finding:
     """Whether the ranks may use all cores."""
     fewest = min(rank.cores for rank in ranks)
     if fewest == cores:

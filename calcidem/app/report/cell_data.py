@@ -16,14 +16,13 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.wording import readable_unit
-from calcidem.storage.records import CellResult
-from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 
-MOST_FULL_RECORDS = 10_000
+_MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
 """Quantities of a cell where the campaign has more cells than that."""
 
-ROOM_FOR_SAMPLES = 3_500_000
+_ROOM_FOR_SAMPLES = 3_500_000
 """Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
 
 _MOST_POINTS = 300
@@ -62,7 +61,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         graphs = ()
         remarks.append(f"No samples are drawn: {error}.")
     shown: list[int] = []
-    room = ROOM_FOR_SAMPLES
+    room = _ROOM_FOR_SAMPLES
     for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
@@ -72,8 +71,8 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         shown.append(seed)
     for graph in graphs:
         blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
-    names = [quantity.name for quantity in QUANTITIES if quantity.name not in {"seed", "content"}]
-    if analysis.vs.size > MOST_FULL_RECORDS:
+    names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
+    if analysis.vs.size > _MOST_FULL_RECORDS:
         names = [name for name in names if name in _SHORT_RECORD]
         remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
     if len(shown) < analysis.vs.sizes["seed"]:
@@ -94,7 +93,7 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
         "contents": analysis.vs["content"].to_numpy().tolist(),
         "quantities": [
             {"name": q.name, "kind": q.kind, "unit": readable_unit(q.unit), "meaning": q.meaning}
-            for q in QUANTITIES
+            for q in QUANTITY_BY_NAME.values()
             if any(
                 value not in {None, ""} and (value or q.name not in EXCEPTIONAL) for value in columns.get(q.name, ())
             )
@@ -129,7 +128,7 @@ def _describe_cells(
     before: dict[int, NDArray[np.uint8]] = {}
     for cell in cells:
         described: dict[str, Any] = {"content": cell.key.content, "packing": cell.packing_index}
-        if cell.signal is not None:
+        if cell.section is not None:
             described["signal"] = _describe_signal(analysis, cell)
         if cell.cement is not None and cell.packing_index < len(graphs):
             graph = graphs[cell.packing_index]
@@ -138,7 +137,9 @@ def _describe_cells(
             before[cell.packing_index] = kinds
             described["cement"] = [_steps(np.flatnonzero(changed & (kinds == kind))) for kind in (0, 1, 2)]
             with suppress(ValueError):  # of samples through which no path leads
-                described["path"] = _steps(graph.path(kinds > 0, cell.features.path if cell.features else ()).grains)
+                described["path"] = _steps(
+                    graph.path(kinds > 0, tuple(cell.path.grains.tolist()) if cell.path else ()).grains
+                )
         yield described
 
 
@@ -150,7 +151,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
         "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
-        "unit": "N/m" if arrival.received_force else "m/s",
+        "unit": "m/s",
         "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
     }
     for name in ("sent", "received"):

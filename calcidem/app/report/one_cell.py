@@ -10,7 +10,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.report.cell_data import EXCEPTIONAL
 from calcidem.app.report.wording import ABSENT, Table, decimal, readable_unit, significant
-from calcidem.storage.sql.quantities import QUANTITIES, Quantity
+from calcidem.storage.records import QUANTITY_BY_NAME, Quantity
 from calcidem.storage.store import Selection
 
 
@@ -49,10 +49,12 @@ def show_cell(
     """
     with open_campaign(database, campaign_name) as campaign:
         campaign.cell(seed=seed, content=content)  # says what is wrong if there is none
-        values = campaign.store.table(
-            [quantity.name for quantity in QUANTITIES], Selection(seeds=(seed,), contents=(content,))
-        )
-        told = [quantity for quantity in QUANTITIES if values[quantity.name][0] or quantity.name not in EXCEPTIONAL]
+        values = campaign.store.table(list(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,)))
+        told = [
+            quantity
+            for quantity in QUANTITY_BY_NAME.values()
+            if values[quantity.name][0] or quantity.name not in EXCEPTIONAL
+        ]
         rows = [(quantity.meaning, _text(quantity, values[quantity.name][0])) for quantity in told]
         shown = tuple(row for row in rows if row[1] not in {"", ABSENT})
         files = [] if out is None else _draw(campaign.plot, seed, content, Path(out))

@@ -169,7 +169,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
 
 def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
     """Make the tables and figures of a section, as far as the campaign allows."""
-    remarks = velocity_remarks(analysis) if plan.anchor == "velocities" else []
+    remarks = _velocity_remarks(analysis) if plan.anchor == "velocities" else []
     read, planned = len(analysis.analysed_seeds), analysis.vs.sizes["seed"]
     if plan.anchor == "paths" and read < planned:
         remarks.append(f"Samples of {read:,} of {planned:,} seeds are analysed here.")
@@ -191,7 +191,7 @@ def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
     )
 
 
-def velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
+def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     """Give sentences about what few samples, no cement or long waves mean for the velocities."""
     remarks = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]

@@ -271,7 +271,7 @@ def calibrate(
 
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
-        fitted = fit_to_targets(lambda tried: list(measure_trials(changed(tried))), plan, start, tell)
+        fitted = _fit_to_targets(lambda tried: list(measure_trials(changed(tried))), plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
@@ -284,7 +284,7 @@ def calibrate(
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
 
-def fit_to_targets(
+def _fit_to_targets(
     measure: Callable[[Sequence[ParameterValues]], Sequence[Floats]],
     plan: FitPlan,
     start: Sequence[float],

@@ -97,13 +97,13 @@ def explain(
     """
     rows = []
     for content in contents:
-        for alternative in alternatives_of(experiment, content):
+        for alternative in _alternatives_of(experiment, content):
             progress(f"{content:g} %: {alternative.what}")
-            rows.append(with_errors(_measure_alternative(experiment, alternative, content, seeds, lanes), measured))
+            rows.append(_with_errors(_measure_alternative(experiment, alternative, content, seeds, lanes), measured))
     return rows
 
 
-def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanation:
+def _with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanation:
     """Row with the errors of both ways, if they were measured."""
     if measured is None or not row.alternative.setting:
         return row
@@ -111,10 +111,10 @@ def with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanatio
     return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
 
 
-def alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
+def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
     found = [*_displacement_alternatives(experiment), _whole_domain(experiment)]
-    found += [_early_stop(experiment), precision(experiment)]
+    found += [_early_stop(experiment), _precision(experiment)]
     bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
     why = "no contact is cemented" if bonds else "some contacts are cemented"
     found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
@@ -199,7 +199,7 @@ def _early_stop(experiment: Experiment) -> Alternative:
     )
 
 
-def precision(experiment: Experiment) -> Alternative:
+def _precision(experiment: Experiment) -> Alternative:
     """Single or double precision."""
     double = experiment.wave.precision == "float64"
     other = with_wave(experiment, precision="float32" if double else "float64")

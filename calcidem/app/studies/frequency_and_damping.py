@@ -27,7 +27,7 @@ _UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
 _WHOLE_RANGE = (0.0, 100.0)
 
 
-def frequency_study(
+def _frequency_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.66, 3.17, 6.0, 8.0),
@@ -77,7 +77,7 @@ def frequency_study(
     return study
 
 
-def damping_study(
+def _damping_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.11, 0.66),
@@ -136,7 +136,7 @@ def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, flo
     record, frequency = measurement.record, measurement.frequency
     found = {f"vs_{method}": _velocity(experiment, method, record) for method in _METHODS}
     if np.isfinite(found["vs_peak"]):
-        found["received_frequency"] = pulse_frequency(
+        found["received_frequency"] = _pulse_frequency(
             record.section.received,
             record.section.sampling_interval,
             record.section.distance / found["vs_peak"] + 0.5 / frequency - record.section.start_time,
@@ -150,7 +150,7 @@ def _velocity(experiment: Experiment, method: Method, record: WaveRecord) -> flo
     return interpret_record(replace(experiment, pick=replace(experiment.pick, method=method)), record).vs or np.nan
 
 
-def pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
+def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
     """Give the frequency of the pulse that peaks at a moment: one over twice its width at half height.
 
     For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum would not do: a pulse of one sign has its largest
@@ -200,7 +200,7 @@ def _set_units(study: xr.Dataset) -> None:
         variable.attrs["units"] = _UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
 
 
-_STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": frequency_study, "damping": damping_study}
+_STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}
 
 
 def run_studies(

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.identity import DECIDED_BY_PHYSICS, refuse_other_physics
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus, CementPattern, Signal
+from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, RecordedSection
 
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
@@ -32,7 +32,7 @@ The same cell on the same packing differed between processors by up to 1e-10 whi
 chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
 """
 
-_SHARES = ("quality_peak", "quality_first_arrival", "quality_cross_correlation", "expected_error", "error_bound")
+_SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
 
@@ -147,17 +147,17 @@ def _verify_batch(
     """Compute cells of one content and one packing."""
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
-        computed = cell_result(measurement, experiment, store_signals=stored.signal is not None)
-        yield compare_outcomes(stored, computed)
+        computed = cell_result(measurement, experiment, store_sections=stored.section is not None)
+        yield _compare_outcomes(stored, computed)
 
 
-def compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
-    """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
+def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
+    """Compare two outcomes of one cell: status, numbers, and cement and section where they were stored."""
     differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:
         differences |= _different_arrays("cement", stored.cement, computed.cement)
-    if stored.signal is not None:
-        differences |= _different_arrays("signal", stored.signal, computed.signal)
+    if stored.section is not None:
+        differences |= _different_arrays("section", stored.section, computed.section)
     return Verification(stored, computed, differences)
 
 
@@ -165,7 +165,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*DECIDED_BY_PHYSICS, "expected_error", "error_bound"):
+    for name in (*EXACT_QUANTITIES, "expected_error", "error_bound"):
         one, other = getattr(stored, name), getattr(computed, name)
         if one is None or other is None:
             if one is not other:
@@ -175,7 +175,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
 
 
 def _different_arrays(
-    name: str, stored: CementPattern | Signal, computed: CementPattern | Signal | None
+    name: str, stored: CementPattern | RecordedSection, computed: CementPattern | RecordedSection | None
 ) -> dict[str, float]:
     """Name the fields that differ between two records of arrays, and by how much."""
     if computed is None:

@@ -30,8 +30,8 @@ from calcidem.dem.kernels.steps import advance_steps
 Precision = Literal["float64", "float32"]
 _REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
 _REACH_TOGETHER = 0.35  # the same where several steps are under way then
-STEPS_TOGETHER = 4
-SMALLEST_BLOCK = 32
+_STEPS_TOGETHER = 4
+_SMALLEST_BLOCK = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,13 +147,13 @@ class State:
 
 def _steps_together(features: Features) -> int:
     """Steps in flight; a servo answers to the forces of the step before, and an account is summed up in their order."""
-    return 1 if features.servo or features.account else STEPS_TOGETHER
+    return 1 if features.servo or features.account else _STEPS_TOGETHER
 
 
-def make_front(state: State) -> Front:
+def _make_front(state: State) -> Front:
     """Empty scratch for the steps in flight, see `layout.Front`."""
     assembly, together = state.assembly, _steps_together(state.features)
-    block = max(SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
+    block = max(_SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
     if state.features.bundled:
         block += -block % ABREAST
     slot_bits = (2 * block - 1).bit_length()
@@ -174,13 +174,13 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
     done = 0
     if state.features.search and steps > 0 and _left_reach(state):
         # In the last step of an earlier call, which had no next step to renew its list for.
-        state = renew_neighbours(state)
+        state = _renew_neighbours(state)
     while done < steps:
         count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
         done += count
         state = replace(state, steps=state.steps + count)
         if done < steps:
-            state = renew_neighbours(state)
+            state = _renew_neighbours(state)
     return state
 
 
@@ -206,7 +206,7 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
         pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
         wall_pairs=assembly.wall_pairs,
         walls=assembly.walls,
-        front=make_front(state),
+        front=_make_front(state),
         recording=recording,
         watch=Watch(origin=state.origin, wall_origin=state.wall_origin, reach=_reach(state), account=state.account),
     )
@@ -334,7 +334,7 @@ def change_step(state: State, ahead: State, step: Floats) -> State:
     share = np.where(np.arange(len(state.account))[:, None] == CONTACT_LOSS, 1.0, share)
     account = (state.account + share * (ahead.account - state.account)).astype(ahead.account.dtype)
     control = replace(state.control, began=(state.steps, state.time))
-    return renew_neighbours(
+    return _renew_neighbours(
         replace(
             ahead,
             time_step=step,
@@ -346,7 +346,7 @@ def change_step(state: State, ahead: State, step: Floats) -> State:
     )
 
 
-def renew_neighbours(state: State) -> State:
+def _renew_neighbours(state: State) -> State:
     """Return the same state with its pair list made anew."""
     displacement = state.motion.displacement[:, XY]
     assembly = renew_assembly(state.scene, state.assembly, displacement, state.skin)

@@ -150,9 +150,9 @@ def _squares_of_stiffest(
     # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
     most = factor * sum(_sum_over_disks(side.disk, side.trace, len(factor)) for side in springs)
     tops = np.unique(most.argmax(axis=0))
-    least = (factor[tops] * largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
+    least = (factor[tops] * _largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
     near = np.flatnonzero((1.000001 * most >= share * least).any(axis=1))
-    return near, np.asarray(factor[near] * largest_eigenvalue(_contact_matrices(springs, near, features)))
+    return near, np.asarray(factor[near] * _largest_eigenvalue(_contact_matrices(springs, near, features)))
 
 
 def squared_frequencies(
@@ -161,7 +161,7 @@ def squared_frequencies(
     """Each disk's part in the bound of `critical_time_step` on the highest frequency: (N, L) squares, rad^2/s^2."""
     springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
     matrices = _contact_matrices(springs, np.arange(scene.count), features)
-    return np.asarray(_inverse_masses(assembly) * largest_eigenvalue(matrices))
+    return np.asarray(_inverse_masses(assembly) * _largest_eigenvalue(matrices))
 
 
 def _inverse_masses(assembly: Assembly) -> Floats:
@@ -192,7 +192,7 @@ def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Fe
     return matrices
 
 
-def largest_eigenvalue(matrices: Floats) -> Floats:
+def _largest_eigenvalue(matrices: Floats) -> Floats:
     """Upper bound (...) of the eigenvalues of symmetric matrices (..., 3, 3) without negative ones, good to 1e-12.
 
     Jacobi's rotations in a fixed order, made of ``+ - * /`` and square roots alone, since LAPACK's last bits depend on

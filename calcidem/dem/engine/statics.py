@@ -1,11 +1,14 @@
 """The stiffness of a sample against shear, from its contacts alone: nothing moves in time."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import Delaunay
 
+from calcidem.dem.engine.assembly import is_among, pair_keys
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import overlaps
@@ -15,44 +18,57 @@ from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_AR
 _GROUND = 1e-9
 """Stiffness that holds each disk to the mean strain, over the median one of a contact: what hangs on nothing stays."""
 
+_CORNERS = 3
 
-def shear_modulus(state: State, edges: Sequence[Integers], lane: int = 0) -> float:
-    """Shear modulus of the rectangle between four rows of disks, Pa: that of shear waves much longer than a disk.
 
-    The rows follow a simple shear, ``u_y = gamma x``, but turn freely; the disks between them come to rest. With
-    ``E = 1/2 u K u`` of all contacts the modulus is ``2 E / (gamma^2 A)``. Contacts between two disks of one row lie on
-    the rim of the area A and have half of their stiffness. All stick, with the stiffness that they have in the state;
-    contacts with walls, which move along with the rows, do not count.
+class ShearedPart(NamedTuple):
+    """A part of a sheared sample.
+
+    Attributes
+    ----------
+    modulus
+        Mean shear stress over mean shear strain, Pa.
+    solid
+        Share of its area that disks fill.
+    """
+
+    modulus: float
+    solid: float
+
+
+def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
+    """Motion of all disks at rest in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
+
+    All contacts stick, with the stiffness that they have in the state. Contacts with walls do not count.
 
     Parameters
     ----------
     state
         With all its bonds intact.
-    edges
-        Indices in the scene of the disks of the left, right, lower and upper row; no row is empty.
+    held
+        (N,) disks that follow the shear, but turn freely. All others come to rest.
     lane
         Which sample.
 
     Raises
     ------
     ValueError
-        If a bond is broken, no disk touches another, or a row is empty.
+        If a bond is broken, no disk touches another, or no disk is held.
 
     Notes
     -----
-    Displacements prescribed all around make a finite sample slightly too stiff, the less so the larger it is (Huet
-    1990, doi:10.1016/0022-5096(90)90041-2). The factorization is SuperLU's, whose last bits depend on the processor.
+    The factorization is SuperLU's, whose last bits depend on the processor.
     """
-    pairs = state.assembly.pairs
+    pairs, order = state.assembly.pairs, state.assembly.order
     whole = bool(np.all((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0))
     require(whole, "state", "with broken bonds", "their contacts have no one stiffness")
-    strain_matrix, stiffness = contact_springs(state, lane)
+    require(bool(np.any(held)), "held", "no disk", "give disks that follow the shear")
+    strain_matrix, stiffness = _contact_springs(state, lane)
     require(bool(np.any(stiffness > 0.0)), "state", "without contacts", "give disks that touch")
-    affine, in_row, area = _mean_shear(state, edges)
-    on_rim = np.any(in_row[:, pairs.first] & in_row[:, pairs.second], axis=0)
-    stiffness = np.where(np.tile(on_rim, 3), 0.5, 1.0) * stiffness
-    free = np.column_stack([~in_row.any(axis=0)] * 2 + [np.ones(state.scene.count, dtype=bool)]).ravel()
-    matrix = strain_matrix.T @ sparse.diags_array(stiffness) @ strain_matrix
+    x, radius = np.asarray(state.scene.x)[order], state.assembly.grains.radius.astype(float)
+    motion = np.column_stack([np.zeros(len(x)), x, 0.5 * radius]).ravel()
+    free = np.column_stack([~held[order], ~held[order], np.ones(len(x), dtype=bool)]).ravel()
+    matrix = (strain_matrix.T @ sparse.diags_array(stiffness) @ strain_matrix).tocsr()
     ground = _GROUND * float(np.median(stiffness[stiffness > 0.0])) * sparse.eye_array(int(free.sum()))
     factors = splu(
         (matrix[free][:, free] + ground).tocsc(),
@@ -60,12 +76,79 @@ def shear_modulus(state: State, edges: Sequence[Integers], lane: int = 0) -> flo
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )
-    moved = affine.copy()
-    moved[free] -= factors.solve((matrix @ affine)[free])
-    return float(stiffness @ (strain_matrix @ moved) ** 2 / area)
+    motion[free] -= factors.solve((matrix @ motion)[free])
+    moved = motion.reshape(-1, 3)
+    return state.to_scene_order(np.column_stack([moved[:, :2], moved[:, 2] / radius]))
 
 
-def contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
+def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[ShearedPart]:
+    """Shear modulus and density of parts of a sheared sample.
+
+    A part is made of the triangles between neighbouring centres (Delaunay) that have all their corners in it. Its mean
+    strain is that of the triangles, by area. Its mean stress is ``sum(branch f) / area`` over its contacts (Love 1927);
+    a contact on the rim of the part belongs to it by half.
+
+    Parameters
+    ----------
+    state, motion, lane
+        See `sheared_motion`.
+    parts
+        (N,) disks of each part.
+
+    Raises
+    ------
+    ValueError
+        If a part has fewer than three neighbours.
+    """
+    order, pairs = state.assembly.order, state.assembly.pairs
+    centres = np.column_stack([state.scene.x, state.scene.y])
+    radius = np.asarray(state.scene.radius)
+    ends = order[np.column_stack([pairs.first, pairs.second])]
+    force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
+    moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
+    triangles, found = Delaunay(centres).simplices, []
+    for part in parts:
+        corners = triangles[part[triangles].all(axis=1)]
+        require(len(corners) > 0, "parts", int(part.sum()), "give three neighbouring disks and more to each")
+        sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
+        double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, below zero if clockwise
+        area = 0.5 * float(np.abs(double).sum())
+        # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
+        shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
+        strain = 0.5 * float((np.sign(double)[:, None] * shear).sum()) / area
+        stress = float((_belonging(corners, ends, len(centres)) * moments).sum()) / area
+        solid = 0.5 * float((radius[corners] ** 2 * _angles(sides)).sum()) / area
+        found.append(ShearedPart(stress / strain, solid))
+    return found
+
+
+def _angles(sides: Floats) -> Floats:
+    """(K, 3) angles at the corners of triangles, from the sides (K, 3, 2) opposite to them, rad."""
+    length = np.hypot(sides[:, :, 0], sides[:, :, 1])
+    one, other = np.roll(length, 1, axis=1), np.roll(length, -1, axis=1)
+    return np.asarray(np.arccos(np.clip((one**2 + other**2 - length**2) / (2.0 * one * other), -1.0, 1.0)))
+
+
+def _belonging(corners: Integers, pairs: Integers, count: int) -> Floats:
+    """(M,) share of each pair that belongs to some triangles: half for each triangle that it is a side of."""
+    sides = np.concatenate([corners[:, [k, (k + 1) % _CORNERS]] for k in range(_CORNERS)])
+    keys, times = np.unique(pair_keys(sides, count), return_counts=True)
+    wanted = pair_keys(pairs, count)
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(is_among(wanted, keys), 0.5 * times[place], 0.0)
+
+
+def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
+    """(M, 2) change of the force of each pair's first disk on its second, by a motion; tension positive."""
+    strain_matrix, stiffness = _contact_springs(state, lane)
+    scaled = np.column_stack([motion[:, :2], motion[:, 2] * np.asarray(state.scene.radius)])
+    change = (stiffness * (strain_matrix @ scaled[state.assembly.order].ravel())).reshape(3, -1)
+    normal = state.assembly.pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    return np.asarray(change[0][:, None] * normal + change[1][:, None] * tangent)
+
+
+def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
     """Approach, slide and roll of each pair from the motion of the disks, (3 M, 3 N), and stiffnesses (3 M,), N/m.
 
     A disk moves by x, y and radius times rotation, in memory order.
@@ -94,15 +177,3 @@ def contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
     places = np.tile(np.hstack(columns), (3, 1)).ravel()
     shape = (3 * count, 3 * len(radius))
     return sparse.csr_array((values, (rows, places)), shape=shape), np.concatenate([normal, shear, twist])
-
-
-def _mean_shear(state: State, edges: Sequence[Integers]) -> tuple[Floats, Flags, float]:
-    """Motion (3 N,) of the disks in a shear of one, which of them are in each row (4, N), and the area between, m^2."""
-    radius = state.assembly.grains.radius.astype(float)
-    x, y = np.asarray(state.scene.x), np.asarray(state.scene.y)
-    require(all(len(row) > 0 for row in edges), "edges", [len(row) for row in edges], "give disks to each row")
-    left, right, lower, upper = edges
-    area = float((x[right].mean() - x[left].mean()) * (y[upper].mean() - y[lower].mean()))
-    order = state.assembly.order
-    in_row = np.stack([np.isin(order, row) for row in edges])
-    return np.column_stack([np.zeros(len(radius)), x[order], 0.5 * radius]).ravel(), in_row, area

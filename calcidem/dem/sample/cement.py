@@ -257,7 +257,7 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
         raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size")
     p_area, c_area = _contact_areas(packing, rule)
     p_area = rule.p_share * p_area
-    points = contact_points(x, y, radius, pairs)
+    points = _contact_points(x, y, radius, pairs)
     percent = rule.content(1.0, sand_area)
     order = _draw_p(points, percent * p_area, box, rule, random_generator(root_seed, seed, RandomPurpose.P_CONTACTS))
     p_rank = np.empty_like(order)
@@ -307,7 +307,7 @@ def _contact_areas(packing: Packing, rule: CementRule) -> tuple[Floats, Floats]:
     return toroid_area(first, second, rule.p_diameter), toroid_area(first, second, rule.c_diameter)
 
 
-def contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Floats:
+def _contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Floats:
     """Return the (M, 2) middle of the overlap (or gap) of each pair, m."""
     position = np.column_stack([x, y])
     first, second = position[pairs[:, 0]], position[pairs[:, 1]]

@@ -27,8 +27,8 @@ from calcidem.dem.engine.step_control import UnstableRunError, step_limit
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 
-LEFT, RIGHT, FLOOR, LID = range(4)
 WALL_NAMES = ("left", "right", "floor", "lid")
+LID = WALL_NAMES.index("lid")
 PACKING_METHOD = 2
 """Raised when the same rule and generator make other packings; those of campaigns stay."""
 _DIAMETERS = "(smallest, largest) in m, both positive"
@@ -287,10 +287,10 @@ def make_packing(
         If it does not come to rest in ``rule.most_steps`` steps.
     """
     cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
-    radius = draw_radii(rule, generator)
+    radius = _draw_radii(rule, generator)
     slippery = replace(sand, friction=rule.friction_preparation)
     loose = _loosest_factor(rule, radius)
-    x, y = place_apart(rule, radius * loose, generator)
+    x, y = _place_apart(rule, radius * loose, generator)
     preload: Preload | None = None
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         cost.expansion_step += 1
@@ -309,7 +309,7 @@ def make_packing(
     return packing_at_rest(state, rule, cost)
 
 
-def draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
+def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
     """Radii whose disks fill the box to the porosity; all are scaled a little to make the area exact."""
     area = (1.0 - rule.porosity) * rule.width * rule.height
     low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
@@ -330,7 +330,7 @@ def _loosest_factor(rule: PackingRule, radius: Floats) -> float:
     return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
 
 
-def place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
+def _place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
     """Random positions in the box without overlaps, found by random sequential placement on a grid of cells."""
     cell = 2.0 * float(radius.max())
     columns, rows = int(rule.width / cell) + 1, int(rule.height / cell) + 1

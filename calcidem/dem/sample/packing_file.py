@@ -101,13 +101,13 @@ def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
     PackingFileError
         Naming the line.
     """
-    x, y, radius, lines = read_disks(file)
+    x, y, radius, lines = _read_disks(file)
     _check_walls(file, lines, x, y, radius, width)
     refuse_deep_overlaps(file, lines, x, y, radius)
     return x, y, radius
 
 
-def read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
+def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
     """Return x, y, radius (N,) and the line of each disk in the file.
 
     Raises

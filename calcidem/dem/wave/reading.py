@@ -12,7 +12,7 @@
 A candidate depends on no sample behind its horizon, so a record that is cut there gives the same bits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
@@ -60,10 +60,10 @@ LEAST_ERROR = 0.014
 P_LEFT = 0.75
 """Standard error over the shift that taking the P wave off makes."""
 
-BLUR = 0.17
+BLUR = 0.16
 """Standard error over the relative width of the peak at 0.9 of its amplitude."""
 
-NEAR_FIELD = 0.066
+NEAR_FIELD = 0.075
 """Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
 
 EDGE_SPEED = 1.5
@@ -164,7 +164,7 @@ class Reading:
         Relative standard error of these velocities, see `reading_error`.
     path, path_error
         Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
-        error; None where too few stations saw the crest.
+        error; None where too few stations saw the crest, or the error is above `PickRule.largest_error`.
     """
 
     verdict: Verdict | None
@@ -175,6 +175,55 @@ class Reading:
     error: float | None = None
     path: float | None = None
     path_error: float | None = None
+
+
+class ErrorParts(NamedTuple):
+    """Independent parts of the relative standard error of a reading, see `reading_error`.
+
+    Attributes
+    ----------
+    least
+        Of the clearest reading.
+    p_left
+        What is left of the P wave.
+    width
+        Broad peak, which may be two waves.
+    near_field
+        The wave is not plane near the transmitter.
+    """
+
+    least: float
+    p_left: float
+    width: float
+    near_field: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A peak of the receiver that may be the S wave's.
+
+    Attributes
+    ----------
+    index
+        Sample of the peak.
+    travel_time
+        From the transmitted peak to this one, s.
+    decided
+        Length of the record that decides whether it is the S wave, s.
+    coherence
+        Stack of the section along its line, up to there.
+    rival
+        Largest coherence of another peak up to there.
+    clean
+        (T, X) smoothed motion across without the P wave before the line, over v0.
+    """
+
+    index: int
+    travel_time: float
+    decided: float
+    coherence: float
+    rival: float
+    clean: Floats
 
 
 class _Prepared(NamedTuple):
@@ -278,9 +327,12 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
         section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
         for time in others
     )
-    velocity, scatter = section.distance / arrival.travel_time, arrival.path_scatter
-    path_error = None if scatter is None else float(np.sqrt(error * error + CREST * CREST * scatter * scatter))
-    return Reading(None, arrival, velocity, first, correlated, error, arrival.path_velocity, path_error)
+    reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
+    if arrival.path_scatter is None:
+        return reading
+    path_error = float(np.sqrt(error * error + (CREST * arrival.path_scatter) ** 2))
+    known = path_error <= rule.largest_error
+    return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
@@ -339,21 +391,13 @@ def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:
 
 def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdict | None:
     """Judge a peak of the receiver: None if it is not the S wave's."""
-    early = _without_p(prepared, prepared.peak + (index - prepared.peak) * prepared.parts)
-    time = index + parabola_vertex(early[:, -1], index)
+    early, time = _line_to(prepared, index)
     travel = time - prepared.peak
-    horizon = int(prepared.peak + max(P_TO_S * travel, travel + prepared.period)) + 1
+    horizon = _horizon(prepared, travel)
     if horizon > len(early):
         return Verdict.TOO_SHORT
     clean = early[:horizon]
-    largest = np.maximum(clean.max(axis=0), SILENCE * RESOLUTION)
-    rivals = []
-    for other in find_tops(clean[:, -1]).tolist():
-        if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
-            apart = other + parabola_vertex(clean[:, -1], other) - prepared.peak
-            rivals.append(_coherence(prepared, clean, largest, apart))
-    coherence = _coherence(prepared, clean, largest, travel)
-    rival = max(rivals, default=0.0)
+    coherence, rival = _coherences(prepared, clean, index, travel)
     if coherence < LEAST_COHERENCE or rival > coherence:
         return None
     whole = prepared.across[:horizon, -1]
@@ -374,6 +418,63 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdi
         index=index,
         clean=clean,
     )
+
+
+def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]:
+    """Peaks of the receiver that may be the S wave's, in order, as `find_arrival` judges them.
+
+    A record that is too short to decide is judged as far as it goes.
+    """
+    prepared = prepare(section, smoothing)
+    found = []
+    for index in _receiver_peaks(prepared):
+        clean, time = _line_to(prepared, index)
+        travel = time - prepared.peak
+        horizon = _horizon(prepared, travel)
+        coherence, rival = _coherences(prepared, clean[:horizon], index, travel)
+        decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
+        found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
+    return tuple(found)
+
+
+def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) -> Floats:
+    """Stack of a section along the lines of waves of these velocities, m/s: the coherence that peaks there would have.
+
+    A wave that comes after the end of the record has none (NaN).
+    """
+    prepared = prepare(section, smoothing)
+    stack = np.full(len(velocities), np.nan)
+    for place, travel in enumerate((section.distance / velocities / section.sampling_interval).tolist()):
+        if prepared.peak + travel <= len(prepared.across) - 1:
+            clean = _without_p(prepared, prepared.peak + travel * prepared.parts)[: _horizon(prepared, travel)]
+            stack[place] = _coherence(prepared, clean, _largest(clean), travel)
+    return stack
+
+
+def _line_to(prepared: _Prepared, index: int) -> tuple[Floats, float]:
+    """Motion across (T, X) without the P waves before the line to a peak of the receiver, and its time, samples."""
+    clean = _without_p(prepared, prepared.peak + (index - prepared.peak) * prepared.parts)
+    return clean, index + parabola_vertex(clean[:, -1], index)
+
+
+def _horizon(prepared: _Prepared, travel: float) -> int:
+    """Samples that decide whether a peak after this travel is the S wave: later a slower one would have come."""
+    return int(prepared.peak + max(P_TO_S * travel, travel + prepared.period)) + 1
+
+
+def _largest(clean: Floats) -> Floats:
+    """(X,) largest value of each station."""
+    return np.asarray(np.maximum(clean.max(axis=0), SILENCE * RESOLUTION))
+
+
+def _coherences(prepared: _Prepared, clean: Floats, index: int, travel: float) -> tuple[float, float]:
+    """Coherence of a peak of the receiver, and the largest one of all others."""
+    largest, rivals = _largest(clean), []
+    for other in find_tops(clean[:, -1]).tolist():
+        if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
+            apart = other + parabola_vertex(clean[:, -1], other) - prepared.peak
+            rivals.append(_coherence(prepared, clean, largest, apart))
+    return _coherence(prepared, clean, largest, travel), max(rivals, default=0.0)
 
 
 def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: float) -> float:
@@ -421,12 +522,16 @@ def reading_error(section: Section, arrival: Arrival) -> float:
     Geotechnique 53:337), unless the transmitter is so high that the P waves from its edges come half a period after the
     S wave. The factors were fitted to sections with a known delay (docs/reading.md).
     """
+    return float(np.sqrt(sum(part * part for part in error_parts(section, arrival))))
+
+
+def error_parts(section: Section, arrival: Arrival) -> ErrorParts:
+    """Return the parts of `reading_error`."""
     periods = arrival.travel_time * section.frequency
     edge = section.aperture / section.distance * periods
     later = max(0.0, float(np.sqrt(periods * periods + edge * edge)) / EDGE_SPEED - periods)
     near = NEAR_FIELD / (periods * float(np.sqrt(periods))) * max(0.0, 1.0 - 2.0 * later)
-    shifted, blurred = P_LEFT * arrival.shifted, BLUR * arrival.width
-    return float(np.sqrt(LEAST_ERROR * LEAST_ERROR + shifted * shifted + blurred * blurred + near * near))
+    return ErrorParts(LEAST_ERROR, P_LEFT * arrival.shifted, BLUR * arrival.width, near)
 
 
 def _first_arrival(section: Section, arrival: Arrival) -> float | None:

@@ -1,18 +1,41 @@
 """Speed of long shear waves in a cemented sample, from its static stiffness: what a velocity can be compared with."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from calcidem.dem.engine.scene import Bonds
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import shear_modulus
+from calcidem.dem.engine.statics import sheared_motion, sheared_parts
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 
+LARGEST_STATIC_ERROR = 0.1
+"""Relative uncertainty above which no static speed is stored."""
 
-def static_speed(experiment: Experiment, bonded: Flags) -> float:
-    """Speed sqrt(G / rho) of shear waves much longer than a disk, m/s.
+_MARGINS = (0.15, 0.2, 0.25)
+"""Rims that are left out, over the smaller side of the box; what is held there stiffens a rim of about 0.1 of it."""
+
+
+class StaticSpeed(NamedTuple):
+    """Speed of long shear waves.
+
+    Attributes
+    ----------
+    speed
+        m/s.
+    error
+        Its relative uncertainty: how far it depends on what holds the sample, and on where its inner part ends.
+    """
+
+    speed: float
+    error: float
+
+
+def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
+    """Speed sqrt(G / rho) of shear waves much longer than a disk, in the inner part of a sample.
 
     Parameters
     ----------
@@ -24,14 +47,20 @@ def static_speed(experiment: Experiment, bonded: Flags) -> float:
     Raises
     ------
     ValueError
-        See `calcidem.dem.engine.statics.shear_modulus`, which gives G between the disks that touch the walls.
+        If the sample has no stiffness (`calcidem.dem.engine.statics.sheared_motion`), or no inner part.
     SettlingError
         If new bonds change the forces of the sample and it does not come to rest.
 
     Notes
     -----
-    rho is the density of the grains times the share of the area that they fill. The wave itself is slower: local
-    damping takes a part of each force that moves a disk. docs/velocity.md compares the two.
+    G is mean stress over mean strain of the inner part. The sample is sheared twice: all disks at the walls follow the
+    shear, or those at the side walls alone while floor and lid are free. The speed is the geometric mean of both.
+    Displacements prescribed all around are an upper bound for the whole box (Huet 1990,
+    doi:10.1016/0022-5096(90)90041-2), far off where stiff patches reach its walls. They hardly affect the inner part.
+
+    The error has two independent parts: half the difference of both shears, and half the range over three sizes of the
+    inner part. rho is the density of the grains times the share of the inner part that they fill. The wave itself is
+    slower: local damping takes a part of each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
     rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
@@ -40,7 +69,17 @@ def static_speed(experiment: Experiment, bonded: Flags) -> float:
     state = start(scene, regime="linear" if keeps_forces else rule.regime, preload=packing.preload)
     if np.any(bonded) and not keeps_forces:
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps)
-    x, y, radius = packing.x, packing.y, packing.radius
-    distances = (x, packing.width - x, y, packing.height - y)
-    modulus = shear_modulus(state, [np.flatnonzero(distance < radius) for distance in distances])
-    return float(np.sqrt(modulus / (sand.density * (1.0 - packing.report.porosity))))
+    x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
+    from_sides, from_ends = np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)
+    sides, rim = from_sides < radius, np.minimum(from_sides, from_ends) < radius
+    from_rim = np.minimum(from_sides, from_ends) / min(packing.width, packing.height)
+    speeds = np.empty((2, len(_MARGINS)))
+    for row, held in enumerate((rim, sides)):
+        found = sheared_parts(state, sheared_motion(state, held), [from_rim > margin for margin in _MARGINS])
+        speeds[row] = [np.sqrt(max(0.0, part.modulus) / (sand.density * part.solid)) for part in found]
+    clamped, free = speeds[:, len(_MARGINS) // 2]
+    speed = float(np.sqrt(clamped * free))
+    if not speed > 0.0:
+        raise ValueError("bonded: the inner part of the sample carries no shear: give more cement, or a denser packing")
+    spread = np.hypot(0.5 * abs(clamped - free), 0.5 * np.ptp(speeds.mean(axis=0)))
+    return StaticSpeed(speed, float(spread / speed))

@@ -12,8 +12,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CampaignRecord, CellKey, CellStatus, RunRecord
-from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, Quantity
+from calcidem.storage.records import (
+    NOT_PLANNED,
+    QUANTITY_BY_NAME,
+    STATUS_CODES,
+    CampaignRecord,
+    CellKey,
+    CellStatus,
+    Quantity,
+    RunRecord,
+)
 from calcidem.storage.store import Store
 
 LAYOUT = 1
@@ -30,7 +38,7 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
     store : Store
         With a campaign chosen.
     names : sequence of str
-        From `calcidem.storage.sql.quantities.QUANTITIES`, neither seed nor content.
+        From `calcidem.storage.records.QUANTITY_BY_NAME`, neither seed nor content.
 
     Returns
     -------

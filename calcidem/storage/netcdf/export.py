@@ -14,10 +14,9 @@ import xarray as xr
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.dataset import campaign_dataset
-from calcidem.storage.netcdf.groups import SAMPLE_GROUPS, append_attempts, append_packing, append_samples
+from calcidem.storage.netcdf.groups import append_arrays, append_attempts, append_packing
 from calcidem.storage.netcdf.trial import refuse_unreadable
-from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
-from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, CampaignRecord, CellKey, CellStatus
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.store import Store
 
@@ -33,7 +32,7 @@ def export_netcdf(
     """Write everything the store has about a campaign into one compressed NetCDF-4 file.
 
     The root group is the Dataset of `campaign_dataset`, which plain ``xarray.open_dataset`` opens; the
-    groups ``packings``, ``attempts``, ``paths``, ``signals`` and ``cement`` hold the rest. An existing file
+    groups ``packings`` and ``attempts`` and those of `ARRAY_RECORDS` hold the rest. An existing file
     is replaced in one step when the new one is complete and on disk; until then, and after any error, it
     stays as it was.
 
@@ -44,7 +43,7 @@ def export_netcdf(
     campaign : CampaignRecord
     path : str or path
     without : collection of str
-        Groups of arrays to leave out, of ``paths``, ``signals`` and ``cement``: with them a cell takes about 50 kB,
+        Groups of arrays to leave out, of `ARRAY_RECORDS`: with them a cell takes about 50 kB,
         without them 1 kB.
 
     Returns
@@ -61,10 +60,10 @@ def export_netcdf(
     DiskError
         If the file can't be written.
     """
-    unknown = sorted(set(without) - set(SAMPLE_GROUPS))
+    unknown = sorted(set(without) - set(ARRAY_RECORDS))
     if unknown:
-        raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(SAMPLE_GROUPS)}")
-    wanted = [group for group in SAMPLE_GROUPS if group not in without]
+        raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(ARRAY_RECORDS)}")
+    wanted = [group for group in ARRAY_RECORDS if group not in without]
     with _replace_netcdf(path, campaign.hash) as temporary:
         damaged: dict[CellKey, str] = {}
         with netCDF4.Dataset(temporary, "w") as file:
@@ -74,7 +73,7 @@ def export_netcdf(
             for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
                 append_attempts(file, attempts)
             for results in chunks(store.results(with_arrays=bool(wanted)), _CELLS_COPIED_AT_ONCE):
-                append_samples(file, results, wanted)
+                append_arrays(file, results, wanted)
                 damaged |= {found.key: found.reason for found in results if found.status is CellStatus.DAMAGED}
         # Once everything is read, so that the root has the flag of a cell whose arrays alone are damaged.
         dataset = campaign_dataset(store, campaign, damaged=damaged)
@@ -124,7 +123,7 @@ def _encoding(dataset: xr.Dataset) -> dict[str, Mapping[str, Any]]:
     compressed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
     checked = {"_FillValue": None, "fletcher32": True}
     encoding: dict[str, Mapping[str, Any]] = dict.fromkeys(("seed", "content"), checked)
-    for quantity in QUANTITIES:
+    for quantity in QUANTITY_BY_NAME.values():
         if quantity.name in encoding:
             continue
         if quantity.name == "status":

@@ -1,4 +1,4 @@
-"""Groups of an exported file: attempts and packings, and the paths, signals and cement patterns of single cells.
+"""Groups of an exported file: attempts and packings, and the arrays of single cells.
 
 Columns are appended block by block to keep memory small. Arrays of different lengths lie one after the other along a
 dimension, and a count for each of them tells how many elements are whose (the contiguous ragged arrays of the CF
@@ -6,16 +6,16 @@ conventions, section 9.3.3).
 """
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records import AttemptRecord, CellKey, CellResult, CementPattern, PackingRecord, Signal
-
-T = TypeVar("T")
+from calcidem.storage.records import ARRAY_RECORDS, AttemptRecord, CellKey, CellResult, PackingRecord
+from calcidem.storage.records.quantity import array_fields, quantities_of
 
 Group = Any
 """A netCDF4.Dataset or netCDF4.Group; that library has no types."""
@@ -27,9 +27,6 @@ _COUNT = "_count"
 
 _COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
 _CHUNK = 8192  # elements, about two cells' contacts; the library's own are so small that each costs more than its bytes
-
-SAMPLE_GROUPS = ("paths", "signals", "cement")
-"""Groups of arrays of single cells, which make up nearly all of a file."""
 
 _CELLS_READ_AT_ONCE = 500
 """Cells whose arrays are in memory at a time."""
@@ -63,8 +60,11 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
     for name, (unit, long_name, values) in columns.items():
         if name not in group.variables:
             is_text = values.dtype.kind == "O"
-            options = {} if is_text else _COMPRESSED | {"chunksizes": (min(max(1, len(values)), _CHUNK),)}
-            variable = group.createVariable(name, str if is_text else values.dtype, (dimension,), **options)
+            options = (
+                {} if is_text else _COMPRESSED | {"chunksizes": (min(max(1, len(values)), _CHUNK), *values.shape[1:])}
+            )
+            further = [_fixed_dimension(group, length) for length in values.shape[1:]]
+            variable = group.createVariable(name, str if is_text else values.dtype, (dimension, *further), **options)
             variable.long_name = long_name
             if unit:
                 variable.units = unit
@@ -73,12 +73,20 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
         group.variables[name][start : start + len(values)] = values
 
 
+def _fixed_dimension(group: Group, length: int) -> str:
+    """Name of a dimension of this length, for arrays with several numbers for each element."""
+    name = f"of_{length}"
+    if name not in group.dimensions:
+        group.createDimension(name, length)
+    return name
+
+
 def _read_columns(group: Group, dimension: str, rows: slice = slice(None)) -> dict[str, NDArray[Any]]:
     """Read all columns along a dimension, or some of their rows."""
     return {
         name: np.asarray(variable[rows])
         for name, variable in group.variables.items()
-        if variable.dimensions == (dimension,)
+        if variable.dimensions[0] == dimension
     }
 
 
@@ -208,139 +216,73 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
         )
 
 
-def append_samples(file: Group, results: Sequence[CellResult], groups: Collection[str] = SAMPLE_GROUPS) -> None:
-    """Append the paths, signals and cement patterns of some cells, those that have them and whose group is wanted."""
-    if "paths" in groups:
-        _append_paths(file, [(r.key, r.features.path) for r in results if r.features is not None])
-    if "signals" in groups:
-        _append_signals(file, [(r.key, r.signal) for r in results if r.signal is not None])
-    if "cement" in groups:
-        _append_cement(file, [(r.key, r.cement) for r in results if r.cement is not None])
+def append_arrays(file: Group, results: Sequence[CellResult], groups: Collection[str]) -> None:
+    """Append the arrays of some cells, those that have them and whose group is wanted."""
+    for name in groups:
+        found = [(result.key, getattr(result, name)) for result in results if getattr(result, name) is not None]
+        if found:
+            _append_records(file.createGroup(name), ARRAY_RECORDS[name], found)
 
 
-def _append_paths(file: Group, paths: Sequence[tuple[CellKey, tuple[int, ...]]]) -> None:
-    if not paths:
-        return
-    group = file.createGroup("paths")
-    _append_columns(group, "cell", _key_columns(paths) | _count_column("grain", [len(path) for _, path in paths]))
-    grains = np.concatenate([np.array(path, dtype=np.int32) for _, path in paths])
-    _append_columns(group, "grain", {"grain": ("1", "index of a grain along the preferential path", grains)})
-
-
-def _append_signals(file: Group, signals: Sequence[tuple[CellKey, Signal]]) -> None:
-    if not signals:
-        return
-    group = file.createGroup("signals")
-    times = {
-        "sampling_interval": ("s", "time between two samples"),
-        "start_time": ("s", "time of the first sample after the pulse began"),
+def _append_records(group: Group, kind: type[Any], records: Sequence[tuple[CellKey, Any]]) -> None:
+    """Append records with arrays: their numbers along ``cell``, their arrays along the dimensions of these."""
+    columns: dict[str, _Column] = {
+        "seed": ("1", "seed of the cell", np.array([key.seed for key, _ in records], dtype=np.int64)),
+        "content": ("percent", "calcite content of the cell", np.array([key.content for key, _ in records])),
     }
-    columns = _key_columns(signals) | _count_column("sample", [signal.sent_velocity.size for _, signal in signals])
     columns |= {
-        name: (unit, meaning, np.array([getattr(signal, name) for _, signal in signals]))
-        for name, (unit, meaning) in times.items()
+        quantity.name: (quantity.unit, quantity.meaning, np.array([getattr(r, quantity.name) for _, r in records]))
+        for quantity in quantities_of(kind)
     }
+    of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
+    for name, along in array_fields(kind).items():
+        arrays = [getattr(record, name) for _, record in records]
+        counts = np.array([len(array) for array in arrays], dtype=np.int64)
+        columns[f"{along.dimension}{_COUNT}"] = ("1", f"number of elements of {along.dimension}", counts)
+        of_dimensions[along.dimension][name] = (along.unit, along.meaning, np.concatenate(arrays))
     _append_columns(group, "cell", columns)
-    series = {
-        "sent_velocity": ("m s-1", "velocity of the transmitter"),
-        "received_force": ("N m-1", "shear force on the receiver for a metre of thickness"),
-        "received_velocity": ("m s-1", "mean velocity of the grains at the receiver"),
-    }
-    samples = {
-        name: (unit, meaning, np.concatenate([getattr(signal, name) for _, signal in signals]))
-        for name, (unit, meaning) in series.items()
-    }
-    _append_columns(group, "sample", samples)
+    for dimension, of_elements in of_dimensions.items():
+        _append_columns(group, dimension, of_elements)
 
 
-def _append_cement(file: Group, patterns: Sequence[tuple[CellKey, CementPattern]]) -> None:
-    if not patterns:
-        return
-    group = file.createGroup("cement")
-    columns = _key_columns(patterns) | _count_column("contact", [len(pattern.contacts) for _, pattern in patterns])
-    _append_columns(
-        group, "cell", columns | _count_column("cluster", [len(pattern.cluster_centres) for _, pattern in patterns])
-    )
-    contacts = np.concatenate([pattern.contacts for _, pattern in patterns])
-    kinds = np.concatenate([pattern.kind for _, pattern in patterns])
-    of_contacts = {
-        "first": ("1", "index of one grain of a bonded contact", contacts[:, 0]),
-        "second": ("1", "index of the other grain", contacts[:, 1]),
-        "kind": ("1", "1 for a P contact, 2 for one in a C cluster", kinds),
-    }
-    _append_columns(group, "contact", of_contacts)
-    centres = np.concatenate([pattern.cluster_centres for _, pattern in patterns])
-    of_clusters = {
-        "x": ("m", "horizontal position of the centre of a C cluster", centres[:, 0]),
-        "y": ("m", "vertical position of the centre of a C cluster", centres[:, 1]),
-    }
-    _append_columns(group, "cluster", of_clusters)
+class CellArrays:
+    """Random access to the arrays of one group of a file by cell."""
 
-
-def _key_columns(items: Sequence[tuple[CellKey, Any]]) -> dict[str, _Column]:
-    return {
-        "seed": ("1", "seed of the cell", np.array([key.seed for key, _ in items], dtype=np.int64)),
-        "content": ("percent", "calcite content of the cell", np.array([key.content for key, _ in items])),
-    }
-
-
-def _count_column(dimension: str, counts: list[int]) -> dict[str, _Column]:
-    return {f"{dimension}_count": ("1", f"number of elements of {dimension}", np.array(counts, dtype=np.int64))}
-
-
-class CellArrays(Generic[T]):
-    """Random access to the arrays of one group by cell.
-
-    Attributes
-    ----------
-    cells : dict of str to (n,) array
-        Columns with one value for each of the cells that have arrays; empty if the file has no such group.
-    """
-
-    def __init__(
-        self,
-        file: Group,
-        name: str,
-        dimensions: tuple[str, ...],
-        build: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T],
-    ) -> None:
+    def __init__(self, file: Group, name: str) -> None:
         """Look up the cells of a group.
 
         Parameters
         ----------
         file : netCDF4.Dataset
         name : str
-            Name of the group; a file without it has no such arrays.
-        dimensions : tuple of str
-            Its ragged dimensions.
-        build : callable
-            Makes the record from the cell's own columns and those of each dimension.
+            Of `ARRAY_RECORDS`; a file without that group has no such arrays.
         """
         self._group = file.groups.get(name)
-        self._build = build
+        self._kind = ARRAY_RECORDS[name]
         self._ends: dict[str, NDArray[np.int64]] = {}
         self._row: dict[tuple[int, float], int] = {}
         self._block = range(0)
-        self.cells: dict[str, NDArray[Any]] = {}
+        self._cells: dict[str, NDArray[Any]] = {}
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
-            self.cells = _read_columns(self._group, "cell")
-            self._ends = {name: np.concatenate(([0], np.cumsum(self.cells[f"{name}_count"]))) for name in dimensions}
-            keys = zip(self.cells["seed"].tolist(), self.cells["content"].tolist(), strict=True)
+            self._cells = _read_columns(self._group, "cell")
+            dimensions = {along.dimension for along in array_fields(self._kind).values()}
+            self._ends = {d: np.concatenate(([0], np.cumsum(self._cells[f"{d}{_COUNT}"]))) for d in dimensions}
+            keys = zip(self._cells["seed"].tolist(), self._cells["content"].tolist(), strict=True)
             self._row = {key: row for row, key in enumerate(keys)}
 
-    def get(self, key: CellKey) -> T | None:
+    def get(self, key: CellKey) -> Any:  # noqa: ANN401 - an object of the group's class
         """Return the record of a cell, None if it has none."""
         row = self._row.get((key.seed, key.content))
         if row is None:
             return None
         if row not in self._block:
             self._read_block(row)
-        arrays: dict[str, NDArray[Any]] = {}
+        values: dict[str, Any] = {q.name: self._cells[q.name][row].item() for q in quantities_of(self._kind)}
         for dimension, ends in self._ends.items():
             first, end = ends[[row, row + 1]] - ends[self._block.start]
-            arrays |= {name: values[first:end] for name, values in self._arrays[dimension].items()}
-        return self._build({name: column[row] for name, column in self.cells.items()}, arrays)
+            values |= {name: array[first:end] for name, array in self._arrays[dimension].items()}
+        return self._kind(**values)
 
     def _read_block(self, row: int) -> None:
         """Read a cell together with those after it, since a file is mostly read in its order."""
@@ -349,27 +291,3 @@ class CellArrays(Generic[T]):
             dimension: _read_columns(self._group, dimension, slice(ends[row], ends[self._block.stop]))
             for dimension, ends in self._ends.items()
         }
-
-
-def open_paths(file: Group) -> CellArrays[tuple[int, ...]]:
-    """Access the paths of a file."""
-    return CellArrays(file, "paths", ("grain",), lambda _, arrays: tuple(arrays["grain"].tolist()))
-
-
-def open_signals(file: Group) -> CellArrays[Signal]:
-    """Access the signals of a file."""
-
-    def build(cell: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Signal:
-        return Signal(float(cell["sampling_interval"]), float(cell["start_time"]), **arrays)
-
-    return CellArrays(file, "signals", ("sample",), build)
-
-
-def open_cement(file: Group) -> CellArrays[CementPattern]:
-    """Access the cement patterns of a file."""
-
-    def build(_: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> CementPattern:
-        contacts = np.column_stack((arrays["first"], arrays["second"]))
-        return CementPattern(contacts, arrays["kind"], np.column_stack((arrays["x"], arrays["y"])))
-
-    return CellArrays(file, "cement", ("contact", "cluster"), build)

@@ -3,11 +3,11 @@
 import json
 import os
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import netCDF4
 import numpy as np
@@ -21,10 +21,12 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.netcdf.dataset import LAYOUT
-from calcidem.storage.netcdf.groups import Group, open_cement, open_paths, open_signals, read_attempts, read_packings
+from calcidem.storage.netcdf.groups import CellArrays, Group, read_attempts, read_packings
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
+    ARRAY_RECORDS,
     NOT_PLANNED,
+    QUANTITY_BY_NAME,
     STATUS_CODES,
     CampaignRecord,
     CellKey,
@@ -37,13 +39,13 @@ from calcidem.storage.records import (
     WorkerRecord,
 )
 from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.sql.quantities import GRAPH_PREFIX, PATH_PREFIX, QUANTITY_BY_NAME
+from calcidem.storage.records.quantity import quantities_of
 from calcidem.storage.store import Store
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
-_PATH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(PATH_PREFIX))
-_GRAPH_NAMES = tuple(name for name in _VALUE_NAMES if name.startswith(GRAPH_PREFIX))
+_OWN_QUANTITIES = tuple(quantity for quantity in quantities_of(CellResult) if quantity.name != "status")
+_P = TypeVar("_P", PathFeatures, GraphSummary)
 _STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
 _WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED))
 _CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
@@ -183,7 +185,7 @@ def _run_from_json(values: dict[str, Any]) -> RunRecord:
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
-    paths, signals, cement = open_paths(file), open_signals(file), open_cement(file)
+    arrays = {name: CellArrays(file, name) for name in ARRAY_RECORDS}
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
@@ -197,20 +199,20 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
             key = CellKey(seeds[start + i], contents[j])
             values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)
             values |= {name: column[i, j] for name, column in columns.items()}
-            of_path = {name.removeprefix(PATH_PREFIX): values.pop(name) for name in _PATH_NAMES}
-            of_graph = {name.removeprefix(GRAPH_PREFIX): values.pop(name) for name in _GRAPH_NAMES}
-            features = None
-            if of_path["contacts"] is not None:
-                features = PathFeatures(**of_path, path=paths.get(key) or ())
             yield CellResult(
                 key,
                 CellStatus(_STATUS_NAMES[int(status[start + i, j])]),
-                features=features,
-                graph=GraphSummary(**of_graph) if of_graph["contacts"] is not None else None,
-                signal=signals.get(key),
-                cement=cement.get(key),
-                **values,
+                features=_part(PathFeatures, values),
+                graph=_part(GraphSummary, values),
+                **{name: of_cells.get(key) for name, of_cells in arrays.items()},
+                **{quantity.name: values[quantity.name] for quantity in _OWN_QUANTITIES},
             )
+
+
+def _part(kind: type[_P], values: Mapping[str, Any]) -> _P | None:
+    """Quantities that a cell has or lacks as a whole; the first of them is never missing alone."""
+    names = [quantity.name for quantity in quantities_of(kind)]
+    return None if values[names[0]] is None else kind(**{name: values[name] for name in names})
 
 
 def _python_values(name: str, values: NDArray[Any]) -> NDArray[np.object_]:

@@ -15,13 +15,13 @@ import netCDF4
 _BLOCK = 1 << 20
 """Elements that are read at a time."""
 
-_ERRORS_OF_DAMAGE = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
+_ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
 
-def _main(path: str, seconds: float, amount: str) -> None:
+def _read_file(path: str, seconds: float, amount: str) -> None:
     """Open the file and read it; a thread of Python's own, which needs no lock, ends the process if that hangs."""
     faulthandler.dump_traceback_later(seconds, exit=True)
-    with suppress(*_ERRORS_OF_DAMAGE), netCDF4.Dataset(path, "r") as file:
+    with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)
         if amount == "all":
             _read(file, seconds)
@@ -30,7 +30,7 @@ def _main(path: str, seconds: float, amount: str) -> None:
 def _read(group: Any, seconds: float) -> None:  # noqa: ANN401 - the library has no types
     """Read all variables of a group and of those in it."""
     for variable in group.variables.values():
-        with suppress(*_ERRORS_OF_DAMAGE):
+        with suppress(*_ERRORS_OF_READING):
             rows = max(_BLOCK // (math.prod(variable.shape[1:]) or 1), 1)
             for start in range(0, variable.shape[0] if variable.shape else 1, rows):
                 faulthandler.dump_traceback_later(seconds, exit=True)
@@ -40,4 +40,4 @@ def _read(group: Any, seconds: float) -> None:  # noqa: ANN401 - the library has
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1], float(sys.argv[2]), sys.argv[3])
+    _read_file(sys.argv[1], float(sys.argv[2]), sys.argv[3])

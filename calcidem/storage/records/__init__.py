@@ -6,8 +6,11 @@ NaN; what happened to a cell is its `CellStatus`.
 
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord, WorkerRecord
 from calcidem.storage.records.cell import (
+    ARRAY_RECORDS,
+    EXACT_QUANTITIES,
     LARGEST_SEED,
     NOT_PLANNED,
+    QUANTITY_BY_NAME,
     STATUS_CODES,
     STORED_STATUSES,
     AttemptCount,
@@ -19,13 +22,25 @@ from calcidem.storage.records.cell import (
     canonical_content,
     checked_seed,
 )
-from calcidem.storage.records.sample import C_CONTACT, P_CONTACT, CementPattern, GraphSummary, PathFeatures, Signal
+from calcidem.storage.records.quantity import Quantity
+from calcidem.storage.records.sample import (
+    C_CONTACT,
+    P_CONTACT,
+    CementPattern,
+    GrainPath,
+    GraphSummary,
+    PathFeatures,
+    RecordedSection,
+)
 
 __all__ = [
+    "ARRAY_RECORDS",
     "C_CONTACT",
+    "EXACT_QUANTITIES",
     "LARGEST_SEED",
     "NOT_PLANNED",
     "P_CONTACT",
+    "QUANTITY_BY_NAME",
     "STATUS_CODES",
     "STORED_STATUSES",
     "AttemptCount",
@@ -35,12 +50,14 @@ __all__ = [
     "CellResult",
     "CellStatus",
     "CementPattern",
+    "GrainPath",
     "GraphSummary",
     "PackedResult",
     "PackingRecord",
     "PathFeatures",
+    "Quantity",
+    "RecordedSection",
     "RunRecord",
-    "Signal",
     "WorkerRecord",
     "canonical_content",
     "checked_seed",

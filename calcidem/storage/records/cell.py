@@ -5,14 +5,16 @@ A missing number is None in a record and NULL in the database, never NaN; what h
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records.arrays import normalize_numbers
-from calcidem.storage.records.sample import CementPattern, GraphSummary, PathFeatures, Signal
+from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
+from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _CONTENT_DECIMALS = 9
 
@@ -94,8 +96,8 @@ class CellKey:
         Calcite content [% of sand mass]; stored as `canonical_content` of what is given.
     """
 
-    seed: int
-    content: float
+    seed: Annotated[int, Quantity("1", "seed of the random cement pattern")]
+    content: Annotated[float, Quantity("percent", "calcite content by mass of sand")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
@@ -107,6 +109,9 @@ class CellKey:
 class CellResult:
     """Outcome of one cell with the numbers that say how far it can be trusted.
 
+    The annotations of its fields are the catalogue of quantities: unit, meaning, origin and bounds of each. More than
+    these say:
+
     Attributes
     ----------
     key : CellKey
@@ -116,91 +121,135 @@ class CellResult:
     reason : str
         Sentence that says why the status is not `done`; empty only for `done`.
     vs : float or None
-        Shear-wave velocity [m/s] by the campaign's method: a positive number if and only if `done`.
-    vs_peak, vs_first_arrival, vs_cross_correlation : float or None
-        Velocity by each method [m/s]; None where that pick failed.
-    quality_peak, quality_first_arrival, quality_cross_correlation : float or None
-        Quality figure of each pick.
-    frequency : float or None
-        Frequency of the pulse [Hz].
-    distance : float or None
-        From the transmitter to what is listened to [m]: the way of the travel times.
-    wavelengths_on_path, wavelength_over_d50 : float or None
-        That distance over the wavelength vs / frequency, and the wavelength over the median diameter by mass: with
-        fewer than two wavelengths on the path, near field and shear wave arrive together (section 3.1.3).
-    time_step, stability_limit : float or None
-        Step and the limit it was taken from [s].
-    steps : int or None
-        Steps made.
+        By the campaign's method; there if and only if `done`.
+    distance, wavelengths_on_path : float or None
+        From the transmitter to the receiver, and this over the wavelength vs / frequency. With fewer than two
+        wavelengths on the path, near field and shear wave arrive together (section 3.1.3).
     expected_error, error_bound : float or None
-        Numerical error that `vs` is expected to have, and one that it hardly exceeds, both relative.
-    static_speed : float or None
-        Velocity of long shear waves [m/s] from the static stiffness of the sample, where it was asked for.
-    content_reached : float or None
-        Content the whole contacts and clusters add up to [%]; where clusters overlap each counts in full.
-    content_of_contacts : float or None
-        Content by Eq. 2 over the cemented contacts, each counted once [%].
-    p_contacts, c_contacts, clusters, bonded_contacts : int or None
-        P contacts, contacts in C clusters, C clusters, and all bonded contacts.
-    broken_bonds : int or None
-        Bonds that broke while the wave was recorded; None where it is not known.
+        Numerical error that `vs` is expected to have, and one that it hardly exceeds.
     retry : str or None
-        Problem for which the sample was sent a second time, with half the step; None if the first time was good.
-    seconds : float or None
-        Computing time of this cell [s].
-    rank, host : int or None, str or None
-        Where it was computed.
+        Problem for which the sample was computed a second time; None if the first time was good.
     attempt : int
         Number of the attempt, counted from 1 over all runs: part of the outcome's identity (see `Store`).
-    packing_index : int
-        Which of the campaign's packings.
-    features, graph, signal, cement
-        Path features, summary of the contact graph, signals and cement pattern where they were kept, and where the
-        query asked for them.
+    features, graph
+        Path features and summary of the contact graph, where there are any.
+    path, section, cement
+        Arrays, where they were kept, and where the query asked for them (`ARRAY_RECORDS`).
 
     Raises
     ------
     ValueError
-        If status and numbers disagree, or a number is NaN, infinite or out of range.
+        If status and numbers disagree, or a number is NaN, infinite or out of bounds.
     """
 
     key: CellKey
-    status: CellStatus
-    reason: str = ""
-    vs: float | None = None
-    vs_peak: float | None = None
-    vs_first_arrival: float | None = None
-    vs_cross_correlation: float | None = None
-    quality_peak: float | None = None
-    quality_first_arrival: float | None = None
-    quality_cross_correlation: float | None = None
-    frequency: float | None = None
-    distance: float | None = None
-    wavelengths_on_path: float | None = None
-    wavelength_over_d50: float | None = None
-    time_step: float | None = None
-    stability_limit: float | None = None
-    steps: int | None = None
-    expected_error: float | None = None
-    error_bound: float | None = None
-    static_speed: float | None = None
-    content_reached: float | None = None
-    content_of_contacts: float | None = None
-    p_contacts: int | None = None
-    c_contacts: int | None = None
-    clusters: int | None = None
-    bonded_contacts: int | None = None
-    broken_bonds: int | None = None
-    retry: str | None = None
-    seconds: float | None = None
-    rank: int | None = None
-    host: str | None = None
-    attempt: int = 1
-    packing_index: int = 0
+    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement")]
+    reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
+    vs: Annotated[
+        float | None, Quantity("m s-1", "shear-wave velocity", "reading", Bound.POSITIVE, is_exact=True, is_needed=True)
+    ] = None
+    vs_peak: Annotated[
+        float | None,
+        Quantity("m s-1", "shear-wave velocity from peak to peak", "reading", Bound.POSITIVE, is_exact=True),
+    ] = None
+    vs_first_arrival: Annotated[
+        float | None,
+        Quantity("m s-1", "shear-wave velocity by first arrival", "reading", Bound.POSITIVE, is_exact=True),
+    ] = None
+    vs_cross_correlation: Annotated[
+        float | None,
+        Quantity("m s-1", "shear-wave velocity by cross-correlation", "reading", Bound.POSITIVE, is_exact=True),
+    ] = None
+    coherence: Annotated[
+        float | None, Quantity("1", "stack of the section along the line of the S wave", "reading", is_exact=True)
+    ] = None
+    reading_error: Annotated[
+        float | None,
+        Quantity("1", "relative standard error of the reading of vs", "reading", Bound.NOT_NEGATIVE, is_exact=True),
+    ] = None
+    path_vs: Annotated[
+        float | None,
+        Quantity("m s-1", "shear-wave velocity from station to station", "reading", Bound.POSITIVE, is_exact=True),
+    ] = None
+    path_error: Annotated[
+        float | None,
+        Quantity(
+            "1", "relative standard error of the reading of path_vs", "reading", Bound.NOT_NEGATIVE, is_exact=True
+        ),
+    ] = None
+    frequency: Annotated[
+        float | None,
+        Quantity("Hz", "frequency of the sent pulse", "wave", Bound.POSITIVE, is_exact=True, is_needed=True),
+    ] = None
+    distance: Annotated[
+        float | None, Quantity("m", "distance that the shear wave travelled", "wave", Bound.POSITIVE, is_exact=True)
+    ] = None
+    wavelengths_on_path: Annotated[
+        float | None, Quantity("1", "wavelengths on that distance", "reading", Bound.POSITIVE, is_exact=True)
+    ] = None
+    wavelength_over_d50: Annotated[
+        float | None, Quantity("1", "wavelength over median diameter by mass", "reading", Bound.POSITIVE, is_exact=True)
+    ] = None
+    time_step: Annotated[
+        float | None, Quantity("s", "time step", "wave", Bound.POSITIVE, is_exact=True, is_needed=True)
+    ] = None
+    stability_limit: Annotated[
+        float | None, Quantity("s", "largest stable time step", "wave", Bound.POSITIVE, is_exact=True, is_needed=True)
+    ] = None
+    steps: Annotated[
+        int | None, Quantity("1", "number of time steps", "wave", Bound.NOT_NEGATIVE, is_exact=True, is_needed=True)
+    ] = None
+    expected_error: Annotated[
+        float | None, Quantity("1", "expected relative numerical error of vs", "error estimate", Bound.NOT_NEGATIVE)
+    ] = None
+    error_bound: Annotated[
+        float | None, Quantity("1", "bound of the relative numerical error of vs", "error estimate")
+    ] = None
+    static_speed: Annotated[
+        float | None, Quantity("m s-1", "velocity of long shear waves by statics", "statics", Bound.POSITIVE)
+    ] = None
+    content_reached: Annotated[
+        float | None,
+        Quantity(
+            "percent",
+            "calcite content of the cement placed, overlaps counted in full",
+            "cement",
+            Bound.NOT_NEGATIVE,
+            is_exact=True,
+        ),
+    ] = None
+    content_of_contacts: Annotated[
+        float | None,
+        Quantity(
+            "percent", "calcite content of the cemented contacts by Eq. 2", "cement", Bound.NOT_NEGATIVE, is_exact=True
+        ),
+    ] = None
+    p_contacts: Annotated[
+        int | None, Quantity("1", "number of P contacts", "cement", Bound.NOT_NEGATIVE, is_exact=True)
+    ] = None
+    c_contacts: Annotated[
+        int | None, Quantity("1", "number of contacts in C clusters", "cement", Bound.NOT_NEGATIVE, is_exact=True)
+    ] = None
+    clusters: Annotated[
+        int | None, Quantity("1", "number of C clusters", "cement", Bound.NOT_NEGATIVE, is_exact=True)
+    ] = None
+    bonded_contacts: Annotated[
+        int | None, Quantity("1", "number of bonded contacts", "cement", Bound.NOT_NEGATIVE, is_exact=True)
+    ] = None
+    broken_bonds: Annotated[
+        int | None, Quantity("1", "number of bonds that the pulse broke", "wave", Bound.NOT_NEGATIVE, is_exact=True)
+    ] = None
+    retry: Annotated[str | None, Quantity("", "why the sample was sent again, with half the time step", "wave")] = None
+    seconds: Annotated[float | None, Quantity("s", "computing time", "run", Bound.NOT_NEGATIVE)] = None
+    rank: Annotated[int | None, Quantity("1", "MPI rank that computed it", "run", Bound.NOT_NEGATIVE)] = None
+    host: Annotated[str | None, Quantity("", "host that computed it", "run")] = None
+    attempt: Annotated[int, Quantity("1", "number of the attempt", "run", Bound.POSITIVE)] = 1
+    packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", Bound.NOT_NEGATIVE)] = 0
     features: PathFeatures | None = None
-    signal: Signal | None = None
-    cement: CementPattern | None = None
     graph: GraphSummary | None = None
+    path: GrainPath | None = None
+    section: RecordedSection | None = None
+    cement: CementPattern | None = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
@@ -209,19 +258,7 @@ class CellResult:
         normalize_numbers(self)
         if self.status not in (*STORED_STATUSES, CellStatus.DAMAGED):
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
-        if self.attempt < 1 or self.packing_index < 0:
-            raise ValueError(
-                f"CellResult.attempt is {self.attempt} and packing_index {self.packing_index}; "
-                "attempts count from 1 and packings from 0."
-            )
-        for name in POSITIVE_COLUMNS:
-            value = getattr(self, name)
-            if value is not None and value <= 0.0:
-                raise ValueError(f"CellResult.{name} is {value}; give a positive number, or None if there is none.")
-        for name in COUNT_COLUMNS:
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise ValueError(f"CellResult.{name} is {value}; give a count of 0 or more, or None.")
+        check_bounds(self)
         self._check_status()
 
     def refuse_damage(self) -> None:
@@ -234,7 +271,7 @@ class CellResult:
 
     def _check_status(self) -> None:
         if self.status is CellStatus.DONE:
-            missing = [name for name in NUMERICS_OF_DONE if getattr(self, name) is None]
+            missing = [q.name for q in quantities_of(CellResult) if q.is_needed and getattr(self, q.name) is None]
             if missing:
                 raise ValueError(
                     f"CellResult of a done cell lacks {', '.join(missing)}; a stored vs states its numerics."
@@ -260,9 +297,10 @@ class PackedResult:
     attempt : int
     rank, host : int or None, str or None
         As in `CellResult`; like there, whoever stores the outcome may replace these three.
-    columns : dict of str to dict
-        Columns by the name of their table, for each table that gets a row; those that name the cell, the attempt
-        and its place are added when it is stored.
+    columns : dict of str to value
+        Quantities by name, except those that name the cell.
+    arrays : dict of str to bytes
+        Compressed arrays by the name of their field.
     """
 
     key: CellKey
@@ -270,41 +308,30 @@ class PackedResult:
     attempt: int
     rank: int | None
     host: str | None
-    columns: dict[str, dict[str, Any]]
+    columns: dict[str, Any]
+    arrays: dict[str, bytes]
 
 
-POSITIVE_COLUMNS = (
-    "vs",
-    "vs_peak",
-    "vs_first_arrival",
-    "vs_cross_correlation",
-    "frequency",
-    "distance",
-    "wavelengths_on_path",
-    "wavelength_over_d50",
-    "static_speed",
-    "time_step",
-    "stability_limit",
-)
-"""Fields of `CellResult` that are positive or None."""
+ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
+    "path": GrainPath,
+    "section": RecordedSection,
+    "cement": CementPattern,
+}
+"""Fields of `CellResult` that hold arrays, with their classes; each is a blob in the database and a group in a file."""
 
-COUNT_COLUMNS = (
-    "steps",
-    "p_contacts",
-    "c_contacts",
-    "clusters",
-    "bonded_contacts",
-    "broken_bonds",
-    "seconds",
-    "rank",
-    "expected_error",
-    "content_reached",
-    "content_of_contacts",
-)
-"""Fields of `CellResult` that are 0 or more, or None."""
 
-NUMERICS_OF_DONE = ("vs", "frequency", "time_step", "stability_limit", "steps")
-"""Fields that a done cell must have."""
+def _catalogue() -> Iterator[Quantity]:
+    yield from quantities_of(CellKey)
+    yield from quantities_of(CellResult)
+    for part in (PathFeatures, GraphSummary):  # which a cell may lack as a whole
+        yield from (replace(quantity, is_optional=True) for quantity in quantities_of(part))
+
+
+QUANTITY_BY_NAME = {quantity.name: quantity for quantity in _catalogue()}
+"""The catalogue: all quantities of a cell, in the order in which they are shown."""
+
+EXACT_QUANTITIES = tuple(quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.is_exact)
+"""Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,13 @@
-"""Frozen records of a sample beyond single numbers: signals, cement pattern, path, graph."""
+"""Frozen records of a sample beyond single numbers: section, cement pattern, path, graph."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
+from calcidem.storage.records.quantity import Along, Bound, Quantity, check_bounds
 
 P_CONTACT = 1
 C_CONTACT = 2
@@ -13,8 +15,8 @@ C_CONTACT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Signal(ComparedByValue):
-    """Sent and received signals of a cell, sampled at equal intervals.
+class RecordedSection(ComparedByValue):
+    """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals.
 
     Attributes
     ----------
@@ -22,35 +24,56 @@ class Signal(ComparedByValue):
         Time between two samples [s], a multiple of the cell's time step.
     start_time : float
         Time of the first sample after the pulse began [s].
-    sent_velocity : (samples,) array
-        Velocity of the transmitter [m/s].
-    received_force : (samples,) array
-        Shear force on the receiver [N per metre of thickness].
-    received_velocity : (samples,) array
-        Mean velocity of the grains at the receiver [m/s].
+    pulse_frequency : float
+        Of the pulse ``v0 (1 - cos 2 pi f t)`` [Hz].
+    resolution : float
+        Velocity of one count [m/s], v0 / 2^20.
+    aperture : float
+        Half the height of the transmitter [m].
+    places : (X,) float64 array
+        Path from the transmitter to each station, and last to the receiver [m].
+    across, along : (T, X) int32 array
+        Velocities across the path and along it, in counts.
     """
 
-    sampling_interval: float
-    start_time: float
-    sent_velocity: NDArray[np.float64]
-    received_force: NDArray[np.float64]
-    received_velocity: NDArray[np.float64]
+    sampling_interval: Annotated[float, Quantity("s", "time between two samples")]
+    start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
+    pulse_frequency: Annotated[float, Quantity("Hz", "frequency of the pulse")]
+    resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
+    aperture: Annotated[float, Quantity("m", "half the height of the transmitter")]
+    places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
+    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts")]
+    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
-        if self.sampling_interval <= 0.0:
-            raise ValueError(f"Signal.sampling_interval is {self.sampling_interval} s; give a positive time.")
-        samples = np.shape(self.sent_velocity)[0] if np.ndim(self.sent_velocity) else 0
-        for name in ("sent_velocity", "received_force", "received_velocity"):
-            array = freeze_array("Signal", name, getattr(self, name), np.float64, (samples,))
+        for name in ("sampling_interval", "pulse_frequency", "resolution", "aperture"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"RecordedSection.{name} is {getattr(self, name)}; give a positive number.")
+        places = freeze_array("RecordedSection", "places", self.places, np.float64, (None,))
+        object.__setattr__(self, "places", places)
+        samples = np.shape(self.across)[0] if np.ndim(self.across) else 0
+        for name in ("across", "along"):
+            array = freeze_array("RecordedSection", name, getattr(self, name), np.int32, (samples, len(places)))
             object.__setattr__(self, name, array)
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Times of the samples after the pulse began [s], shape (samples,)."""
-        samples = np.arange(self.sent_velocity.size, dtype=np.float64)
+        """Times of the samples after the pulse began [s], shape (T,)."""
+        samples = np.arange(len(self.across), dtype=np.float64)
         return np.float64(self.start_time) + samples * np.float64(self.sampling_interval)
+
+    @property
+    def transmitted(self) -> NDArray[np.float64]:
+        """Velocity of the transmitter [m/s], shape (T,)."""
+        turns, amplitude = self.time * self.pulse_frequency, self.resolution * 2.0**20
+        return np.where(turns < 1.0, amplitude * (1.0 - np.cos(2.0 * np.pi * turns)), 0.0)
+
+    @property
+    def received(self) -> NDArray[np.float64]:
+        """Velocity of the receiver across the path [m/s], shape (T,)."""
+        return np.asarray(self.across[:, -1] * self.resolution)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +90,9 @@ class CementPattern(ComparedByValue):
         Centres of the C clusters [m].
     """
 
-    contacts: NDArray[np.int32]
-    kind: NDArray[np.uint8]
-    cluster_centres: NDArray[np.float64]
+    contacts: Annotated[NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact")]
+    kind: Annotated[NDArray[np.uint8], Along("contact", "1", "1 for a P contact, 2 for one in a C cluster")]
+    cluster_centres: Annotated[NDArray[np.float64], Along("cluster", "m", "position of the centre of a C cluster")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
@@ -83,51 +106,68 @@ class CementPattern(ComparedByValue):
         object.__setattr__(self, "cluster_centres", centres)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GrainPath(ComparedByValue):
+    """The preferential path of a cell, from the transmitter to the receiver.
+
+    Attributes
+    ----------
+    grains : (n,) int32 array
+        Indices of the grains along it.
+    """
+
+    grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
+
+    def __post_init__(self) -> None:
+        """Check and normalise the field."""
+        object.__setattr__(self, "grains", freeze_array("GrainPath", "grains", self.grains, np.int32, (None,)))
+
+
 @dataclass(frozen=True, slots=True)
 class PathFeatures:
     """Features of a cell's preferential path from the transmitter to the receiver.
 
     Attributes
     ----------
-    contacts : int
+    path_contacts : int
         Contacts on the path, N.
-    hertz_contacts : int
+    path_hertz_contacts : int
         Uncemented contacts on it, N_h.
-    bonded_contacts : int
+    path_bonded_contacts : int
         Cemented contacts on it, N_LPB.
-    bonded_fraction : float
+    path_bonded_fraction : float
         LP = N_LPB / N.
-    longest_bonded_run_fraction : float
+    path_longest_bonded_run_fraction : float
         PLLC = QLLC / N.
-    longest_bonded_run : int
+    path_longest_bonded_run : int
         Longest run of consecutive cemented contacts, QLLC.
-    connectivity : float
+    path_connectivity : float
         Weighted shortest distance C_d (Eq. 9 of the paper).
-    normalized_connectivity : float or None
+    path_normalized_connectivity : float or None
         C_d,n (Eq. 9); None where it is singular (equal weights).
-    path : tuple of int
-        Grain indices along the path, N + 1 of them or none if not kept.
     """
 
-    contacts: int
-    hertz_contacts: int
-    bonded_contacts: int
-    bonded_fraction: float
-    longest_bonded_run_fraction: float
-    longest_bonded_run: int
-    connectivity: float
-    normalized_connectivity: float | None
-    path: tuple[int, ...] = ()
+    path_contacts: Annotated[int, Quantity("1", "contacts on the preferential path", "path")]
+    path_hertz_contacts: Annotated[int, Quantity("1", "uncemented contacts on it", "path")]
+    path_bonded_contacts: Annotated[int, Quantity("1", "cemented contacts on it", "path")]
+    path_bonded_fraction: Annotated[float, Quantity("1", "share of cemented contacts on it (LP)", "path")]
+    path_longest_bonded_run_fraction: Annotated[
+        float, Quantity("1", "longest run of cemented contacts over all contacts on it (PLLC)", "path")
+    ]
+    path_longest_bonded_run: Annotated[int, Quantity("1", "longest run of cemented contacts on it (QLLC)", "path")]
+    path_connectivity: Annotated[float, Quantity("1", "weighted shortest distance (C_d)", "path")]
+    path_normalized_connectivity: Annotated[
+        float | None, Quantity("1", "normalized connectivity per unit distance (C_d,n)", "path")
+    ]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
-        if self.hertz_contacts + self.bonded_contacts != self.contacts:
+        if self.path_hertz_contacts + self.path_bonded_contacts != self.path_contacts:
             raise ValueError(
-                f"PathFeatures: {self.hertz_contacts} uncemented + {self.bonded_contacts} cemented contacts "
-                f"are not the {self.contacts} of the path; the two must add up."
+                f"PathFeatures: {self.path_hertz_contacts} uncemented + {self.path_bonded_contacts} cemented contacts "
+                f"are not the {self.path_contacts} of the path; the two must add up."
             )
-        object.__setattr__(self, "path", tuple(int(grain) for grain in self.path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,16 +176,16 @@ class GraphSummary:
 
     Attributes
     ----------
-    contacts, bonded_contacts : int
+    graph_contacts, graph_bonded_contacts : int
         All contacts between grains, and the cemented ones among them.
-    coordination_number : float
+    graph_coordination_number : float
         2 contacts / grains, grains without contact included.
-    components : int
+    graph_components : int
         Groups of two or more grains that cement joins into one piece.
-    largest_component : int
+    graph_largest_component : int
         Grains in the largest of them; 0 where there is no cement.
-    gap_contacts : int or None
-        Fewest uncemented contacts that any way from the transmitter to the receiver has; 0 where cement alone
+    graph_gap_contacts : int or None
+        Fewest uncemented contacts that any path from the transmitter to the receiver has; 0 where cement alone
         joins them, None where nothing does.
 
     Raises
@@ -154,22 +194,26 @@ class GraphSummary:
         If a number is negative, or there are more cemented contacts than contacts.
     """
 
-    contacts: int
-    bonded_contacts: int
-    coordination_number: float
-    components: int
-    largest_component: int
-    gap_contacts: int | None
+    graph_contacts: Annotated[int, Quantity("1", "contacts between grains", "graph", Bound.NOT_NEGATIVE)]
+    graph_bonded_contacts: Annotated[
+        int, Quantity("1", "cemented contacts between grains", "graph", Bound.NOT_NEGATIVE)
+    ]
+    graph_coordination_number: Annotated[
+        float, Quantity("1", "contacts of a grain, on average", "graph", Bound.NOT_NEGATIVE)
+    ]
+    graph_components: Annotated[int, Quantity("1", "groups of grains joined by cement", "graph", Bound.NOT_NEGATIVE)]
+    graph_largest_component: Annotated[int, Quantity("1", "grains in the largest of them", "graph", Bound.NOT_NEGATIVE)]
+    graph_gap_contacts: Annotated[
+        int | None,
+        Quantity("1", "fewest uncemented contacts on a path from transmitter to receiver", "graph", Bound.NOT_NEGATIVE),
+    ]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and value < 0:
-                raise ValueError(f"GraphSummary.{field.name} is {value}; give a number of 0 or more.")
-        if self.bonded_contacts > self.contacts:
+        check_bounds(self)
+        if self.graph_bonded_contacts > self.graph_contacts:
             raise ValueError(
-                f"GraphSummary.bonded_contacts is {self.bonded_contacts} of {self.contacts} contacts; "
+                f"GraphSummary.graph_bonded_contacts is {self.graph_bonded_contacts} of {self.graph_contacts}; "
                 "cemented contacts are a part of all contacts."
             )

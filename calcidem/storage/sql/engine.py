@@ -4,7 +4,7 @@ import os
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -203,6 +203,20 @@ def may_be_damage(error: BaseException) -> bool:
     if not isinstance(error, DBAPIError):
         return True
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
+
+
+def execute_on_connect(engine: Engine, statements: Sequence[str]) -> None:
+    """Have each reading connection of a SQLite engine execute statements before anything else; open ones are closed."""
+
+    @event.listens_for(engine, "connect")
+    def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
+        connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
+        connection.execute("PRAGMA query_only=OFF")  # views for the time of the connection count as changes, too
+        for statement in statements:
+            connection.execute(statement)
+        connection.execute("PRAGMA query_only=ON")
+
+    engine.dispose()
 
 
 def bring_log_into_file(engine: Engine) -> None:

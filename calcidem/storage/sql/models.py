@@ -1,9 +1,10 @@
-"""Database schema as SQLAlchemy 2 typed models; rules that can be stated as constraints are.
+"""Database schema: tables, and rules that can be stated as constraints.
 
-One `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the `ResultRow` of the same id,
-with `SignalRow`, `CementRow`, `PathRow` and `GraphRow` beside it. `AttemptRow` keeps the history. The absence of a
-`ResultRow` is what "pending" means. `checksum` is explained in `calcidem.storage.sql.checksums`; a row without one is
-damaged. Arrays are compressed NumPy ``.npz`` bytes (`calcidem.storage.records.arrays`).
+One `CellRow` for each planned (campaign, seed, content); its outcome, if it has one, is the row of `RESULT` of the same
+id, with its arrays in `ARRAYS`. The columns of `RESULT` are made from the catalogue of quantities. `AttemptRow` keeps
+the history. The absence of a result is what "pending" means. `checksum` is explained in
+`calcidem.storage.sql.checksums`; a row without one is damaged. Arrays are compressed NumPy ``.npz``
+bytes (`calcidem.storage.records.arrays`).
 """
 
 from datetime import UTC, datetime
@@ -13,6 +14,7 @@ from sqlalchemy import (
     JSON,
     BigInteger,
     CheckConstraint,
+    Column,
     DateTime,
     Dialect,
     Double,
@@ -21,13 +23,21 @@ from sqlalchemy import (
     Index,
     LargeBinary,
     MetaData,
+    Select,
+    SQLColumnExpression,
+    Table,
     Text,
     TypeDecorator,
     UniqueConstraint,
+    and_,
+    func,
+    literal_column,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.types import TypeEngine
 
-from calcidem.storage.records.cell import COUNT_COLUMNS, NUMERICS_OF_DONE, POSITIVE_COLUMNS, STORED_STATUSES
+from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, STORED_STATUSES, CellStatus, Quantity
+from calcidem.storage.records.quantity import Bound
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
@@ -73,12 +83,6 @@ class Base(DeclarativeBase):
         list[int]: JSON,
         list[dict[str, Any]]: JSON,
     }
-
-
-def _check_finite(column: str, former_name: str | None = None) -> CheckConstraint:
-    """Constraint that a column is a finite number or NULL; it keeps the name that the column had when it was made."""
-    name = f"{former_name or column}_finite"
-    return CheckConstraint(f"{column} > -{_LARGEST} AND {column} < {_LARGEST}", name=name)
 
 
 def _check_positive(column: str) -> CheckConstraint:
@@ -222,113 +226,78 @@ class AttemptRow(Base):
     checksum: Mapped[str | None]
 
 
-class ResultRow(Base):
-    """The outcome of a cell (`CellResult`); the attempt it came from has reason, rank, host and seconds."""
+def condition_of(quantity: Quantity) -> str:
+    """What its bound demands of a column that is not NULL, in SQL; empty for nothing."""
+    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
+    if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
+        return ""
+    return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
 
-    __tablename__ = "result"
-    __table_args__ = (
-        ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
-        _check_one_of("status", STORED_STATUSES),
-        CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
-        CheckConstraint(
-            "status <> 'done' OR (" + " AND ".join(f"{c} IS NOT NULL" for c in NUMERICS_OF_DONE) + ")",
-            name="done_has_numerics",
-        ),
-        *(_check_positive(column) for column in POSITIVE_COLUMNS),
-        *(_check_not_negative(column) for column in COUNT_COLUMNS if column not in {"seconds", "rank"}),
-        *(_check_finite(c) for c in ("quality_peak", "quality_first_arrival", "quality_cross_correlation")),
-        _check_finite("error_bound"),
-        Index(None, "status", "vs"),
+
+def check_name(quantity: Quantity) -> str:
+    """Name of the constraint that holds its bound."""
+    return f"{quantity.name}_{quantity.bound.name.lower() if quantity.bound is not Bound.NONE else 'finite'}"
+
+
+_TYPES: dict[str, type[TypeEngine[Any]]] = {"real": Double, "whole": BigInteger, "text": Text}
+
+CELL, ATTEMPT, PACKING, RUN = (
+    Base.metadata.tables[row.__tablename__] for row in (CellRow, AttemptRow, PackingRow, RunRow)
+)
+
+_TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
+"""Quantities that are in the rows of the cell and of its attempt."""
+
+STORED_QUANTITIES = tuple(q for q in QUANTITY_BY_NAME.values() if q.name not in _TABLES_ELSEWHERE)
+"""Quantities that are columns of the table `result`."""
+
+RESULT = Table(
+    "result",
+    Base.metadata,
+    Column("cell_id", ForeignKey("cell.id"), primary_key=True),
+    *(Column(q.name, _TYPES[q.kind], nullable=q.is_optional) for q in STORED_QUANTITIES),
+    Column("checksum", Text),
+    ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
+    _check_one_of("status", STORED_STATUSES),
+    CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
+    CheckConstraint(
+        "status <> 'done' OR (" + " AND ".join(f"{q.name} IS NOT NULL" for q in STORED_QUANTITIES if q.is_needed) + ")",
+        name="done_has_numerics",
+    ),
+    CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
+    CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
+    *(CheckConstraint(condition_of(q), name=check_name(q)) for q in STORED_QUANTITIES if condition_of(q)),
+    Index(None, "status", "vs"),
+)
+"""The outcomes of cells (`CellResult`); the attempt that one came from has its reason, rank, host and seconds."""
+
+ARRAYS = Table(
+    "arrays",
+    Base.metadata,
+    Column("cell_id", ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True),
+    Column("name", Text, primary_key=True),
+    Column("content", LargeBinary, nullable=False),
+    _check_one_of("name", tuple(ARRAY_RECORDS)),
+)
+"""Arrays beside an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
+
+STATUS = func.coalesce(RESULT.c.status, literal_column(repr(CellStatus.PENDING.value)))
+"""A planned cell without a result is pending.
+
+The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
+and refuses to group by this.
+"""
+
+EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
+    name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name] for name in QUANTITY_BY_NAME
+}
+"""What each quantity is in a query over `join_results`."""
+
+
+def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+    """Join a planned cell with its outcome and the attempt that it came from, where there are any."""
+    return (
+        statement.select_from(CELL)
+        .outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
+        .outerjoin(ATTEMPT, and_(ATTEMPT.c.cell_id == CELL.c.id, ATTEMPT.c.number == RESULT.c.attempt))
     )
-
-    cell_id: Mapped[int] = mapped_column(ForeignKey("cell.id"), primary_key=True)
-    attempt: Mapped[int]
-    status: Mapped[str]
-    packing_index: Mapped[int]
-    vs: Mapped[float | None]
-    vs_peak: Mapped[float | None]
-    vs_first_arrival: Mapped[float | None]
-    vs_cross_correlation: Mapped[float | None]
-    quality_peak: Mapped[float | None]
-    quality_first_arrival: Mapped[float | None]
-    quality_cross_correlation: Mapped[float | None]
-    frequency: Mapped[float | None]
-    distance: Mapped[float | None]
-    wavelengths_on_path: Mapped[float | None]
-    wavelength_over_d50: Mapped[float | None]
-    time_step: Mapped[float | None]
-    stability_limit: Mapped[float | None]
-    steps: Mapped[int | None] = mapped_column(BigInteger)
-    expected_error: Mapped[float | None]
-    error_bound: Mapped[float | None]
-    static_speed: Mapped[float | None]
-    content_reached: Mapped[float | None]
-    content_of_contacts: Mapped[float | None]
-    p_contacts: Mapped[int | None]
-    c_contacts: Mapped[int | None]
-    clusters: Mapped[int | None]
-    bonded_contacts: Mapped[int | None]
-    retry: Mapped[str | None]
-    broken_bonds: Mapped[int | None]
-    checksum: Mapped[str | None]
-
-
-class SignalRow(Base):
-    """Signals of a cell (`Signal`): one blob with the three arrays."""
-
-    __tablename__ = "signal"
-    __table_args__ = (_check_positive("sampling_interval"), _check_finite("start_time"))
-
-    cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
-    sampling_interval: Mapped[float]
-    start_time: Mapped[float]
-    samples: Mapped[bytes] = mapped_column(LargeBinary)
-
-
-class CementRow(Base):
-    """Cement pattern of a cell (`CementPattern`): one blob with the three arrays."""
-
-    __tablename__ = "cement_pattern"
-
-    cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
-    pattern: Mapped[bytes] = mapped_column(LargeBinary)
-
-
-class PathRow(Base):
-    """Preferential path of a cell (`PathFeatures`)."""
-
-    __tablename__ = "path_features"
-    __table_args__ = (
-        CheckConstraint("hertz_contacts + bonded_contacts = contacts", name="contacts_add_up"),
-        *(_check_finite(c) for c in ("bonded_fraction", "longest_bonded_run_fraction")),
-        *(_check_finite(c) for c in ("connectivity", "normalized_connectivity")),
-    )
-
-    cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
-    contacts: Mapped[int]
-    hertz_contacts: Mapped[int]
-    bonded_contacts: Mapped[int]
-    bonded_fraction: Mapped[float]
-    longest_bonded_run_fraction: Mapped[float]
-    longest_bonded_run: Mapped[int]
-    connectivity: Mapped[float]
-    normalized_connectivity: Mapped[float | None]
-    path: Mapped[list[int]]
-
-
-class GraphRow(Base):
-    """Contact graph of a cell as a whole (`GraphSummary`)."""
-
-    __tablename__ = "graph_summary"
-    __table_args__ = (
-        CheckConstraint("bonded_contacts >= 0 AND bonded_contacts <= contacts", name="bonded_are_contacts"),
-        *(_check_not_negative(c) for c in ("coordination_number", "components", "largest_component", "gap_contacts")),
-    )
-
-    cell_id: Mapped[int] = mapped_column(ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True)
-    contacts: Mapped[int]
-    bonded_contacts: Mapped[int]
-    coordination_number: Mapped[float]
-    components: Mapped[int]
-    largest_component: Mapped[int]
-    gap_contacts: Mapped[int | None]

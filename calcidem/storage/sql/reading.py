@@ -1,6 +1,6 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Any, TypeVar
@@ -22,6 +22,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage.errors import DamagedStoreError, QueryError
 from calcidem.storage.records import (
+    QUANTITY_BY_NAME,
     AttemptCount,
     AttemptRecord,
     CampaignRecord,
@@ -32,21 +33,18 @@ from calcidem.storage.records import (
     checked_seed,
 )
 from calcidem.storage.sql import rows
-from calcidem.storage.sql.checksums import covered_columns
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
+    ARRAYS,
+    EXPRESSIONS,
     LOST,
+    RESULT,
+    STATUS,
     AttemptRow,
-    Base,
     CampaignRow,
     CellRow,
-    CementRow,
-    GraphRow,
-    PathRow,
-    ResultRow,
-    SignalRow,
+    join_results,
 )
-from calcidem.storage.sql.quantities import QUANTITY_BY_NAME, STATUS
 from calcidem.storage.sql.where import parse_where
 from calcidem.storage.store import Selection
 
@@ -73,17 +71,6 @@ def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
         yield chunk
 
 
-def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
-    """Join a planned cell with its outcome, the attempt it came from, its path and its graph, where there are any."""
-    return (
-        statement.select_from(CellRow)
-        .outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
-        .outerjoin(AttemptRow, and_(AttemptRow.cell_id == CellRow.id, AttemptRow.number == ResultRow.attempt))
-        .outerjoin(PathRow, PathRow.cell_id == CellRow.id)
-        .outerjoin(GraphRow, GraphRow.cell_id == CellRow.id)
-    )
-
-
 def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
     found = [CellRow.campaign_id == campaign_id]
@@ -93,7 +80,7 @@ def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[boo
         found.append(CellRow.content.in_(selection.contents))
     if selection.statuses is not None and CellStatus.DAMAGED not in selection.statuses:
         # Without pending the plain column will do, which has an index.
-        status = STATUS if CellStatus.PENDING in selection.statuses else ResultRow.status
+        status = STATUS if CellStatus.PENDING in selection.statuses else RESULT.c.status
         found.append(status.in_([s.value for s in selection.statuses]))
     if selection.where is not None:
         found.append(parse_where(selection.where))
@@ -230,28 +217,31 @@ def _check_names(names: Iterable[str]) -> None:
 
 
 def _order_of(name: str) -> UnaryExpression[Any]:
-    expression = QUANTITY_BY_NAME[name.removeprefix("-")].expression
+    expression = EXPRESSIONS[name.removeprefix("-")]
     return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
 
 
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
     outcome = rows.OutcomeColumns()
-    statement = join_results(select(*outcome.columns)).where(ResultRow.cell_id.is_not(None)).order_by(*_BY_KEY)
-    arrays = {model: _arrays_of(session, model, cell_ids) for model in (SignalRow, CementRow)} if with_arrays else None
+    statement = join_results(select(*outcome.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+    arrays = _arrays_of(session, cell_ids) if with_arrays else None
     for row in filter(_has_key, _outcome_rows(session, statement, cell_ids)):
         try:
-            yield outcome.result(row, arrays)
+            yield outcome.result(row, None if arrays is None else arrays.get(row[0], {}))
         except UNREADABLE as error:
             reason = error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
             yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, reason)
 
 
-def _arrays_of(session: Session, model: type[Base], cell_ids: Sequence[int]) -> dict[int, Sequence[Any]]:
-    """Columns of the rows with the arrays of some cells, by the cells' numbers; none where they can't be read."""
-    number: SQLColumnExpression[Any] = model.__table__.c.cell_id
-    statement = select(number, *(model.__table__.c[name] for name in covered_columns(model)))
-    return {cell: () if row is None else row[1:] for cell, row in _readable_rows(session, statement, number, cell_ids)}
+def _arrays_of(session: Session, cell_ids: Sequence[int]) -> dict[int, dict[str, bytes]]:
+    """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
+    number: SQLColumnExpression[Any] = ARRAYS.c.cell_id
+    found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
+    for _, row in _readable_rows(session, select(number, ARRAYS.c.name, ARRAYS.c.content), number, cell_ids):
+        if row is not None and isinstance(row[2], bytes):
+            found[row[0]][row[1]] = row[2]
+    return found
 
 
 def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:

@@ -41,11 +41,12 @@ from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import (
     Address,
     bring_log_into_file,
+    execute_on_connect,
     make_engine,
     parse_address,
     transaction,
 )
-from calcidem.storage.sql.models import CampaignRow, LeaseRow, PackingRow, RunRow
+from calcidem.storage.sql.models import RUN, CampaignRow, LeaseRow, PackingRow, RunRow
 from calcidem.storage.sql.schema import is_empty, prepare_schema
 from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
 
@@ -99,7 +100,9 @@ class SqlStore(Store):
         self._engine = make_engine(address, read_only=read_only)
         try:
             with transaction(self._engine, address, write=not read_only) as session:
-                prepare_schema(session.connection(), address, read_only=read_only)
+                statements = prepare_schema(session.connection(), address, read_only=read_only)
+            if statements:
+                execute_on_connect(self._engine, statements)
             self._file = None if address.path is None else address.path.stat()
         except BaseException:
             self._engine.dispose()
@@ -213,7 +216,7 @@ class SqlStore(Store):
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             row.exit_state, row.ended = exit_state, as_utc(ended)
-            row.checksum = checksum_of(RunRow, (), rows.run_columns(row))
+            row.checksum = checksum_of(RUN, (), rows.run_columns(row))
         self._run_id = None
 
     @override

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from itertools import product
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, and_, delete, insert, or_, select, tuple_, update
+from sqlalchemy import ColumnElement, Table, and_, delete, insert, or_, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from calcidem.storage.errors import UnknownCellError
@@ -21,19 +21,19 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql import rows
-from calcidem.storage.sql.checksums import PARTS, checksum_of, covered_columns
+from calcidem.storage.sql.checksums import checksum_of, covered_columns
 from calcidem.storage.sql.models import (
+    ARRAYS,
+    ATTEMPT,
     LOST,
+    PACKING,
+    RESULT,
     AttemptRow,
-    Base,
     CampaignRow,
     CellRow,
     PackingRow,
-    ResultRow,
 )
 from calcidem.storage.sql.reading import KEYS_PER_QUERY, attempt_counts, attempts_of, campaign_record, cell_in, chunks
-
-_TABLES_OF_CELLS: tuple[type[Base], ...] = (*PARTS, ResultRow)
 
 
 def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
@@ -91,7 +91,7 @@ def save_packing(session: Session, campaign_id: int, packing: PackingRecord, *, 
     row.content_hash = row.content_hash or packing.content_hash
     if replace_state:
         row.state = packing.state
-    row.checksum = checksum_of(PackingRow, (), {name: getattr(row, name) for name in covered_columns(PackingRow)})
+    row.checksum = checksum_of(PACKING, (), {name: getattr(row, name) for name in covered_columns(PACKING)})
 
 
 class _Known(NamedTuple):
@@ -139,8 +139,8 @@ def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedRe
 
 
 def _known_cells(session: Session, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-    statement = select(CellRow.seed, CellRow.content, CellRow.id, ResultRow.status, ResultRow.attempt)
-    statement = statement.outerjoin(ResultRow, ResultRow.cell_id == CellRow.id)
+    statement = select(CellRow.seed, CellRow.content, CellRow.id, RESULT.c.status, RESULT.c.attempt)
+    statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CellRow.id)
     statement = statement.where(CellRow.campaign_id == campaign_id, cell_in(keys))
     known = {CellKey(row.seed, row.content): _Known(*row[2:]) for row in session.execute(statement)}
     for key in keys:
@@ -169,8 +169,8 @@ def _replace(
     An attempt that is there with the same outcome keeps its row: an import has restored it.
     """
     ids = [cell_id for cell_id, _ in accepted]
-    for model in _TABLES_OF_CELLS:  # parts without an outcome, which damage leaves, would be in the way
-        session.execute(delete(model).where(model.__table__.c.cell_id.in_(ids)))
+    for table in (ARRAYS, RESULT):  # arrays without an outcome, which damage leaves, would be in the way
+        session.execute(delete(table).where(table.c.cell_id.in_(ids)))
     listed = attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
@@ -179,17 +179,16 @@ def _replace(
     if outdated:
         session.execute(delete(AttemptRow).where(attempt_in(outdated)))
     shared: dict[str, Any] = {"run_id": run_id, "recorded": recorded, "forgiven": False}
-    _insert(session, AttemptRow, [rows.attempt_row(i, result, shared) for i, result in new])
-    _insert(session, ResultRow, [rows.result_row(i, result) for i, result in accepted])
-    for model in PARTS:
-        name = model.__tablename__
-        _insert(session, model, [{"cell_id": i} | r.columns[name] for i, r in accepted if name in r.columns])
+    _insert(session, ATTEMPT, [rows.attempt_row(i, result, shared) for i, result in new])
+    _insert(session, RESULT, [rows.result_row(i, result) for i, result in accepted])
+    arrays = [(i, name, content) for i, result in accepted for name, content in result.arrays.items()]
+    _insert(session, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
 
 
-def _insert(session: Session, model: type[Base], values: Sequence[dict[str, Any]]) -> None:
+def _insert(session: Session, table: Table, values: Sequence[dict[str, Any]]) -> None:
     """Insert rows, below the ORM: its bookkeeping of rows that nobody reads again takes longer than the database."""
     if values:
-        session.connection().execute(insert(model), values)
+        session.connection().execute(insert(table), values)
 
 
 def attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
@@ -218,7 +217,7 @@ def record_lost(
             }
             for key in chunk
         ]
-        _insert(session, AttemptRow, [rows.seal_attempt(key, row) for key, row in zip(chunk, values, strict=True)])
+        _insert(session, ATTEMPT, [rows.seal_attempt(key, row) for key, row in zip(chunk, values, strict=True)])
     return {key: AttemptCount(count.attempts + 1, count.losses + 1) for key, count in counts.items()}
 
 
@@ -228,8 +227,8 @@ def make_pending(
     """See `Store.retry`."""
     statement = (
         select(CellRow.id, CellRow.seed, CellRow.content)
-        .join(ResultRow, ResultRow.cell_id == CellRow.id)
-        .where(CellRow.campaign_id == campaign_id, ResultRow.status.in_([status.value for status in statuses]))
+        .join(RESULT, RESULT.c.cell_id == CellRow.id)
+        .where(CellRow.campaign_id == campaign_id, RESULT.c.status.in_([status.value for status in statuses]))
         .order_by(CellRow.seed, CellRow.content)
     )
     wanted = None if keys is None else set(keys)
@@ -255,8 +254,8 @@ def drop_damaged(session: Session, campaign_id: int, keys: Collection[CellKey]) 
 def _drop_outcomes(session: Session, cell_ids: Collection[int]) -> None:
     """Make cells pending, and forgive the losses counted for them."""
     for chunk in chunks(cell_ids):
-        for model in _TABLES_OF_CELLS:
-            session.execute(delete(model).where(model.__table__.c.cell_id.in_(chunk)))
+        for table in (ARRAYS, RESULT):
+            session.execute(delete(table).where(table.c.cell_id.in_(chunk)))
         session.execute(update(AttemptRow).where(AttemptRow.cell_id.in_(chunk)).values(forgiven=True))
 
 
@@ -267,11 +266,11 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
         listed = attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(AttemptRow.cell_id, AttemptRow.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
-        names = (*covered_columns(AttemptRow), "forgiven")
+        names = (*covered_columns(ATTEMPT), "forgiven")
         values = [
             {"cell_id": known[attempt.key].cell_id}
             | rows.seal_attempt(attempt.key, {name: getattr(attempt, name) for name in names})
             for attempt in chunk
             if (known[attempt.key].cell_id, attempt.number) not in existing
         ]
-        _insert(session, AttemptRow, values)
+        _insert(session, ATTEMPT, values)

@@ -9,7 +9,7 @@ import pytest
 
 from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
 from calcidem.app.campaign.packing import identify_packing
-from calcidem.dem.sample.packing_file import read_disks
+from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
 from calcidem.storage.netcdf.export import export_netcdf
 
@@ -58,7 +58,7 @@ def test_packing_as_csv(database: Path, invoke: Invoke, campaign: OpenedCampaign
     """The disks in the CSV file are those of the packing, to the last bit."""
     file = tmp_path / "packing.csv"
     invoke("sample", database, file, "--seed", 1, "--content", 5)
-    x, y, radius, _ = read_disks(file)
+    x, y, radius, _ = _read_disks(file)
     packing = campaign.packing()
     for written, stored in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
         np.testing.assert_array_equal(written, stored)

@@ -31,16 +31,16 @@ def test_sand_alone() -> None:
 def test_pieces_of_cement_are_counted() -> None:
     """Two pieces of cement, of three and two grains, leave one contact to cross on the upper row."""
     summary = graph_summary(graph(), bonded((0, 1), (1, 2), (6, 7)))
-    assert (summary.components, summary.largest_component, summary.gap_contacts) == (2, 3, 1)
+    assert (summary.graph_components, summary.graph_largest_component, summary.graph_gap_contacts) == (2, 3, 1)
 
 
 def test_cement_from_end_to_end_leaves_no_gap() -> None:
     """A row that is cemented through has a gap of 0, though the other row is bare."""
     summary = graph_summary(graph(), bonded((4, 5), (5, 6), (6, 7)))
-    assert (summary.components, summary.largest_component, summary.gap_contacts) == (1, 4, 0)
+    assert (summary.graph_components, summary.graph_largest_component, summary.graph_gap_contacts) == (1, 4, 0)
 
 
 def test_no_way_is_no_gap() -> None:
     """Where no chain of contacts joins transmitter and receiver there is no gap to count."""
     pairs = np.array([(0, 1), (2, 3)])
-    assert graph_summary(graph(pairs), np.array([True, False])).gap_contacts is None
+    assert graph_summary(graph(pairs), np.array([True, False])).graph_gap_contacts is None

@@ -69,13 +69,13 @@ def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: OpenedCampaign) 
 
 def test_an_export_without_cement_is_analysed_like_the_database(campaign: OpenedCampaign, tmp_path: Path) -> None:
     """Of what `calcidem import` makes of it the samples have the same contacts, paths and features."""
-    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("signals", "cement", "paths"))
+    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("signal", "cement", "path"))
     with open_store(tmp_path / "short.db") as store:
         import_netcdf(tmp_path / "short.nc", store)
     with open_campaign(tmp_path / "short.db") as short:
         pairs = list(zip(CampaignAnalysis(short).samples, CampaignAnalysis(campaign).samples, strict=True))
     assert all(one.kinds.tobytes() == other.kinds.tobytes() for one, other in pairs)
-    assert all(one.features.connectivity == other.features.connectivity for one, other in pairs)
+    assert all(one.features.path_connectivity == other.features.path_connectivity for one, other in pairs)
 
 
 def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:
@@ -106,16 +106,16 @@ def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
     assert stored is not None
     bonds = [(a, b) for a, b, bonded in graph.edges(data="bonded") if bonded]
     cement = nx.Graph(bonds)
-    assert (graph.number_of_edges(), len(bonds)) == (stored.contacts, stored.bonded_contacts)
+    assert (graph.number_of_edges(), len(bonds)) == (stored.graph_contacts, stored.graph_bonded_contacts)
     sizes = [len(component) for component in nx.connected_components(cement)]
-    assert (len(sizes), max(sizes)) == (stored.components, stored.largest_component)
+    assert (len(sizes), max(sizes)) == (stored.graph_components, stored.graph_largest_component)
     lengths = nx.multi_source_dijkstra_path_length(
         graph,
         {grain for grain, role in graph.nodes(data="role") if role == "transmitter"},
         weight=lambda _first, _second, data: 0 if data["bonded"] else 1,
     )
     receivers = [grain for grain, role in graph.nodes(data="role") if role == "receiver"]
-    assert min(lengths[grain] for grain in receivers) == stored.gap_contacts
+    assert min(lengths[grain] for grain in receivers) == stored.graph_gap_contacts
 
 
 def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:

@@ -56,7 +56,7 @@ def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
     with pytest.raises(QueryError, match="colour: no such feature"):
         campaign.predict(content=5.0, features={"colour": 1.0})
     with pytest.raises(QueryError, match=r"connectivity = 2 is far from the .* of the samples at 5 %"):
-        campaign.predict(content=5.0, features={"connectivity": 2.0})
+        campaign.predict(content=5.0, features={"path_connectivity": 2.0})
     strange = CementPattern(np.array([[0, 4000]]), np.array([1]), np.empty((0, 2)))
     with pytest.raises(QueryError, match="do not touch"):
         campaign.predict(content=5.0, pattern=strange)
@@ -81,7 +81,7 @@ def test_the_command_predicts_and_says_how_far_to_trust_it(
     assert f"5 %: Vs {campaign.predict(content=5.0, pattern=cement).vs:.0f} m/s, 95 %" in one
     assert f"Mean interval score {checks[5.0].score:.0f} m/s" in one
     assert ("add nothing" in one) != checks[5.0].features_help
-    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction=0.9", "--level", 0.9)
+    invoke("predict", database, "--content", 5, "--feature", "path_bonded_fraction=0.9", "--level", 0.9)
     invoke("predict", database, "--seed", 3, exit_code=2)
     invoke("predict", database, "--level", "nan", exit_code=2)
-    invoke("predict", database, "--content", 5, "--feature", "bonded_fraction", exit_code=2)
+    invoke("predict", database, "--content", 5, "--feature", "path_bonded_fraction", exit_code=2)

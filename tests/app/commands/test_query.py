@@ -13,10 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.cli.query import Format, as_text, find
+from calcidem.app.cli.query import Format, _as_text, find
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus
-from calcidem.storage.sql.quantities import QUANTITIES
+from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.store import Selection
 
 Invoke = Callable[..., str]
@@ -59,7 +58,7 @@ def test_table_shows_units(database: Path, invoke: Invoke) -> None:
     """The table has names, units, one line a cell and their number, and is never cut to the terminal's width."""
     lines = invoke("query", database, "--seed", 1, "--seed", 2, "--columns", "all").splitlines()
     assert "vs [m s-1]" in lines[0]
-    assert all(quantity.name in lines[0] for quantity in QUANTITIES)
+    assert all(quantity.name in lines[0] for quantity in QUANTITY_BY_NAME.values())
     assert len(lines) == 1 + 10 + 1
     assert lines[-1] == "10 cells"
 
@@ -117,7 +116,7 @@ def test_no_text_gets_through_as_sql(campaign: OpenedCampaign, where: str, name:
         except QueryError:
             continue
         assert all(len(values) <= everything for values in found.values())
-        as_text(found, Format.JSON)
+        _as_text(found, Format.JSON)
     assert digest(campaign.store.address.path) == before  # type: ignore[attr-defined]  # as above
 
 

@@ -20,10 +20,10 @@ from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
 from calcidem.app.cli.tables import vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
-from calcidem.app.report.page import velocity_remarks
+from calcidem.app.report.page import _velocity_remarks
 from calcidem.app.studies.accuracy.command import plan_task
-from calcidem.app.studies.explain import Explanation, alternatives_of, precision
-from calcidem.app.studies.verify import Agreement, compare_outcomes, random_cells, verify
+from calcidem.app.studies.explain import Explanation, _alternatives_of, _precision
+from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
@@ -168,27 +168,27 @@ def test_signals_and_cement_are_compared(stored: CellResult) -> None:
     assert cement is not None
     force = np.array(signal.received_force)
     force[0] += 1e-12 * np.abs(force).max()
-    near = compare_outcomes(
+    near = _compare_outcomes(
         stored, dataclasses.replace(stored, signal=dataclasses.replace(signal, received_force=force))
     )
     assert near.agreement is Agreement.ROUNDING
     assert near.most_different == "signal.received_force"
     assert near.differences[near.most_different] == pytest.approx(1e-12, rel=0.1)
     far = dataclasses.replace(signal, received_velocity=1.001 * signal.received_velocity)
-    assert compare_outcomes(stored, dataclasses.replace(stored, signal=far)).agreement is Agreement.DIFFERENT
+    assert _compare_outcomes(stored, dataclasses.replace(stored, signal=far)).agreement is Agreement.DIFFERENT
     fewer = dataclasses.replace(cement, contacts=cement.contacts[1:], kind=cement.kind[1:])
-    other = compare_outcomes(stored, dataclasses.replace(stored, cement=fewer))
+    other = _compare_outcomes(stored, dataclasses.replace(stored, cement=fewer))
     assert other.agreement is Agreement.DIFFERENT
     assert set(other.differences) == {"cement.contacts", "cement.kind"}
     without = dataclasses.replace(stored, signal=None, cement=None)
-    assert compare_outcomes(without, stored).agreement is Agreement.SAME_BITS
-    assert compare_outcomes(stored, without).agreement is Agreement.DIFFERENT
+    assert _compare_outcomes(without, stored).agreement is Agreement.SAME_BITS
+    assert _compare_outcomes(stored, without).agreement is Agreement.DIFFERENT
 
 
 def test_broken_bonds_are_compared(stored: CellResult) -> None:
     """Another number is another sample."""
     assert stored.broken_bonds == 0
-    other = compare_outcomes(stored, dataclasses.replace(stored, broken_bonds=2))
+    other = _compare_outcomes(stored, dataclasses.replace(stored, broken_bonds=2))
     assert other.agreement is Agreement.DIFFERENT
 
 
@@ -202,7 +202,7 @@ def test_broken_bonds_are_told_where_there_are_some(change: Change, small: Path,
     assert "pulse broke" not in invoke("show", small, *cell)
     for path, told in ((changed, "The pulse broke bonds in 1 cell, at most 4 in one."), (small, "")):
         with open_campaign(path) as campaign:
-            assert [line for line in velocity_remarks(CampaignAnalysis(campaign)) if "broke" in line] == [told] * bool(
+            assert [line for line in _velocity_remarks(CampaignAnalysis(campaign)) if "broke" in line] == [told] * bool(
                 told
             )
             assert ("broke bonds in 1 cell:" in str(vs_table(campaign.store, Selection()).caption)) == bool(told)
@@ -216,8 +216,8 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
     again = dataclasses.replace(
         measured, record=dataclasses.replace(measured.record, retry="the energy grew", broken_bonds=7)
     )
-    assert cell_result(measured, experiment, store_signals=False).retry is None
-    kept = cell_result(again, experiment, store_signals=False)
+    assert cell_result(measured, experiment, store_sections=False).retry is None
+    kept = cell_result(again, experiment, store_sections=False)
     assert (kept.retry, kept.broken_bonds) == ("the energy grew", 7)
 
 
@@ -255,7 +255,7 @@ def test_explain_judges_the_packing_of_the_database(
 
     def note(experiment: Experiment, contents: list[float], *_: object, **_named: object) -> list[Explanation]:
         judged.append(experiment)
-        return [Explanation(content, precision(experiment), None, None) for content in contents]
+        return [Explanation(content, _precision(experiment), None, None) for content in contents]
 
     monkeypatch.setattr("calcidem.app.studies.explain.explain", note)
     assert "double precision" in invoke("explain", toml, "--db", small, "--content", 0.66)
@@ -281,7 +281,7 @@ def test_explain_has_another_run_for_whatever_a_wave_records(small_packing: Pack
     names, alone = ("stations", "motion along the way"), WaveRule(listening_depth=6e-3)
     across = replace(alone, stations=4)
     for wave, said in ((alone, names[:1]), (across, names), (replace(across, polarisation=True), names)):
-        found = {row.what: row for row in alternatives_of(Experiment(small_packing, wave=wave), 0.66)}
+        found = {row.what: row for row in _alternatives_of(Experiment(small_packing, wave=wave), 0.66)}
         assert tuple(name for name in names if name in found) == said
         for name in said:
             needed, opposite = found[name].needed, found[name].opposite

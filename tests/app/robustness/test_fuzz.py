@@ -232,7 +232,7 @@ PLAUSIBLE = {
 def command_line_of(number: int) -> list[str]:
     """One of very many command lines: most of its arguments are plausible."""
     random = Random(number)
-    name = random.choice(command_line.COMMANDS)
+    name = random.choice([name for panel in command_line.PANELS.values() for name in panel])
     words = [name]
     for parameter in parameters(name):
         value = random.choice(PLAUSIBLE.get(parameter.word, PATHS))

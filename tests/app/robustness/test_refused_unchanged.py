@@ -19,7 +19,7 @@ from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.cli.exit_codes import exit_code_of, tell_error
-from calcidem.app.cli.query import Format, as_text
+from calcidem.app.cli.query import Format, _as_text
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
@@ -117,7 +117,7 @@ def test_a_lack_of_memory_is_called_that(error: Exception, capsys: pytest.Captur
 def test_a_spreadsheet_evaluates_no_stored_text(text: str) -> None:
     """In CSV a text that would be a formula begins with an apostrophe; numbers and other texts are as they were."""
     assert spreadsheet_value(text) == f"'{text}"
-    rows = as_text({"reason": np.array([text, "no top"], dtype=object), "vs": np.array([-1.5, np.nan])}, Format.CSV)
+    rows = _as_text({"reason": np.array([text, "no top"], dtype=object), "vs": np.array([-1.5, np.nan])}, Format.CSV)
     assert list(csv.reader(io.StringIO(rows, newline="")))[1:] == [[f"'{text}", "-1.5"], ["no top", ""]]
     assert [spreadsheet_value(value) for value in ("-1.5", "no = sign", None, -2)] == ["-1.5", "no = sign", None, -2]
 

@@ -18,7 +18,7 @@ from calcidem.dem.wave.recorder import WaveRecord
 
 HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
 COARSEST = 0.4  # step over the limit that is tried first
-FINEST = 0.05  # and that is not gone below
+_FINEST = 0.05  # and that is not gone below
 CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)  # over the limit; each half of the one before
 
 
@@ -126,7 +126,7 @@ def find_reference(
 ) -> Reference:
     """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
 
-    A cell that is still moving at `FINEST` stays with that, and says by how much.
+    A cell that is still moving at `_FINEST` stays with that, and says by how much.
     """
     step, waiting = coarsest, list(seeds)
     before, _ = _measure_by_seed(experiment, step, content, waiting, lanes)
@@ -136,7 +136,7 @@ def find_reference(
         now, seconds = _measure_by_seed(experiment, step, content, waiting, lanes)
         for seed in waiting:
             change = relative_deviation(now[seed].vs, before[seed].vs)
-            if change is None or abs(change) < HALVING or step <= FINEST:
+            if change is None or abs(change) < HALVING or step <= _FINEST:
                 done[seed] = now[seed], ReferenceCell(seed, content, now[seed].vs, step, change), seconds
         waiting = [seed for seed in waiting if seed not in done]
         before = now

@@ -199,7 +199,7 @@ def sobol_table(indices: xr.Dataset) -> str:
             chosen = indices.sel(output=output, parameter=name)
             entries = [_index_entry(chosen.sel(content=content)) for content in indices["content"]]
             lines.append(f"| {' | '.join([label, str(name), *entries])} |")
-    lost = ", ".join(parameters_out_of_reach(indices))
+    lost = ", ".join(_parameters_out_of_reach(indices))
     verdict = f"Mean and scatter hardly depend on {lost}: no calibration on these contents can find them."
     return "\n".join([*lines, "", *([verdict] if lost else []), ""])
 
@@ -212,7 +212,7 @@ def _index_entry(chosen: xr.Dataset) -> str:
     return ", total ".join(parts)
 
 
-def parameters_out_of_reach(indices: xr.Dataset) -> list[str]:
+def _parameters_out_of_reach(indices: xr.Dataset) -> list[str]:
     """Parameters whose total index is surely above `_NEGLIGIBLE` neither for mean nor for sd / mean at any content."""
     decided = indices.sel(output=["mean", "relative_deviation"])
     if not int(decided["bases"].max()):

@@ -48,7 +48,7 @@ def endurance(steps: int = _LONG) -> tuple[Endurance, ...]:
     """Long runs in all regimes of a lattice with a third of its cement."""
     return tuple(
         Endurance(
-            regime, steps, energy_drift(regime, steps), _residual_motion(regime, steps), _restart_keeps_bits(regime)
+            regime, steps, _energy_drift(regime, steps), _residual_motion(regime, steps), _restart_keeps_bits(regime)
         )
         for regime in REGIMES
     )
@@ -78,7 +78,7 @@ def _moving_state(regime: Regime) -> State:
     return start(scene, features=features, velocity=velocity)
 
 
-def energy_drift(regime: Regime, steps: int) -> float:
+def _energy_drift(regime: Regime, steps: int) -> float:
     """Largest change of the energy balance without damping, over the kinetic energy at the start.
 
     The linear regime has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.

@@ -113,10 +113,10 @@ def acceleration_matrix(state: State) -> Floats:
 
 def detections(factors: tuple[float, ...] = _FACTORS) -> tuple[Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
-    return tuple(force_step(factor, regime) for factor in factors for regime in REGIMES)
+    return tuple(_force_step(factor, regime) for factor in factors for regime in REGIMES)
 
 
-def force_step(factor: float, regime: Regime) -> Detection:
+def _force_step(factor: float, regime: Regime) -> Detection:
     """Send a pulse through the plain lattice with a step that nobody could ask for."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment = experiment_of_scene(scene)

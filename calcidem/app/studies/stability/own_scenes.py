@@ -22,8 +22,8 @@ OWN_TOLERANCE = 0.02
 """Relative error above which a run is wrong: at the limit the energy of a leapfrog swings by some percent."""
 _GREATEST = 1.0e-3  # radius of the largest disks, m
 _LOOK = 25  # steps between two looks at the energy
-_STEPS = 1500  # of a run; those that wait for something go on for up to `_PATIENCE` times as long
-_PATIENCE = 40
+_STEPS = 1500  # of a run; those that wait for something go on for up to `_TIMES_LONGER` times as long
+_TIMES_LONGER = 40
 _FASTEST_THROWN = 10.0  # m/s: by Hertz's law, disks ten times as fast sink into a wall by more than their radius
 _AT_REST = 1e-4  # unbalanced-force ratio at which a lid must bear its target
 _OWN_RANGES = {
@@ -46,7 +46,7 @@ class OwnScene:
     Attributes
     ----------
     kind
-        One of `OWN_KINDS`.
+        One of `_OWN_KINDS`.
     step_fraction
         Asked of `start`; above 1 it has to be refused.
     factor
@@ -81,7 +81,7 @@ class OwnScene:
 
 def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
     """Latin hypercube over all quantities, with kinds taking turns; a third of the scenes keep a given step."""
-    kinds = tuple(OWN_KINDS)
+    kinds = tuple(_OWN_KINDS)
     scenes = []
     for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
         turn = number // len(kinds)
@@ -99,7 +99,7 @@ def error_of_run(own: OwnScene) -> float:
     UnstableRunError
         If the run is ended.
     """
-    return OWN_KINDS[own.kind](own)
+    return _OWN_KINDS[own.kind](own)
 
 
 def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Floats | None = None) -> State:
@@ -114,7 +114,7 @@ def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Fl
 
 def _watch_energies(state: State, ended: Callable[[State], bool] | None = None) -> tuple[State, float]:
     """Advance a state; return what it became, and its largest energy error over the largest energy."""
-    steps = _STEPS if ended is None else _STEPS * _PATIENCE
+    steps = _STEPS if ended is None else _STEPS * _TIMES_LONGER
     begin, turned, worst = energies(state).imbalance, 0.0, 0.0
     for _ in range(steps // _LOOK):
         state = advance(state, _LOOK)
@@ -218,7 +218,7 @@ def _gap_bonds(own: OwnScene) -> float:
     return _watch_energies(_begin(own, scene, velocity))[1]
 
 
-OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
+_OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
     "impact": _impact,
     "collisions": _collisions,
     "gravity": _column,

@@ -91,7 +91,7 @@ def judge_scene(scene: Extreme) -> Judgement:
     return _judge_experiment(scene, make)
 
 
-def judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
+def _judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
     """Do the same on a real packing; the run that decides is of the finite regime, which leaves nothing out."""
     return _judge_experiment(scene, lambda: (experiment, scene.content), regime="finite")
 
@@ -187,5 +187,5 @@ def packing_map(
             progress(f"packing under {stress:g} Pa, friction {friction:g}")
             packing = small_packing(stress, friction)
             scenes = [Packed(stress, friction, content, regime) for content in CONTENTS for regime in REGIMES]
-            found += [judge_packing(scene, experiment_of_packing(packing, scene)) for scene in scenes]
+            found += [_judge_packing(scene, experiment_of_packing(packing, scene)) for scene in scenes]
     return tuple(found)

@@ -1,15 +1,11 @@
-"""How often the travel times of synthetic signals with a known delay are read wrong in silence, and how often not at all.
+"""Synthetic signals with a known delay, of which sections.py makes sections.
 
-    python benchmarks/reading/run.py [--seed 2] [--signals 2500]
-
-A signal is the sent pulse after a chain of grains (dispersion), with a line source's tail, a P pulse of either sign,
-scattered arrivals, a third crossing and noise; ranges.toml says how much of each. A signal counts as readable if somebody
-who may see it without its noise finds the S pulse: the largest value up to 1.5 travel times is a top within 5 % of the
-known delay, and the noise is below a tenth of it. *Wrong* is a reading off by more than 10 %, of all signals; *refused* is
-no reading, of those that are readable.
+A signal is the pulse after a chain of grains (dispersion), with a line source's tail, a P pulse of either sign, scattered
+arrivals, a third crossing and noise; ranges.toml says how much of each. It counts as readable if somebody who may see it
+without its noise finds the S pulse: the largest value up to 1.5 travel times is a peak within 5 % of the known delay, and the
+noise is below a tenth of it.
 """
 
-import argparse
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +13,31 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.arrival import read_travel_times
-from calcidem.dem.wave.pick import Signals
 from calcidem.dem.wave.pulse import Pulse
 
 RANGES = tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name not in {"common", "stations"})
 METHODS = ("peak", "first_arrival", "cross_correlation")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """What was transmitted and received.
+
+    Attributes
+    ----------
+    sampling_interval
+        s.
+    sent, received
+        (S,) and (T,) velocities over the peak of the S pulse.
+    distance
+        m.
+    """
+
+    sampling_interval: float
+    sent: Floats
+    received: Floats
+    distance: float
 
 
 @dataclass(frozen=True)
@@ -142,7 +156,7 @@ def draw_signal(seed: int, index: int) -> Known:
     for later, height in drawn.coda:
         clean += height * medium.pulse(delay + later, parts["width"], 0.0)
     received = clean + drawn.noise(drawn.generator, 16 * count)
-    signals = Signals(drawn.interval, medium.sent[:count], received, RANGES["distance"], floor=1e-3)
+    signals = Signals(drawn.interval, medium.sent[:count], received, RANGES["distance"])
     return Known(drawn.kind, signals, delay, _is_readable(clean, signals, delay, parts["noise"]))
 
 
@@ -186,41 +200,3 @@ def _is_readable(clean: Floats, signals: Signals, delay: float, noise: float) ->
     top = int(np.argmax(clean[: int((sent + RANGES["readable_until"] * delay) / signals.sampling_interval)]))
     within = abs(top * signals.sampling_interval - sent - delay) <= RANGES["readable_within"] * delay
     return bool(within and clean[top] >= clean[top + 1] and noise <= RANGES["readable_noise"] * clean[top])
-
-
-def read_all(seed: int, count: int) -> tuple[list[Known], dict[str, Floats]]:
-    """Signals, and for each method the relative errors (count,) of the travel times; NaN where there is none."""
-    known = [draw_signal(seed, index) for index in range(count)]
-    errors = {name: np.full(count, np.nan) for name in METHODS}
-    for index, signal in enumerate(known):
-        picks = read_travel_times(signal.signals)
-        for name in METHODS:
-            reading = getattr(picks, name)
-            if reading.travel_time is not None:
-                errors[name][index] = reading.travel_time / signal.delay - 1.0
-    return known, errors
-
-
-def main() -> None:
-    """Print a table: kind by reading."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=RANGES["judged_seed"])
-    parser.add_argument("--signals", type=int, default=RANGES["signals"])
-    chosen = parser.parse_args()
-    known, errors = read_all(chosen.seed, chosen.signals)
-    kinds, readable = np.array([one.kind for one in known]), np.array([one.readable for one in known])
-    print(f"{len(known)} signals of seed {chosen.seed}, {readable.sum()} of them readable\n")
-    print("| kind | readable % | " + " | ".join(f"{name}: wrong % | refused %" for name in METHODS) + " |")
-    print("|---|---|" + "---|---|" * len(METHODS))
-    for kind in (*KINDS, "all"):
-        chosen_ones = kinds == kind if kind != "all" else np.ones(len(known), dtype=bool)
-        cells = [f"{100.0 * readable[chosen_ones].mean():.0f}"]
-        for name in METHODS:
-            error = errors[name][chosen_ones]
-            wrong = np.abs(error) > RANGES["wrong"]  # NaN is not
-            cells += [f"{100.0 * wrong.mean():.1f}", f"{100.0 * np.isnan(error[readable[chosen_ones]]).mean():.1f}"]
-        print(f"| {kind} | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,57 @@
+"""What Open MPI leaves on a host when its processes are killed: session folders and shared memory."""
+
+import os
+import re
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Open MPI has it, whatever TMPDIR says
+
+_SETTLED = 60.0
+"""Seconds after which what no process uses belongs to none that is just starting."""
+
+
+def remove_leftovers() -> None:
+    """Remove what killed launches of this user have left on this host; what anybody may still use stays.
+
+    A session folder goes if the mpirun of its number is dead, and was one of this host: containers may share the
+    folder. A segment of shared memory goes if no process has it mapped.
+    """
+    host, user = socket.gethostname(), os.getuid()
+    for folder in _settled(Path(tempfile.gettempdir()), "ompi.*", user):
+        process = folder.name.rpartition(".")[2]
+        if (
+            process.isdigit()
+            and (folder / f"pmix.{host}.tool.{process}").exists()
+            and not Path("/proc", process).exists()
+        ):
+            shutil.rmtree(folder, ignore_errors=True)
+    segments = list(_settled(SHARED_MEMORY, f"sm_segment.{host}.{user}.*", user))
+    mapped = _mapped_files() if segments else set()
+    for segment in segments:
+        if str(segment) not in mapped:
+            with suppress(OSError):
+                segment.unlink()
+
+
+def _settled(folder: Path, pattern: str, user: int) -> Iterator[Path]:
+    """What a user has in a folder for some time."""
+    for path in folder.glob(pattern):
+        with suppress(OSError):
+            found = path.lstat()
+            if found.st_uid == user and not path.is_symlink() and time.time() - found.st_mtime > _SETTLED:
+                yield path
+
+
+def _mapped_files() -> set[str]:
+    """Names of all files in shared memory that processes of this user have mapped."""
+    found: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        with suppress(OSError):
+            found |= set(re.findall(rf"{SHARED_MEMORY}/\S+", maps.read_text(encoding="utf-8", errors="replace")))
+    return found
