@@ -27,6 +27,12 @@ def test_tops_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> N
         assert found == list(zip(began.tolist(), ended.tolist(), strict=True))
 
 
+def test_what_does_not_fall_so_far_is_as_wide_as_its_signal() -> None:
+    """A plateau is broad, and not a narrow peak."""
+    assert falls_through(np.array([0.0, 1.0, 0.95, 0.94]), 1, 0.9) == (0.9, 3.0)
+    assert falls_through(np.array([0.95, 1.0, 0.8, 0.0]), 1, 0.9) == (0.0, 1.5)
+
+
 @given(st.floats(-0.5, 0.5), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
 def test_the_vertex_of_a_parabola_is_exact(place: float, height: float, curvature: float) -> None:
     """As far as rounding of its three values lets it be."""

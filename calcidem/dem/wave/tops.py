@@ -18,10 +18,10 @@ def find_tops(signal: Floats) -> Integers:
 
 
 def falls_through(signal: Floats, top: int, level: float) -> tuple[float, float]:
-    """Where a signal falls through a level on either side of a top, in samples; it does."""
+    """Where a signal falls through a level on either side of a top, in samples; its ends where it does not."""
     low = signal <= level
-    left = top - int(low[top::-1].argmax())
-    right = top + int(low[top:].argmax())
+    left = top - int(low[top::-1].argmax()) if low[: top + 1].any() else 0
+    right = top + int(low[top:].argmax()) if low[top:].any() else len(signal) - 1
     before, behind = float(left), float(right)
     if signal[left] < level:
         before += float((level - signal[left]) / (signal[left + 1] - signal[left]))
