@@ -193,8 +193,9 @@ def frequency_table(
     for diagnosis in diagnoses:
         if diagnosis.key.content not in tried and diagnosis.remedies[0].name == "wave.frequency":
             wanted[diagnosis.key.content].append(float(diagnosis.remedies[0].value))
+    useful = {TrialOutcome.WORKS, TrialOutcome.HELPS, TrialOutcome.UNCHECKED}
     for trial in rank_trials(trials):
-        if trial.remedy.name == "wave.frequency" and trial.outcome in {TrialOutcome.WORKS, TrialOutcome.HELPS}:
+        if trial.remedy.name == "wave.frequency" and trial.outcome in useful:
             wanted[trial.content] = wanted[trial.content] or [float(trial.remedy.value)]
     contents = campaign.record.contents
     return (contents, tuple(max(wanted.get(at) or [present(at)]) for at in contents)) if wanted else None
