@@ -20,7 +20,7 @@ from calcidem.app.config.reader import SECTIONS
 from calcidem.app.config.reference import KeyReference, key_references, written
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME
-from calcidem.storage.records.quantity import Bound, arrays_of, quantities_of
+from calcidem.storage.records.quantity import Bound, array_fields, quantities_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -190,7 +190,7 @@ def quantities_page() -> str:
         lines += [f"| `{name}` | `{q.name}` | cell | {q.unit} | {_cell(q.meaning)} |" for q in quantities_of(kind)]
         lines += [
             f"| `{name}` | `{array}` | {along.dimension} | {along.unit} | {_cell(along.meaning)} |"
-            for array, along in arrays_of(kind).items()
+            for array, along in array_fields(kind).items()
         ]
     return _QUANTITIES + "\n".join([*lines, ""])
 

@@ -121,7 +121,7 @@ def small_database(
         for content in CONTENTS:
             measured = measure(experiment, content, SEEDS)
             store.record_results(
-                cell_result(measurement, experiment, store_signals=True)
+                cell_result(measurement, experiment, store_sections=True)
                 for measurement in measured
                 if (measurement.seed, content) not in {NOT_COMPUTED, FAILED}
             )

@@ -28,8 +28,8 @@ from calcidem.storage.records import (
     CementPattern,
     PackingRecord,
     PathFeatures,
+    RecordedSection,
     RunRecord,
-    Signal,
 )
 
 
@@ -53,8 +53,8 @@ class CampaignReader(Protocol):
     def cell(self, *, seed: int, content: float) -> CellResult:
         """One outcome with its arrays; `UnknownCellError` if there is none."""
 
-    def signal(self, *, seed: int, content: float) -> Signal:
-        """The signals of a cell; `UnknownCellError` if none were kept."""
+    def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
+        """The section of a cell; `UnknownCellError` if it was not kept."""
 
     def packing(self, index: int = 0) -> PackingRecord:
         """A stored packing."""

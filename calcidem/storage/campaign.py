@@ -5,6 +5,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, NoReturn
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -18,8 +19,8 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     PackingRecord,
+    RecordedSection,
     RunRecord,
-    Signal,
     canonical_content,
 )
 from calcidem.storage.sql.store import open_store
@@ -172,7 +173,7 @@ class StoredCampaign(Closable):
         where : str, optional
             Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
         with_arrays : bool
-            Whether the records bring signals and cement patterns along.
+            Whether the records bring sections and cement patterns along.
 
         Returns
         -------
@@ -228,28 +229,51 @@ class StoredCampaign(Closable):
             )
         return found
 
-    def signal(self, *, seed: int, content: float) -> Signal:
-        """Return the sent and received signals of a cell, with the times of their samples.
+    def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
+        """Return the section of a cell as it is stored.
 
         Raises
         ------
         UnknownCellError
-            If none were kept.
+            If it was not kept.
+        """
+        found = self.store.section(CellKey(seed, content))
+        if found is None:
+            raise UnknownCellError(
+                f"No section is stored for seed {seed} and content {content} %.",
+                "Only cells that were computed with run.store_sections have one.",
+            )
+        return found
+
+    def section(self, *, seed: int, content: float) -> xr.DataArray:
+        """Return the space-time section of a cell: velocities [m/s] along (time, place, component).
+
+        ``time`` is in s after the pulse began, ``place`` the path from the transmitter in m, the last of which is the
+        receiver, and ``component`` is ``across`` the path or ``along`` it.
+
+        Raises
+        ------
+        UnknownCellError
+            If it was not kept.
 
         Examples
         --------
         >>> campaign = open_stored_campaign("example.db")
-        >>> signal = campaign.signal(seed=1, content=5.0)
-        >>> signal.time.shape == signal.received_force.shape
-        True
+        >>> campaign.section(seed=1, content=5.0).sel(component="across").isel(place=-1).dims
+        ('time',)
         """
-        found = self.store.signal(CellKey(seed, content))
-        if found is None:
-            raise UnknownCellError(
-                f"No signal is stored for seed {seed} and content {content} %.",
-                "Only cells that were computed with signals kept have one.",
-            )
-        return found
+        found = self.recorded_section(seed=seed, content=content)
+        return xr.DataArray(
+            np.stack([found.across, found.along], axis=-1) * found.resolution,
+            dims=("time", "place", "component"),
+            coords={
+                "time": ("time", found.time, {"units": "s"}),
+                "place": ("place", found.places, {"units": "m"}),
+                "component": ["across", "along"],
+            },
+            name="velocity",
+            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency, "aperture": found.aperture},
+        )
 
     def packing(self, index: int = 0) -> PackingRecord:
         """Return a packing of the campaign.

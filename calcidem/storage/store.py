@@ -20,8 +20,8 @@ from calcidem.storage.records import (
     CellStatus,
     PackedResult,
     PackingRecord,
+    RecordedSection,
     RunRecord,
-    Signal,
     canonical_content,
     checked_seed,
 )
@@ -401,15 +401,15 @@ class Store(Closable):
         ----------
         selection : Selection
         with_arrays : bool
-            Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
+            Whether to load paths, sections and cement patterns, some 50 kB a cell; without it they are None.
         """
 
     @abstractmethod
     def integrity(self) -> Integrity:
         """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
 
-    def signal(self, key: CellKey) -> Signal | None:
-        """Return the signals of a cell, None if none were kept.
+    def section(self, key: CellKey) -> RecordedSection | None:
+        """Return the section of a cell, None if it was not kept.
 
         Raises
         ------
@@ -419,7 +419,7 @@ class Store(Closable):
         found = next(self.results(Selection((key.seed,), (key.content,)), with_arrays=True), None)
         if found is not None:
             found.refuse_damage()
-        return None if found is None else found.signal
+        return None if found is None else found.section
 
     @abstractmethod
     def table(

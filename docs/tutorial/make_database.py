@@ -19,7 +19,7 @@ def main() -> None:
     database = HERE / "quick.db"
     database.unlink(missing_ok=True)
     whole = load_configuration(HERE / "quick.toml", {})
-    first = replace(whole, campaign=replace(whole.campaign, seeds=(1,)), run=replace(whole.run, store_signals=True))
+    first = replace(whole, campaign=replace(whole.campaign, seeds=(1,)), run=replace(whole.run, store_sections=True))
     for configuration in (first, whole):
         run(configuration, db=database).close()
 

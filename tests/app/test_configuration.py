@@ -59,7 +59,7 @@ WRONG = {
     "a word without quotes": ("[campaign]\nname = quick\n", ("not TOML", "line 2", '"..."')),
     "unknown section": ("[wavee]\n", ("wavee: unknown section", 'did you mean "wave"?')),
     "unknown key": ("[wave]\namplitud = 1.0\n", ("wave.amplitud: unknown key", 'did you mean "amplitude"?')),
-    "strange key": ("[run]\nqqq = 1\n", ("run.qqq: unknown key", "there are lanes, store_signals")),
+    "strange key": ("[run]\nqqq = 1\n", ("run.qqq: unknown key", "there are lanes, store_sections")),
     "key of another section": (
         "[pattern]\nsand_density = 2650.0\n",
         ("pattern.sand_density: unknown key", "sand.density says it"),
@@ -217,7 +217,7 @@ WRONG = {
     "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
     "quality out of reach": ("[pick]\nleast_quality = 1.5\n", ("pick.least_quality = 1.5", "give a number in [0, 1)")),
     "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "give 1, 2, 4, 8, 16 or 32")),
-    "truth as a number": ("[run]\nstore_signals = 1\n", ("run.store_signals = 1", "neither true nor false")),
+    "truth as a number": ("[run]\nstore_sections = 1\n", ("run.store_sections = 1", "neither true nor false")),
     "no time": ("[run]\ntime_limit = 0.0\n", ("run.time_limit = 0.0", "give seconds above 0")),
     "database is a folder": ('[run]\ndatabase = "."\n', ('run.database = "."', "is a folder", "give a file name")),
     "database nowhere": (

@@ -12,9 +12,10 @@ from scipy.stats import norm
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.outcomes import _bias_of_failed, is_in_doubt
+from calcidem.app.campaign.diagnosis import diagnose
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing, packing_record
-from calcidem.app.campaign.remedies import Case, Remedy, describe_packing, explain
+from calcidem.app.campaign.remedies import Case, Remedy, explain_refusal, look_at_packing
 from calcidem.app.campaign.remedy_trials import RemedyTrial, TrialOutcome, rank_trials
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.calibrated import calibration_note
@@ -45,7 +46,7 @@ from calcidem.storage.sql.store import open_store
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
 
-def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_signals: bool = True) -> Path:
+def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
     """Compute a campaign and store it."""
     plan, experiment = configuration.campaign, configuration.experiment(packing)
     with open_store(path) as store:
@@ -56,7 +57,7 @@ def store_campaign(path: Path, configuration: Configuration, packing: Packing, *
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         for content in plan.contents:
             found = measure(experiment, content, plan.seed_numbers)
-            store.record_results(cell_result(cell, experiment, store_signals) for cell in found)
+            store.record_results(cell_result(cell, experiment, store_sections) for cell in found)
     return path
 
 
@@ -139,6 +140,19 @@ def test_the_wavelengths_that_are_asked_for_give_velocities(unread: Path, invoke
     assert unread.read_bytes() == before
 
 
+def test_sections_that_were_not_stored_are_computed_again(
+    unread: Path, slow_pulse: Configuration, small_packing: Packing, tmp_path: Path
+) -> None:
+    """Without stored sections a cell is diagnosed as with them, to the last bit; with them nothing is computed."""
+    bare = store_campaign(tmp_path / "bare.db", slow_pulse, small_packing, store_sections=False)
+    told: list[str] = []
+    with open_campaign(unread) as full, open_campaign(bare) as campaign:
+        (one,), (other,) = diagnose(full, seed=2, progress=told.append), campaign.diagnose(seed=2)
+    assert not told
+    assert (other.finding, other.remedies) == (one.finding, one.remedies)
+    assert np.array_equal(other.case.section.across, one.case.section.across)
+
+
 def test_each_verdict_has_its_number_and_a_remedy_for_it(case: Case, slow_pulse: Configuration) -> None:
     """A section made silent, cut, put out of order or of long waves says by how much, and what changes that."""
     experiment, section = case.experiment, case.section
@@ -159,7 +173,7 @@ def test_each_verdict_has_its_number_and_a_remedy_for_it(case: Case, slow_pulse:
     )
     for recorded, verdict, words, names in expected:
         found = case_of(experiment, recorded)
-        number, remedies = explain(found)
+        number, remedies = explain_refusal(found)
         assert found.reading.verdict is verdict
         assert words in number
         proposed = {remedy.name for remedy in remedies}
@@ -171,7 +185,7 @@ def test_a_longer_record_is_as_long_as_the_decision_needs(case: Case) -> None:
     """The proposed `wave.slowest` makes a record in which the peak is decided, and not three times as long."""
     experiment, section = case.experiment, case.section
     cut = case_of(experiment, undecided(case))
-    (remedy,) = (one for one in explain(cut)[1] if one.name == "wave.slowest")
+    (remedy,) = (one for one in explain_refusal(cut)[1] if one.name == "wave.slowest")
     needed = min(one.decided for one in cut.candidates if one.decided > cut.section.duration)
     length = record_duration(section.distance, float(remedy.value), section.frequency, experiment.pick.smoothing)
     present = record_duration(section.distance, experiment.wave.slowest, section.frequency, experiment.pick.smoothing)
@@ -186,7 +200,7 @@ def test_the_largest_part_of_the_numerical_error_has_a_remedy(part: str, case: C
     for regime in get_args(Regime):
         experiment = replace(case.experiment, wave=replace(case.experiment.wave, regime=regime, precision="float32"))
         error = NumericalError(0.02, 0.2, parts)
-        number, remedies = explain(replace(case, experiment=experiment, error=error))
+        number, remedies = explain_refusal(replace(case, experiment=experiment, error=error))
         assert f"{part} (20.0%)" in number
         assert remedies
         assert all(remedy.apply(experiment) != experiment for remedy in remedies)
@@ -208,14 +222,14 @@ def test_the_spectrum_passes_through_the_candidates(case: Case) -> None:
 
 def test_a_packing_that_carries_no_wave_is_told(small_packing: Packing) -> None:
     """Deep overlaps ask for less stress, too few contacts for a denser packing; a good one asks for nothing."""
-    assert describe_packing(small_packing, 1e11)[1] == ()
+    assert look_at_packing(small_packing, 1e11)[1] == ()
     report, radius = small_packing.report, float(small_packing.radius.mean())
     deep = replace(small_packing, report=replace(report, largest_overlap=0.2 * radius))
-    (stress,) = describe_packing(deep, 1e11)[1]
+    (stress,) = look_at_packing(deep, 1e11)[1]
     assert stress.name == "packing.stress"
     assert 0.2 < float(stress.value) / max(report.wall_stress) < 0.5**1.5
     loose = replace(small_packing, report=replace(report, coordination_number_without_rattlers=2.5))
-    text, (porosity,) = describe_packing(loose, 1e11)
+    text, (porosity,) = look_at_packing(loose, 1e11)
     assert "2.50 contacts per disk" in text
     assert porosity.name == "packing.porosity"
     assert float(porosity.value) < report.porosity

@@ -17,7 +17,7 @@ from calcidem.analysis.published import PublishedVelocity, is_published_sand, pu
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellResult
 
-_DEFAULT_ONSET = 0.1
+_ONSET = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
 _SHOWN_HISTOGRAMS = 24
@@ -76,24 +76,22 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
     Raises
     ------
     UnavailableError
-        If no signal is stored.
+        If no section is stored.
     """
-    signal, pick = cell.signal, analysis.campaign.config.get("pick", {})
-    if signal is None:
-        raise UnavailableError(f"no signal is stored for seed {cell.key.seed} at {cell.key.content:g} %")
-    force = pick.get("signal") == "force"
+    section = cell.section
+    if section is None:
+        raise UnavailableError(f"no section is stored for seed {cell.key.seed} at {cell.key.content:g} %")
     velocities = {name: getattr(cell, f"vs_{name}") for name in METHOD_STYLES}
     return Arrival(
         seed=cell.key.seed,
         content=cell.key.content,
-        time=signal.time,
-        sent=signal.sent_velocity,
-        received=signal.received_force if force else signal.received_velocity,
-        received_force=force,
+        time=section.time,
+        sent=section.transmitted,
+        received=section.received,
         # A cell that took the whole width for the way of the wave has no distance.
         distance=cell.distance or analysis.campaign.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
-        onset=float(pick.get("onset", _DEFAULT_ONSET)),
+        onset=_ONSET,
     )
 
 

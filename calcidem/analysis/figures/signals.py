@@ -42,8 +42,6 @@ class Arrival:
         s, shape (t,).
     sent, received
         The two signals at these times, shape (t,), m/s.
-    received_force
-        Whether the received one is a force instead, N per metre of thickness.
     distance
         Between transmitter and receiver, m.
     velocities
@@ -57,7 +55,6 @@ class Arrival:
     time: NDArray[np.float64]
     sent: NDArray[np.float64]
     received: NDArray[np.float64]
-    received_force: bool
     distance: float
     velocities: Mapping[str, float]
     onset: float

@@ -14,7 +14,7 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, r
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
 from calcidem.app.campaign.opened import OpenedCampaign
-from calcidem.app.campaign.task import stored_signal
+from calcidem.app.campaign.task import stored_section
 from calcidem.dem.wave.film import film_wave
 from calcidem.storage.files import write_atomically
 
@@ -115,10 +115,10 @@ class CampaignPlots:
             bonded,
             cell.frequency or experiment.frequency(content),
             frames=frames,
-            samples=None if cell.signal is None else len(cell.signal.sent_velocity),
+            samples=None if cell.section is None else len(cell.section.across),
             watch=lambda done, count: watch(done, 2 * count),
         )
-        shown = replace(cell, signal=stored_signal(film.record))
+        shown = replace(cell, section=stored_section(film.record.section))
         figure = draw_film(
             self._campaign.packing(cell.packing_index),
             experiment.packing.pairs[bonded],

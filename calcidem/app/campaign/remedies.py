@@ -110,7 +110,7 @@ class Case:
         return self.section.frequency * self.travel_time
 
 
-def explain(case: Case) -> tuple[str, tuple[Remedy, ...]]:
+def explain_refusal(case: Case) -> tuple[str, tuple[Remedy, ...]]:
     """Return the number that refused a cell, in a sentence, and what may help, the most promising first."""
     verdict, pick = case.reading.verdict, case.experiment.pick
     if case.problem:
@@ -141,7 +141,7 @@ def explain(case: Case) -> tuple[str, tuple[Remedy, ...]]:
     return number, tuple(found) or tuple(_lower_frequency(case))
 
 
-def describe_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[Remedy, ...]]:
+def look_at_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[Remedy, ...]]:
     """Return what a packing is like, in sentences, and what makes it better if it cannot carry a wave."""
     report, radius = packing.report, float(np.mean(packing.radius))
     deep, stress = report.largest_overlap / radius, max(report.wall_stress)

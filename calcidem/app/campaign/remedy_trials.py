@@ -20,7 +20,7 @@ from calcidem.dem.wave.measurement import measure_all
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import CellStatus
 
-_LARGEST_CHANGE = 0.02  # of the neighbours' mean Vs that a remedy may make
+_MOST_CHANGED = 0.02  # of the neighbours' mean Vs that a remedy may make
 _BATCH = 8  # cells that are tried side by side: those without velocity, and readable ones for comparison
 
 
@@ -83,7 +83,7 @@ class RemedyTrial:
             return TrialOutcome.REFUSED
         if self.lost >= self.read:
             return TrialOutcome.LOSES if self.read else TrialOutcome.FAILED
-        if abs(self.change) > _LARGEST_CHANGE:
+        if abs(self.change) > _MOST_CHANGED:
             return TrialOutcome.MOVES
         if math.isnan(self.change):
             return TrialOutcome.UNCHECKED

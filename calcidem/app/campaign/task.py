@@ -27,7 +27,7 @@ from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
@@ -38,7 +38,7 @@ from calcidem.storage.records import (
     GraphSummary,
     PackedResult,
     PathFeatures,
-    Signal,
+    RecordedSection,
 )
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
@@ -77,7 +77,9 @@ class CellComputation:
         measurements = measure(
             experiment, content, seeds, lanes=run.lanes, check=deadline_check, ordering=self._ordering
         )
-        results = [cell_result(measurement, experiment, run.store_signals, self._graph) for measurement in measurements]
+        results = [
+            cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
+        ]
         if run.static_speed:
             results = [
                 replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
@@ -140,7 +142,7 @@ def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
 
 
 def cell_result(
-    measurement: Measurement, experiment: Experiment, store_signals: bool, graph: PackingGraph | None = None
+    measurement: Measurement, experiment: Experiment, store_sections: bool, graph: PackingGraph | None = None
 ) -> CellResult:
     """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it.
 
@@ -161,7 +163,10 @@ def cell_result(
         vs_peak=reading.peak,
         vs_first_arrival=reading.first_arrival,
         vs_cross_correlation=reading.cross_correlation,
-        quality_peak=reading.arrival.coherence if reading.arrival else None,
+        coherence=reading.arrival.coherence if reading.arrival else None,
+        reading_error=reading.error,
+        path_vs=reading.path,
+        path_error=reading.path_error,
         frequency=measurement.frequency,
         distance=record.section.distance,
         wavelengths_on_path=on_path,
@@ -183,7 +188,7 @@ def cell_result(
         features=features,
         graph=summary,
         path=path,
-        signal=stored_signal(record) if store_signals else None,
+        section=stored_section(record.section) if store_sections else None,
         cement=pattern,
     )
 
@@ -199,15 +204,31 @@ def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
     return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
 
 
-def stored_signal(record: WaveRecord) -> Signal | None:
-    """Signals as the store keeps them."""
-    section = record.section
-    return Signal(
+def stored_section(section: Section) -> RecordedSection:
+    """Section as the store keeps it."""
+    return RecordedSection(
         sampling_interval=section.sampling_interval,
         start_time=section.start_time,
-        sent_velocity=section.transmitted,
-        received_force=np.zeros_like(section.received),
-        received_velocity=section.received,
+        pulse_frequency=section.frequency,
+        resolution=section.amplitude * RESOLUTION,
+        aperture=section.aperture,
+        places=np.array(section.places),
+        across=section.across,
+        along=section.along,
+    )
+
+
+def section_of(stored: RecordedSection) -> Section:
+    """Section as it is read: with the same bits as when it was recorded."""
+    return Section(
+        sampling_interval=stored.sampling_interval,
+        start_time=stored.start_time,
+        frequency=stored.pulse_frequency,
+        amplitude=stored.resolution / RESOLUTION,
+        aperture=stored.aperture,
+        places=tuple(stored.places.tolist()),
+        across=stored.across,
+        along=stored.along,
     )
 
 

@@ -247,8 +247,8 @@ class RunOptions:
     ----------
     lanes
         Cells computed side by side, 1 to 32; a power of two.
-    store_signals
-        Whether the signals of every cell are kept.
+    store_sections
+        Whether the section of every cell is kept, some 10 kB each.
     static_speed
         Whether the velocity of long shear waves is computed from the static stiffness of every cell, too.
     time_limit
@@ -263,7 +263,7 @@ class RunOptions:
     """
 
     lanes: Annotated[int, Predicate(LANE_COUNTS.__contains__), "1, 2, 4, 8, 16 or 32"] = 8
-    store_signals: bool = True
+    store_sections: bool = True
     static_speed: bool = False
     time_limit: (
         Annotated[

@@ -71,7 +71,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         shown.append(seed)
     for graph in graphs:
         blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
-    names = [quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.name not in {"seed", "content"}]
+    names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
     if analysis.vs.size > _MOST_FULL_RECORDS:
         names = [name for name in names if name in _SHORT_RECORD]
         remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
@@ -128,7 +128,7 @@ def _describe_cells(
     before: dict[int, NDArray[np.uint8]] = {}
     for cell in cells:
         described: dict[str, Any] = {"content": cell.key.content, "packing": cell.packing_index}
-        if cell.signal is not None:
+        if cell.section is not None:
             described["signal"] = _describe_signal(analysis, cell)
         if cell.cement is not None and cell.packing_index < len(graphs):
             graph = graphs[cell.packing_index]
@@ -151,7 +151,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
         "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
-        "unit": "N/m" if arrival.received_force else "m/s",
+        "unit": "m/s",
         "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
     }
     for name in ("sent", "received"):

@@ -17,7 +17,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, Signal
+from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, RecordedSection
 
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
@@ -32,7 +32,7 @@ The same cell on the same packing differed between processors by up to 1e-10 whi
 chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
 """
 
-_SHARES = ("quality_peak", "quality_first_arrival", "quality_cross_correlation", "expected_error", "error_bound")
+_SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
 
@@ -147,17 +147,17 @@ def _verify_batch(
     """Compute cells of one content and one packing."""
     found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
     for stored, measurement in zip(cells, found, strict=True):
-        computed = cell_result(measurement, experiment, store_signals=stored.signal is not None)
+        computed = cell_result(measurement, experiment, store_sections=stored.section is not None)
         yield _compare_outcomes(stored, computed)
 
 
 def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
-    """Compare two outcomes of one cell: status, numbers, and cement and signals where they were stored."""
+    """Compare two outcomes of one cell: status, numbers, and cement and section where they were stored."""
     differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:
         differences |= _different_arrays("cement", stored.cement, computed.cement)
-    if stored.signal is not None:
-        differences |= _different_arrays("signal", stored.signal, computed.signal)
+    if stored.section is not None:
+        differences |= _different_arrays("section", stored.section, computed.section)
     return Verification(stored, computed, differences)
 
 
@@ -175,7 +175,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
 
 
 def _different_arrays(
-    name: str, stored: CementPattern | Signal, computed: CementPattern | Signal | None
+    name: str, stored: CementPattern | RecordedSection, computed: CementPattern | RecordedSection | None
 ) -> dict[str, float]:
     """Name the fields that differ between two records of arrays, and by how much."""
     if computed is None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.records import ARRAY_RECORDS, AttemptRecord, CellKey, CellResult, PackingRecord
-from calcidem.storage.records.quantity import arrays_of, quantities_of
+from calcidem.storage.records.quantity import array_fields, quantities_of
 
 Group = Any
 """A netCDF4.Dataset or netCDF4.Group; that library has no types."""
@@ -235,7 +235,7 @@ def _append_records(group: Group, kind: type[Any], records: Sequence[tuple[CellK
         for quantity in quantities_of(kind)
     }
     of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
-    for name, along in arrays_of(kind).items():
+    for name, along in array_fields(kind).items():
         arrays = [getattr(record, name) for _, record in records]
         counts = np.array([len(array) for array in arrays], dtype=np.int64)
         columns[f"{along.dimension}{_COUNT}"] = ("1", f"number of elements of {along.dimension}", counts)
@@ -266,7 +266,7 @@ class CellArrays:
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
             self._cells = _read_columns(self._group, "cell")
-            dimensions = {along.dimension for along in arrays_of(self._kind).values()}
+            dimensions = {along.dimension for along in array_fields(self._kind).values()}
             self._ends = {d: np.concatenate(([0], np.cumsum(self._cells[f"{d}{_COUNT}"]))) for d in dimensions}
             keys = zip(self._cells["seed"].tolist(), self._cells["content"].tolist(), strict=True)
             self._row = {key: row for row, key in enumerate(keys)}

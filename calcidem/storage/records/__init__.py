@@ -30,7 +30,7 @@ from calcidem.storage.records.sample import (
     GrainPath,
     GraphSummary,
     PathFeatures,
-    Signal,
+    RecordedSection,
 )
 
 __all__ = [
@@ -56,8 +56,8 @@ __all__ = [
     "PackingRecord",
     "PathFeatures",
     "Quantity",
+    "RecordedSection",
     "RunRecord",
-    "Signal",
     "WorkerRecord",
     "canonical_content",
     "checked_seed",

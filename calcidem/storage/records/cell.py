@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
-from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, Signal
+from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _CONTENT_DECIMALS = 9
 
@@ -133,7 +133,7 @@ class CellResult:
         Number of the attempt, counted from 1 over all runs: part of the outcome's identity (see `Store`).
     features, graph
         Path features and summary of the contact graph, where there are any.
-    path, signal, cement
+    path, section, cement
         Arrays, where they were kept, and where the query asked for them (`ARRAY_RECORDS`).
 
     Raises
@@ -160,14 +160,22 @@ class CellResult:
         float | None,
         Quantity("m s-1", "shear-wave velocity by cross-correlation", "reading", Bound.POSITIVE, is_exact=True),
     ] = None
-    quality_peak: Annotated[
-        float | None, Quantity("1", "quality of the peak-to-peak pick", "reading", is_exact=True)
+    coherence: Annotated[
+        float | None, Quantity("1", "stack of the section along the line of the S wave", "reading", is_exact=True)
     ] = None
-    quality_first_arrival: Annotated[
-        float | None, Quantity("1", "quality of the first-arrival pick", "reading", is_exact=True)
+    reading_error: Annotated[
+        float | None,
+        Quantity("1", "relative standard error of the reading of vs", "reading", Bound.NOT_NEGATIVE, is_exact=True),
     ] = None
-    quality_cross_correlation: Annotated[
-        float | None, Quantity("1", "quality of the cross-correlation pick", "reading", is_exact=True)
+    path_vs: Annotated[
+        float | None,
+        Quantity("m s-1", "shear-wave velocity from station to station", "reading", Bound.POSITIVE, is_exact=True),
+    ] = None
+    path_error: Annotated[
+        float | None,
+        Quantity(
+            "1", "relative standard error of the reading of path_vs", "reading", Bound.NOT_NEGATIVE, is_exact=True
+        ),
     ] = None
     frequency: Annotated[
         float | None,
@@ -240,7 +248,7 @@ class CellResult:
     features: PathFeatures | None = None
     graph: GraphSummary | None = None
     path: GrainPath | None = None
-    signal: Signal | None = None
+    section: RecordedSection | None = None
     cement: CementPattern | None = None
 
     def __post_init__(self) -> None:
@@ -304,9 +312,9 @@ class PackedResult:
     arrays: dict[str, bytes]
 
 
-ARRAY_RECORDS: dict[str, type[GrainPath | Signal | CementPattern]] = {
+ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
     "path": GrainPath,
-    "signal": Signal,
+    "section": RecordedSection,
     "cement": CementPattern,
 }
 """Fields of `CellResult` that hold arrays, with their classes; each is a blob in the database and a group in a file."""

@@ -81,23 +81,23 @@ def quantities_of(record: type) -> tuple[Quantity, ...]:
 @cache
 def _quantities_of(record: type) -> tuple[Quantity, ...]:
     return tuple(
-        replace(note, name=name, kind=_kind(hint), is_optional=NoneType in get_args(get_args(hint)[0]))
-        for name, hint, note in _notes(record)
+        replace(note, name=name, kind=_kind_of(hint), is_optional=NoneType in get_args(get_args(hint)[0]))
+        for name, hint, note in _annotated_fields(record)
         if isinstance(note, Quantity)
     )
 
 
-def arrays_of(record: type) -> dict[str, Along]:
+def array_fields(record: type) -> dict[str, Along]:
     """Return the arrays of a record class, by name."""
-    return {name: note for name, _, note in _notes(record) if isinstance(note, Along)}
+    return {name: note for name, _, note in _annotated_fields(record) if isinstance(note, Along)}
 
 
-def _notes(record: type) -> list[tuple[str, Any, Any]]:
+def _annotated_fields(record: type) -> list[tuple[str, Any, Any]]:
     hints = get_type_hints(record, include_extras=True)
     return [(name, hint, note) for name, hint in hints.items() for note in getattr(hint, "__metadata__", ())]
 
 
-def _kind(hint: Any) -> Literal["real", "whole", "text"]:  # noqa: ANN401 - a type hint
+def _kind_of(hint: Any) -> Literal["real", "whole", "text"]:  # noqa: ANN401 - a type hint
     plain = get_args(hint)[0]
     (kind,) = {choice for choice in get_args(plain) or (plain,) if choice is not NoneType}
     return "text" if issubclass(kind, str) else "whole" if issubclass(kind, int) else "real"

@@ -1,4 +1,4 @@
-"""Frozen records of a sample beyond single numbers: signals, cement pattern, path, graph."""
+"""Frozen records of a sample beyond single numbers: section, cement pattern, path, graph."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,8 +15,8 @@ C_CONTACT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Signal(ComparedByValue):
-    """Sent and received signals of a cell, sampled at equal intervals.
+class RecordedSection(ComparedByValue):
+    """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals.
 
     Attributes
     ----------
@@ -24,39 +24,56 @@ class Signal(ComparedByValue):
         Time between two samples [s], a multiple of the cell's time step.
     start_time : float
         Time of the first sample after the pulse began [s].
-    sent_velocity : (samples,) array
-        Velocity of the transmitter [m/s].
-    received_force : (samples,) array
-        Shear force on the receiver [N per metre of thickness].
-    received_velocity : (samples,) array
-        Mean velocity of the grains at the receiver [m/s].
+    pulse_frequency : float
+        Of the pulse ``v0 (1 - cos 2 pi f t)`` [Hz].
+    resolution : float
+        Velocity of one count [m/s], v0 / 2^20.
+    aperture : float
+        Half the height of the transmitter [m].
+    places : (X,) float64 array
+        Path from the transmitter to each station, and last to the receiver [m].
+    across, along : (T, X) int32 array
+        Velocities across the path and along it, in counts.
     """
 
     sampling_interval: Annotated[float, Quantity("s", "time between two samples")]
     start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
-    sent_velocity: Annotated[NDArray[np.float64], Along("sample", "m s-1", "velocity of the transmitter")]
-    received_force: Annotated[
-        NDArray[np.float64], Along("sample", "N m-1", "shear force on the receiver for a metre of thickness")
-    ]
-    received_velocity: Annotated[
-        NDArray[np.float64], Along("sample", "m s-1", "mean velocity of the grains at the receiver")
-    ]
+    pulse_frequency: Annotated[float, Quantity("Hz", "frequency of the pulse")]
+    resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
+    aperture: Annotated[float, Quantity("m", "half the height of the transmitter")]
+    places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
+    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts")]
+    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
-        if self.sampling_interval <= 0.0:
-            raise ValueError(f"Signal.sampling_interval is {self.sampling_interval} s; give a positive time.")
-        samples = np.shape(self.sent_velocity)[0] if np.ndim(self.sent_velocity) else 0
-        for name in ("sent_velocity", "received_force", "received_velocity"):
-            array = freeze_array("Signal", name, getattr(self, name), np.float64, (samples,))
+        for name in ("sampling_interval", "pulse_frequency", "resolution", "aperture"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"RecordedSection.{name} is {getattr(self, name)}; give a positive number.")
+        places = freeze_array("RecordedSection", "places", self.places, np.float64, (None,))
+        object.__setattr__(self, "places", places)
+        samples = np.shape(self.across)[0] if np.ndim(self.across) else 0
+        for name in ("across", "along"):
+            array = freeze_array("RecordedSection", name, getattr(self, name), np.int32, (samples, len(places)))
             object.__setattr__(self, name, array)
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Times of the samples after the pulse began [s], shape (samples,)."""
-        samples = np.arange(self.sent_velocity.size, dtype=np.float64)
+        """Times of the samples after the pulse began [s], shape (T,)."""
+        samples = np.arange(len(self.across), dtype=np.float64)
         return np.float64(self.start_time) + samples * np.float64(self.sampling_interval)
+
+    @property
+    def transmitted(self) -> NDArray[np.float64]:
+        """Velocity of the transmitter [m/s], shape (T,)."""
+        turns, amplitude = self.time * self.pulse_frequency, self.resolution * 2.0**20
+        return np.where(turns < 1.0, amplitude * (1.0 - np.cos(2.0 * np.pi * turns)), 0.0)
+
+    @property
+    def received(self) -> NDArray[np.float64]:
+        """Velocity of the receiver across the path [m/s], shape (T,)."""
+        return np.asarray(self.across[:, -1] * self.resolution)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -241,10 +241,14 @@ def check_name(quantity: Quantity) -> str:
 
 _TYPES: dict[str, type[TypeEngine[Any]]] = {"real": Double, "whole": BigInteger, "text": Text}
 
-_ELSEWHERE = {"seed", "content", "reason", "seconds", "rank", "host"}
+CELL, ATTEMPT, PACKING, RUN = (
+    Base.metadata.tables[row.__tablename__] for row in (CellRow, AttemptRow, PackingRow, RunRow)
+)
+
+_TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
 """Quantities that are in the rows of the cell and of its attempt."""
 
-STORED_QUANTITIES = tuple(q for q in QUANTITY_BY_NAME.values() if q.name not in _ELSEWHERE)
+STORED_QUANTITIES = tuple(q for q in QUANTITY_BY_NAME.values() if q.name not in _TABLES_ELSEWHERE)
 """Quantities that are columns of the table `result`."""
 
 RESULT = Table(
@@ -277,10 +281,6 @@ ARRAYS = Table(
 )
 """Arrays beside an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
 
-CELL, ATTEMPT, PACKING, RUN = (
-    Base.metadata.tables[row.__tablename__] for row in (CellRow, AttemptRow, PackingRow, RunRow)
-)
-
 STATUS = func.coalesce(RESULT.c.status, literal_column(repr(CellStatus.PENDING.value)))
 """A planned cell without a result is pending.
 
@@ -288,10 +288,8 @@ The word is part of the SQL text: PostgreSQL takes two parameters for different 
 and refuses to group by this.
 """
 
-_TABLES = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
-
 EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
-    name: STATUS if name == "status" else _TABLES.get(name, RESULT).c[name] for name in QUANTITY_BY_NAME
+    name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name] for name in QUANTITY_BY_NAME
 }
 """What each quantity is in a query over `join_results`."""
 

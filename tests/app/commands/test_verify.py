@@ -216,8 +216,8 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
     again = dataclasses.replace(
         measured, record=dataclasses.replace(measured.record, retry="the energy grew", broken_bonds=7)
     )
-    assert cell_result(measured, experiment, store_signals=False).retry is None
-    kept = cell_result(again, experiment, store_signals=False)
+    assert cell_result(measured, experiment, store_sections=False).retry is None
+    kept = cell_result(again, experiment, store_sections=False)
     assert (kept.retry, kept.broken_bonds) == ("the energy grew", 7)
 
 

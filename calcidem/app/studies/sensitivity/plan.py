@@ -93,7 +93,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
     source = os.fspath(path)
     listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "run", {"database": database, "store_signals": False})
+    _change(base, "run", {"database": database, "store_sections": False})
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
         Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
