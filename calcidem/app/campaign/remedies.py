@@ -148,7 +148,8 @@ def look_at_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[
     contacts = report.coordination_number_without_rattlers
     text = (
         f"Porosity {report.porosity:.3f}; {contacts:.2f} contacts per disk without rattlers; largest overlap "
-        f"{deep:.2g} of the mean radius; stress {stress / 1e3:.3g} kPa, {stress / shear_modulus:.2g} of their modulus."
+        f"{deep:.2g} of the mean radius; stress {stress / 1e3:.3g} kPa, "
+        f"{stress / shear_modulus:.2g} of the sand's shear modulus."
     )
     found = []
     if deep > _DEEP:  # an overlap of Hertz goes with the power 2/3 of the force
