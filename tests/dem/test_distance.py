@@ -8,9 +8,9 @@ from scenes import RADIUS, SOFT, bare_packing
 
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.domain import driven_disks
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import measure, signals_of
-from calcidem.dem.wave.pick import PickRule
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import WaveRule
 
 OVERLAP = 2e-3 * RADIUS
@@ -50,7 +50,7 @@ def lattice_experiment(columns: float) -> Experiment:
         slowest=0.3 * shear_speed(),
     )
     frequencies = ((0.0, 9.0), (frequency, frequency))
-    return Experiment(packing, sand=SOFT, wave=wave, pick=PickRule(slowest=1.0), frequencies=frequencies)
+    return Experiment(packing, sand=SOFT, wave=wave, frequencies=frequencies)
 
 
 def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> None:
@@ -61,12 +61,12 @@ def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> 
     # The lattice is 1 % slower than theory at this wavelength; what the receiver throws back makes it faster, and
     # so does the small swing before the peak, which is taken off as if it were a P wave.
     np.testing.assert_allclose(velocity, shear_speed(), rtol=0.06)
-    over_width = velocity * square_lattice().width / np.array([found.distance for found in measured])
+    over_width = velocity * square_lattice().width / np.array([found.record.section.distance for found in measured])
     assert np.ptp(over_width) > 0.1 * shear_speed()
 
 
 def test_the_distance_is_the_mean_place_of_what_is_listened_to(small_packing: Packing) -> None:
-    """Velocities are heard where their disks are in the mean, forces at the wall; readings are over that distance."""
+    """What is recorded is where its disks are in the mean; readings are over that distance."""
     wave = WaveRule(receiver_half_width=0.012, listening_depth=0.006, boundary_thickness=0.012)
     experiment = Experiment(small_packing, wave=wave)
     heard = [
@@ -76,13 +76,26 @@ def test_the_distance_is_the_mean_place_of_what_is_listened_to(small_packing: Pa
     ]
     assert experiment.distance == pytest.approx(sum(heard) / len(heard), rel=1e-14)
     assert 0.024 < experiment.distance < 0.0288  # at least the smallest radius from the wall
-    assert replace(experiment, signal="force").distance == small_packing.width
+    assert (np.diff(experiment.places) > 0.0).all()
     found = measure(lattice_experiment(3), 0.0, [1])[0]
     assert found.vs is not None
-    assert found.picks is not None
-    assert found.distance == lattice_experiment(3).distance
-    assert found.vs * float(found.picks.peak.travel_time or 0.0) == pytest.approx(found.distance, rel=1e-14)
-    assert signals_of(found.record, lattice_experiment(3)).distance == found.distance
+    assert found.result.reading is not None
+    assert found.result.reading.arrival is not None
+    assert found.record.section.places == lattice_experiment(3).places
+    distance = lattice_experiment(3).distance
+    assert found.vs * found.result.reading.arrival.travel_time == pytest.approx(distance, rel=1e-14)
+
+
+def test_driven_disks_send_a_wave_from_where_they_are(small_packing: Packing) -> None:
+    """The path of all places begins at their mean x, and not at the wall, which moves nothing."""
+    wall = WaveRule(
+        transmitter_half_width=0.01, receiver_half_width=0.012, listening_depth=0.006, boundary_thickness=0.012
+    )
+    driven = replace(wall, transmitter="driven")
+    begin = small_packing.x[driven_disks(small_packing, driven)].mean()
+    assert begin > small_packing.radius.min() / 2.0
+    from_wall, from_disks = (Experiment(small_packing, wave=wave).places for wave in (wall, driven))
+    np.testing.assert_allclose(np.array(from_wall) - np.array(from_disks), begin, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("depth", "cure"), [(0.0091, "at most 0.3 of the box's width, 0.009 m"), (0.001, "larger")])

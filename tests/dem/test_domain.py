@@ -17,6 +17,7 @@ from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+from calcidem.dem.wave.section import RESOLUTION, Counts
 
 RULE = WaveRule(
     transmitter_half_width=0.006,
@@ -41,14 +42,16 @@ def bonded(packing: Packing, content: float) -> Integers:
     return draw_cement(packing, CementRule(), seed=1, root_seed=0).at(content).bonded
 
 
-def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> Floats:
-    """(S,) velocity before the receiver, with one step for all domains."""
+def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> tuple[Counts, Floats]:
+    """(S, X) steps of velocity across, and velocities at the end of what listens, with one step for all domains."""
     experiment = Experiment(packing, sand=SAND, wave=rule)
     recorder = prepare_recorder(experiment, [bonded(packing, content)], FREQUENCY, 1, check=lambda: None)
     assert time_step <= SAFETY * recorder.state.critical_time_step[0]
     recorder.stride = STRIDE
     recorder.state = replace(recorder.state, time_step=np.array([time_step]))
-    return recorder.run(lambda record: len(record.sent) >= 8 * SAMPLES_PER_CHUNK, lambda: None)[0].velocity
+    (record,) = recorder.run(lambda record: len(record.section.across) >= 8 * SAMPLES_PER_CHUNK, lambda: None)
+    velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
+    return record.section.across, velocity[listening_disks(experiment.domain.packing, rule)]
 
 
 @pytest.mark.parametrize(
@@ -64,8 +67,11 @@ def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
     part = domain_of(packing, rule, "preserve").packing
     assert 0.4 < len(part.x) / len(packing.x) < 0.85
     time_step = 3e-8
-    exact, trimmed = heard(packing, whole, content, time_step), heard(packing, rule, content, time_step)
-    assert np.abs(exact).max() > loudness * amplitude  # the cemented box is narrower than the wave is long
+    counts, exact = heard(packing, whole, content, time_step)
+    same, trimmed = heard(packing, rule, content, time_step)
+    # The cemented box is narrower than the wave is long.
+    assert np.abs(counts[:, -1]).max() > loudness / RESOLUTION
+    np.testing.assert_allclose(same, counts, atol=1.0, rtol=0)  # one step, where noise decides how it is rounded
     np.testing.assert_allclose(trimmed, exact, atol=noise * amplitude, rtol=0)
 
 
@@ -89,39 +95,52 @@ def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
         np.testing.assert_array_equal(kept[part.pairs], given[packing.pairs[domain.pairs]])
 
 
-def test_stations_hear_the_mean_of_their_disks_and_leave_the_receiver_as_it_is(packing: Packing) -> None:
-    """The receiver's bits are those of a run without stations; each station is the plain mean of a slice."""
-    rule = replace(RULE, stations=4, polarisation=True)
-    heard_by = []
-    for given in (RULE, rule):
-        experiment = Experiment(packing, sand=SAND, wave=given)
-        recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
-        heard_by.append(recorder.run(lambda record: len(record.sent) >= 2 * SAMPLES_PER_CHUNK, lambda: None)[0])
-    alone, accompanied = heard_by
-    assert alone.stations is None
-    assert alone.along is None
-    np.testing.assert_array_equal(accompanied.velocity, alone.velocity)
-    part = domain_of(packing, rule, "preserve").packing
+def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
+    """Each place is the plain mean of a slice, the last one that of the receiver, in whole steps."""
+    experiment = Experiment(packing, sand=SAND, wave=RULE)
+    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
+    (record,) = recorder.run(lambda record: len(record.section.across) >= 4 * SAMPLES_PER_CHUNK, lambda: None)
+    part = domain_of(packing, RULE, "preserve").packing
     velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
-    listening = [*station_disks(part, rule), listening_disks(part, rule)]
+    listening = [*station_disks(part, RULE), listening_disks(part, RULE)]
     along, across = np.array([velocity[disks].mean(axis=0) for disks in listening]).T
-    assert np.abs([along, across]).max(axis=1).min() > 0.0
-    np.testing.assert_allclose(accompanied.stations[-1], across[:-1], rtol=1e-12)  # type: ignore[index]
-    np.testing.assert_allclose(accompanied.along[-1], along, rtol=1e-12)  # type: ignore[index]
-    assert (np.diff(experiment.stations) > 0.0).all()
-    assert 0.1 < experiment.stations[0] < experiment.stations[-1] < 1.0
+    step = RULE.amplitude * RESOLUTION
+    assert np.abs([along, across]).max() > 1e4 * step
+    np.testing.assert_allclose(record.section.across[-1] * step, across, atol=0.501 * step)
+    np.testing.assert_allclose(record.section.along[-1] * step, along, atol=0.501 * step)
+    assert record.section.across.dtype == record.section.along.dtype == np.int32
+    assert len(record.section.places) == len(listening) > 4
+    np.testing.assert_allclose(record.section.places, [part.x[disks].mean() for disks in listening], rtol=1e-12)
+
+
+def test_samples_are_taken_in_the_middle_of_every_last_step(packing: Packing) -> None:
+    """Leapfrog velocities belong to half a step before the end of the step after which they are read."""
+    experiment = Experiment(packing, sand=SAND, wave=RULE)
+    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
+    recorder.record_chunk(3)
+    record = recorder.record_of(0, "")
+    section = record.section
+    assert record.stride > 1
+    assert section.sampling_interval == pytest.approx(record.stride * record.time_step, rel=1e-14)
+    assert section.start_time == pytest.approx(section.sampling_interval - record.time_step / 2.0, rel=1e-12)
+    assert section.duration == pytest.approx(record.steps * record.time_step, rel=1e-12)
+    assert section.period >= RULE.samples_per_period
 
 
 @pytest.mark.parametrize(
     ("lanes", "early_stop"), [(1, False), *(pytest.param(lanes, True, marks=pytest.mark.full) for lanes in (8, 16))]
 )
-def test_a_cell_with_stations_has_one_reading(packing: Packing, lanes: int, early_stop: bool) -> None:
+def test_a_cell_has_one_reading(packing: Packing, lanes: int, early_stop: bool) -> None:
     """In any batch, and if the record ends when the reading is settled, which changes none of its bits."""
-    experiment = Experiment(packing, sand=SAND, wave=replace(RULE, stations=4), frequencies=((0.0, 5.0), (5e4, 5e4)))
+    experiment = Experiment(packing, sand=SAND, wave=RULE, frequencies=((0.0, 5.0), (5e4, 5e4)))
     alone = measure(experiment, 5.0, [5], lanes=1)[0]
     seeds = (5, 1, 3)[: min(lanes, 3)]
     cell = measure(replace(experiment, early_stop=early_stop), 5.0, seeds, lanes=lanes)[0]
-    assert cell.outcome is Outcome.DONE
-    assert cell.record.stations is not None
-    assert (cell.picks, cell.vs) == (alone.picks, alone.vs)
-    assert early_stop or len(cell.record.sent) > len(alone.record.sent)
+    assert cell.result.outcome is Outcome.DONE
+    one, other = cell.result.reading, alone.result.reading
+    assert one is not None
+    assert other is not None
+    for name in ("peak", "first_arrival", "cross_correlation", "error", "path", "path_error"):
+        assert getattr(one, name) == getattr(other, name)
+    assert (cell.vs, cell.result.error) == (alone.vs, alone.result.error)
+    assert early_stop or len(cell.record.section.across) > len(alone.record.section.across)

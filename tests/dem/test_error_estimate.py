@@ -14,10 +14,11 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
-from calcidem.dem.wave.pick import Signals
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.reading import Arrival
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.section import Section
 
 WAY, RADIUS, OVERLAP = 0.094, 1.25e-3, 1e-6  # m; one disk is listened to, there
 AMPLITUDE = 1e-4  # m/s
@@ -27,10 +28,9 @@ PACKING = bare_packing(
 )
 EXPERIMENT = Experiment(PACKING, wave=WaveRule(amplitude=AMPLITUDE))  # linear, with damping
 EXACT = Experiment(PACKING, wave=WaveRule(regime="finite", damping=0.0))  # nothing but step and sampling
-RECORD = WaveRecord(
-    time_step=1e-7, stride=10, sent=np.zeros(3), force=np.zeros(3), velocity=np.zeros(3),
-    stability_limit=1.25e-7, steps=30,
-)  # fmt: skip
+SAMPLING = 1e-6  # s
+SECTION = Section(SAMPLING, 0.0, FREQUENCY, AMPLITUDE, 0.01, (WAY,), *np.zeros((2, 3, 1), dtype=np.int32))
+RECORD = WaveRecord(time_step=1e-7, stride=10, section=SECTION, stability_limit=1.25e-7, steps=30)
 
 
 def waves(experiment: Experiment, **changes: object) -> Experiment:
@@ -48,12 +48,13 @@ def slipping(softening: float = 0.0, slipped: float = 0.0) -> WaveRecord:
     return replace(RECORD, nonlinear=(Nonlinearity(0.0, softening),), slipped=slipped)
 
 
-def received(stretch: float = 1.0) -> Signals:
-    """A pulse that arrives after the travel time, its width multiplied."""
-    time = np.arange(0.0, 6.0 / FREQUENCY, 1e-6)
-    pulse = Pulse(AMPLITUDE, FREQUENCY)
-    arrived = pulse.velocity(0.5 / FREQUENCY + (time - TRAVEL_TIME - 0.5 / FREQUENCY) / stretch)
-    return Signals(1e-6, pulse.velocity(time), arrived, PACKING.width, 0.0)
+def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: float = 0.0) -> Arrival:
+    """A pulse that arrives after a travel time, its width multiplied."""
+    time = np.arange(0.0, 6.0 / FREQUENCY, SAMPLING)
+    middle = 0.5 / FREQUENCY
+    clean = Pulse(1.0, FREQUENCY).velocity(middle + (time - TRAVEL_TIME - middle) / stretch)
+    index = round((TRAVEL_TIME + middle) / SAMPLING)
+    return Arrival(travel_time, 1.0, 0.0, 0.2, roughness, None, None, index, clean[:, np.newaxis])
 
 
 def parts(
@@ -65,7 +66,8 @@ def parts(
     noisy: bool = False,
 ) -> ErrorParts:
     """Parts of the error, of the cell at hand but for what is given."""
-    return estimate_error(experiment, record, received(), frequency, travel_time, noisy=noisy)[2]
+    record = replace(record, section=replace(record.section, frequency=frequency))
+    return estimate_error(experiment, record, received(1.0, travel_time, 0.101 if noisy else 0.099)).parts
 
 
 def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
@@ -81,7 +83,7 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
     ("part", "experiment", "record", "noisy"),
     [
         ("step", EXPERIMENT, replace(RECORD, time_step=2e-7, stride=5, stability_limit=2.5e-7), False),
-        ("sampling", EXPERIMENT, replace(RECORD, stride=20), False),
+        ("sampling", EXPERIMENT, replace(RECORD, section=replace(SECTION, sampling_interval=2.0 * SAMPLING)), False),
         ("regime", waves(EXPERIMENT, amplitude=2.0 * AMPLITUDE), RECORD, False),
         ("regime", pressed(EXPERIMENT, 10.0 * OVERLAP), RECORD, False),
         ("regime", EXPERIMENT, replace(RECORD, closing_gaps=0.01), False),
@@ -138,10 +140,10 @@ def test_the_step_has_the_dispersion_of_leapfrog() -> None:
 def test_noise_moves_a_peak_as_far_as_it_is_said() -> None:
     """The top of a pulse with a sine of the onset level added, found on a grid, is where the estimate has it."""
     time = np.linspace(-0.1, 0.1, 200_001) / FREQUENCY
-    level = 0.02
+    level = 0.1
     top = time[np.argmax(1.0 - (np.pi * FREQUENCY * time) ** 2 + level * np.sin(2.0 * np.pi * FREQUENCY * time))]
-    noisy = replace(EXPERIMENT, pick=replace(EXPERIMENT.pick, onset=level))
-    assert parts(noisy, noisy=True).noise * TRAVEL_TIME == pytest.approx(top, rel=2e-3)
+    # There the sine is less steep by 1 - cos 2 level.
+    assert parts(noisy=True).noise * TRAVEL_TIME == pytest.approx(top, rel=0.021)
 
 
 def test_regimes_count_what_they_leave_out() -> None:
@@ -213,7 +215,7 @@ def test_the_cure_of_a_large_bound_works() -> None:
 def expected(share: float, stretch: float = 1.0, experiment: Experiment = EXACT) -> float:
     """Error to expect if that share of the work is nonlinear."""
     record = replace(RECORD, nonlinear=(Nonlinearity(share, 0.0),))
-    return estimate_error(experiment, record, received(stretch), FREQUENCY, TRAVEL_TIME)[0]
+    return estimate_error(experiment, record, received(stretch)).expected
 
 
 def test_a_changed_signal_moves_its_peak_as_far_as_is_expected() -> None:
@@ -222,7 +224,7 @@ def test_a_changed_signal_moves_its_peak_as_far_as_is_expected() -> None:
     time = np.linspace(-0.02, 0.02, 200_001) / FREQUENCY
     angle = 2.0 * np.pi * FREQUENCY * time
     top = time[np.argmax(0.5 * (1.0 + np.cos(angle)) + change * np.sin(angle))]
-    # Smoothing and the distance of the three values make the peak look a little wider than it is.
+    # The distance of the three values makes the peak look a little wider than it is.
     assert (expected(1e-3) - expected(0.0)) * TRAVEL_TIME == pytest.approx(top, rel=0.1)
 
 
@@ -231,17 +233,15 @@ def test_a_flat_peak_lets_expect_a_larger_error() -> None:
     narrow, wide = (expected(1e-3, stretch) - expected(0.0, stretch) for stretch in (1.0, 2.0))
     assert wide == pytest.approx(4.0 * narrow, rel=0.1)
     assert expected(3e-3) - expected(0.0) == pytest.approx(3.0 * narrow)
-    rough = received()
-    rough.received[:] += 1e-2 * AMPLITUDE * (-1.0) ** np.arange(len(rough.received))
-    level = 1e-2 / 2.0  # of a peak of twice the amplitude
-    chattering = estimate_error(EXACT, RECORD, rough, FREQUENCY, TRAVEL_TIME)[0]
+    level = 5e-3
+    chattering = estimate_error(EXACT, RECORD, received(roughness=level)).expected
     assert chattering - expected(0.0) == pytest.approx(narrow * 0.25 * level / 1.7e-3, rel=0.1)
 
 
 def test_the_step_lets_expect_an_error_of_first_order() -> None:
     """Half the limit means twice the step over it, 1.6 for 0.8, and all is below the bound."""
     coarse = replace(RECORD, stability_limit=0.5 * RECORD.stability_limit)
-    errors = [estimate_error(EXACT, record, received(), FREQUENCY, TRAVEL_TIME)[0] for record in (RECORD, coarse)]
+    errors = [estimate_error(EXACT, record, received()).expected for record in (RECORD, coarse)]
     assert errors[1] - errors[0] == pytest.approx(6e-5 * 0.8)
     assert errors[0] < error_bound(parts(EXACT))
 
@@ -249,9 +249,8 @@ def test_the_step_lets_expect_an_error_of_first_order() -> None:
 def test_what_the_transmitter_loses_is_expected_in_part() -> None:
     """A force of which 1 % is missing lets expect 0.45 of its bound more, and raises the bound by that alone."""
     lossy = slipping(slipped=0.01)
-    given = received(), FREQUENCY, TRAVEL_TIME
     loss = parts(EXACT, lossy).slip
-    (usual, _, _), (larger, bound, found) = (estimate_error(EXACT, record, *given) for record in (RECORD, lossy))
+    (usual, _, _), (larger, bound, found) = (estimate_error(EXACT, record, received()) for record in (RECORD, lossy))
     assert larger - usual == pytest.approx(0.45 * loss)
     assert bound == error_bound(found)
 
@@ -322,9 +321,7 @@ def test_the_bound_counts_half_of_what_shear_rescaling_takes() -> None:
     """A velocity goes with the root of the stiffness; what is expected stays, since work of both signs cancels."""
     rescaled = replace(RECORD, nonlinear=(Nonlinearity(0.0, 0.0, 0.01),))
     assert parts(EXACT, rescaled).regime - parts(EXACT).regime == pytest.approx(0.005)
-    usual, same = (
-        estimate_error(EXACT, record, received(), FREQUENCY, TRAVEL_TIME)[0] for record in (RECORD, rescaled)
-    )
+    usual, same = (estimate_error(EXACT, record, received()).expected for record in (RECORD, rescaled))
     assert same == usual
 
 

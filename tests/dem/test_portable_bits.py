@@ -89,18 +89,6 @@ def test_arcsines_lengths_and_powers_are_good_to_the_last_places() -> None:
     np.testing.assert_allclose(tangents, np.tan(np.radians(degrees)), rtol=1e-13, atol=0.0)
 
 
-@pytest.mark.parametrize("reach", [2, 5, 12])
-def test_smoothing_leaves_cubics_as_they_are(reach: int) -> None:
-    """A cubic is its own smooth form up to both ends, and of noise the least squares are left."""
-    time = np.linspace(-1.0, 1.0, 60)
-    cubic = 1.0 + time - 3.0 * time * time + 0.5 * time * time * time
-    np.testing.assert_allclose(portable.smooth_cubically(cubic, reach), cubic, rtol=0.0, atol=1e-13)
-    noise = np.random.default_rng(3).normal(size=60)
-    places = np.arange(-reach, reach + 1)
-    fit = np.polynomial.Polynomial.fit(places, noise[30 - reach : 31 + reach], 3)
-    assert portable.smooth_cubically(noise, reach)[30] == pytest.approx(fit(0.0), abs=1e-13)
-
-
 def test_largest_eigenvalues_are_bounds_good_to_a_trillionth() -> None:
     """Never below LAPACK's and above by 1e-12 at most, with stiffnesses that differ by 1e11, and for zero matrices."""
     generator = np.random.default_rng(4)

@@ -1,16 +1,18 @@
-"""Tops of signals, how far they stand out and how broad they are."""
+"""Tops of signals, how broad they are, and where they are between samples."""
 
 import numpy as np
 import pytest
-from scipy.signal import find_peaks, peak_prominences, peak_widths
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import find_peaks, peak_widths
 
-from calcidem.dem.wave.tops import find_tops, half_width, prominence
+from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
 
 
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("levels", [0, 4])
 def test_tops_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> None:
-    """Tops, level ones too, prominences and widths are what SciPy finds in random signals of any length."""
+    """Tops, level ones too, and their widths are what SciPy finds in random signals of any length."""
     generator = np.random.default_rng(7)
     for size in (1, 2, 3, 40, 300):
         signal = generator.normal(size=size)
@@ -20,16 +22,20 @@ def test_tops_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> N
         assert tops.tolist() == find_peaks(signal)[0].tolist()
         if not len(tops):
             continue
-        assert [prominence(signal, top) for top in tops.tolist()] == peak_prominences(signal, tops)[0].tolist()
-        _, _, began, ended = peak_widths(signal, tops, rel_height=0.5)
-        assert [half_width(signal, top) for top in tops.tolist()] == list(
-            zip(began.tolist(), ended.tolist(), strict=True)
-        )
+        _, height, began, ended = peak_widths(signal, tops, rel_height=0.5)
+        found = [falls_through(signal, *top) for top in zip(tops.tolist(), height.tolist(), strict=True)]
+        assert found == list(zip(began.tolist(), ended.tolist(), strict=True))
 
 
-def test_a_signal_that_only_rises_has_no_width() -> None:
-    """The last sample of a rising signal stands out of nothing."""
-    signal = np.arange(4.0)
-    assert not len(find_tops(signal))
-    assert prominence(signal, 3) == 0.0
-    assert half_width(signal, 3) == (3.0, 3.0)
+@given(st.floats(-0.5, 0.5), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
+def test_the_vertex_of_a_parabola_is_exact(place: float, height: float, curvature: float) -> None:
+    """As far as rounding of its three values lets it be."""
+    signal = height - curvature * (np.arange(5.0) - 2.0 - place) ** 2
+    tolerance = 1e-15 * (abs(height) + 4.0 * curvature) / curvature
+    assert parabola_vertex(signal, 2) == pytest.approx(place, abs=4.0 * tolerance + 1e-12)
+
+
+def test_what_does_not_bend_down_has_no_vertex() -> None:
+    """The middle of three values on a line, or in a trough, is as good as any."""
+    assert parabola_vertex(np.arange(3.0), 1) == 0.0
+    assert parabola_vertex(np.array([1.0, 0.0, 2.0]), 1) == 0.0

@@ -9,7 +9,6 @@ contiguous array has a fixed order (pairwise), which a test checks.
 
 import math
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -111,38 +110,6 @@ def sliding_products(signal: Floats, weights: Floats) -> Floats:
         np.multiply(signal[shift : shift + places], weight, out=product)
         total += product
     return total
-
-
-def smooth_cubically(signal: Floats, reach: int) -> Floats:
-    """Values of cubics fitted to each sample and its ``reach`` neighbours on either side (Savitzky-Golay, no delay).
-
-    The first and the last samples take theirs from the outermost of these cubics.
-    """
-    basis = _cubic_basis(reach)
-    size = 2 * reach + 1
-    first = _combine((basis * signal[:size]).sum(axis=1), basis[:, :reach])
-    last = _combine((basis * signal[-size:]).sum(axis=1), basis[:, reach + 1 :])
-    return np.concatenate([first, sliding_products(signal, _combine(basis[:, reach], basis)), last])
-
-
-def _combine(shares: Floats, polynomials: Floats) -> Floats:
-    """Sum of the rows of ``polynomials`` (4, S), each times its share (4,)."""
-    total: Floats = np.zeros(polynomials.shape[1])
-    for share, polynomial in zip(shares.tolist(), polynomials, strict=True):
-        total = total + share * polynomial
-    return total
-
-
-@cache
-def _cubic_basis(reach: int) -> Floats:
-    """Orthonormal polynomials of degree 0 to 3 (Gram's) at S = 2 reach + 1 samples, (4, S); integers until the end."""
-    j = np.arange(-reach, reach + 1)
-    second, third = reach * (reach + 1), 3 * reach * (reach + 1) - 1
-    gram = np.array([np.ones_like(j), j, 3 * j * j - second, 5 * j * j * j - third * j])
-    sums = [sum(value * value for value in row) for row in gram.tolist()]
-    basis: Floats = gram / np.sqrt(np.array(sums, dtype=float))[:, np.newaxis]
-    basis.setflags(write=False)
-    return basis
 
 
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, _TERMS))

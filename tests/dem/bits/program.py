@@ -25,7 +25,7 @@ from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.pick import PickRule
+from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 
 SEEDS = (1, 2, 3)
@@ -57,7 +57,7 @@ def experiment_on(scene: str, packing: Packing, regime: str) -> Experiment:
     """Experiment of a scene."""
     if scene == "small":
         wave = replace(SMALL_WAVE, amplitude=1e-4 if regime == "linear" else 1e-3)
-        pick = PickRule(fewest_periods=0.0)  # there is no longer way in so small a box
+        pick = PickRule(largest_error=1.0)  # there is no longer way in so small a box
         experiment = Experiment(
             packing, cement_rule=CementRule(p_share=0.77), wave=wave, pick=pick, stiffness_factor=13.0
         )
@@ -80,14 +80,22 @@ def hash_of_cement(experiment: Experiment) -> str:
 
 
 def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]:
-    """Hashes of step, signals and readings."""
+    """Hashes of step, section and readings."""
     records = [cell.record for cell in cells]
-    yield "step", digest(*((r.time_step, r.stability_limit, r.sampling_interval, r.unbalanced_speed) for r in records))
-    yield "signal", digest(*(signal for r in records for signal in (r.sent, r.force, r.velocity)))
-    picks = [cell.picks for cell in cells if cell.picks is not None]
-    readings = [reading for p in picks for reading in (p.peak, p.first_arrival, p.cross_correlation)]
-    numbers = [number for r in readings for number in (r.travel_time, r.quality)]
-    yield "Vs", digest(*numbers, *(cell.vs for cell in cells), *(cell.error_bound for cell in cells))
+    yield "step", digest(*((r.time_step, r.stability_limit, r.unbalanced_speed) for r in records))
+    sections = [record.section for record in records]
+    yield (
+        "section",
+        digest(
+            *((s.sampling_interval, s.start_time, *s.places) for s in sections),
+            *(counts for s in sections for counts in (s.across, s.along)),
+        ),
+    )
+    results = [cell.result for cell in cells]
+    readings = [result.reading for result in results if result.reading is not None]
+    numbers = [(r.peak, r.first_arrival, r.cross_correlation, r.error, r.path, r.path_error) for r in readings]
+    errors = [(e.expected, e.bound) for result in results if (e := result.error) is not None]
+    yield "Vs", digest(*(n for row in numbers for n in row), *(cell.vs for cell in cells), *errors)
 
 
 def tell(value: str, name: str) -> None:

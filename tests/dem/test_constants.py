@@ -1,0 +1,63 @@
+"""Each constant of the reading is held by its tests: moved by 30 % up or down, one of them fails."""
+
+import ast
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[2]
+WAVE = Path("calcidem") / "dem" / "wave"
+JUDGES = [str(Path(__file__).with_name(name)) for name in ("test_reading.py", "test_section.py")]
+
+
+def constants() -> Iterator[tuple[str, str]]:
+    """Module and name of each number of the reading and of the section, and of the stations."""
+    for module in ("reading", "section", "domain"):
+        for node in ast.parse((CHECKOUT / WAVE / f"{module}.py").read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.BinOp):
+                name = ast.unparse(node.targets[0])
+                if module != "domain" or name == "STATIONS":
+                    yield module, name
+
+
+def judge(folder: Path, module: str, name: str, factor: float) -> subprocess.CompletedProcess[str]:
+    """Run the tests with a copy of the package in which a constant is another one; whole numbers stay whole."""
+    shutil.copytree(CHECKOUT / "calcidem", folder / "calcidem", ignore=shutil.ignore_patterns("__pycache__"))
+    path = folder / WAVE / f"{module}.py"
+    source = path.read_text(encoding="utf-8")
+    value = next(
+        node.value
+        for node in ast.parse(source).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
+    )
+    written = ast.unparse(value)
+    moved = factor * eval(written)  # noqa: S307 - a number of our own source
+    moved = round(moved) if isinstance(eval(written), int) else moved  # noqa: S307 - the same
+    lines = source.splitlines(keepends=True)
+    lines[value.lineno - 1] = f"{name} = {moved!r}\n"
+    path.write_text("".join(lines), encoding="utf-8")
+    options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--confcutdir", str(Path(__file__).parent)]
+    command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *JUDGES]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)  # its folder comes first
+
+
+@pytest.mark.full
+def test_the_constants_as_they_are_pass(tmp_path: Path) -> None:
+    """Or what follows would prove nothing."""
+    done = judge(tmp_path, "reading", "SILENCE", 1.0)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize(("module", "name"), list(constants()))
+def test_a_constant_that_is_moved_is_noticed(tmp_path: Path, module: str, name: str, factor: float) -> None:
+    """A test fails, and it is a test, not an import."""
+    done = judge(tmp_path, module, name, factor)
+    assert done.returncode == 1, done.stdout
+    assert "FAILED" in done.stdout
+    assert "error" not in done.stdout.splitlines()[-1]

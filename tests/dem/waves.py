@@ -1,0 +1,67 @@
+"""Sections of waves that are written down, for the tests of their reading; velocities are over v0, times in periods."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.section import Section, quantise
+
+FREQUENCY, AMPLITUDE, DISTANCE, APERTURE = 5e3, 1e-3, 0.094, 0.05
+PARTS = (*np.linspace(0.15, 0.9, 9).tolist(), 1.0)
+"""Places of nine stations and of the receiver, over the distance."""
+ONE = Pulse(0.5, 1.0)
+"""Pulse of one period that rises to 1."""
+
+Wave = Callable[[float, Floats], Floats]
+"""Velocity at a place (over the distance) and at times."""
+
+
+def wave(travel: float, height: float = 1.0, faster: float = 1.0) -> Wave:
+    """Pulse that takes so many periods to the receiver; ``faster`` is its frequency, its peak stays."""
+    return lambda part, time: height * ONE.velocity(faster * (time - 0.5 - part * travel) + 0.5)
+
+
+def at_receiver(motion: Wave) -> Wave:
+    """The same at the receiver, and nothing at the stations."""
+    return lambda part, time: motion(part, time) * (part == 1.0)
+
+
+def at_stations(motion: Wave, count: int = 9) -> Wave:
+    """The same at the stations, the first so many of them, and nothing elsewhere."""
+    return lambda part, time: motion(part, time) * (part < 1.0 and PARTS.index(part) < count)
+
+
+def total(*motions: Wave) -> Wave:
+    """Sum of motions."""
+    return lambda part, time: np.sum([motion(part, time) for motion in motions], axis=0)
+
+
+def silence(part: float, time: Floats) -> Floats:
+    """Nothing moves."""
+    return 0.0 * part * time
+
+
+def section(
+    across: Wave,
+    along: Wave = silence,
+    *,
+    duration: float = 20.0,
+    samples: int = 40,
+    parts: tuple[float, ...] = PARTS,
+    aperture: float = APERTURE,
+) -> Section:
+    """Section of motions, recorded for so many periods; the first sample is not at time zero."""
+    interval = 1.0 / (FREQUENCY * samples)
+    time = (0.3 + np.arange(int(duration * samples))) / samples
+    motions = ([AMPLITUDE * motion(part, time) for part in parts] for motion in (across, along))
+    counts = (quantise(np.column_stack(columns), AMPLITUDE) for columns in motions)
+    places = tuple(DISTANCE * part for part in parts)
+    return Section(interval, 0.3 * interval, FREQUENCY, AMPLITUDE, aperture, places, *counts)
+
+
+def periods(velocity: float | None) -> float:
+    """Travel time that a velocity stands for, in periods; fails if there is none."""
+    assert velocity is not None
+    return DISTANCE * FREQUENCY / velocity
