@@ -23,8 +23,8 @@ from calcidem.storage.records import (
     RunRecord,
     canonical_content,
 )
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Closable, Selection, Store
+from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.store import Closable, Selection
 
 
 def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "StoredCampaign":
@@ -237,13 +237,15 @@ class StoredCampaign(Closable):
         UnknownCellError
             If it was not kept.
         """
-        found = self.store.section(CellKey(seed, content))
-        if found is None:
+        found = next(self.store.results(Selection((seed,), (content,)), with_arrays=True), None)
+        if found is not None:
+            found.refuse_damage()
+        if found is None or found.section is None:
             raise UnknownCellError(
                 f"No section is stored for seed {seed} and content {content} %.",
                 "Only cells that were computed with run.store_sections have one.",
             )
-        return found
+        return found.section
 
     def section(self, *, seed: int, content: float) -> xr.DataArray:
         """Return the space-time section of a cell: velocities [m/s] along (time, place, component).

@@ -23,7 +23,7 @@ from calcidem.analysis.figures.style import (
     new_figure,
 )
 
-_Values: TypeAlias = NDArray[np.floating[Any]]
+_Array: TypeAlias = NDArray[np.floating[Any]]
 _MOST_LINES = 6  # candidates that are shown, the most coherent ones
 _EXCURSION = 0.75  # largest value of a trace over the mean distance of the stations
 _CHARACTERS = 100  # in a line of text
@@ -59,16 +59,16 @@ class SectionPicture:
 
     title: str
     text: str
-    times: _Values
-    places: _Values
-    across: _Values
-    clean: _Values
-    p_waves: _Values
+    times: _Array
+    places: _Array
+    across: _Array
+    clean: _Array
+    p_waves: _Array
     transmitted_peak: float
     candidates: tuple[tuple[float, float], ...]
     chosen: int | None
-    velocities: _Values
-    spectrum: _Values
+    velocities: _Array
+    spectrum: _Array
     least_coherence: float
     expected: tuple[float, float] | None
 
@@ -118,7 +118,16 @@ def _draw_traces(axes: Axes, picture: SectionPicture) -> None:
         axes.fill([begin, late, early], [0.0, place[-1], place[-1]], color=BLUE, alpha=0.08, linewidth=0)
     handles, labels = axes.get_legend_handles_labels()
     shown = dict(zip(labels, handles, strict=True))
-    axes.legend(shown.values(), shown.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
+    axes.legend(
+        shown.values(),
+        shown.keys(),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=3,
+        borderaxespad=0.0,
+        handlelength=1.0,
+        columnspacing=1.0,
+    )
     axes.set_xlim(0.0, time[-1])
     axes.set_ylim(-0.08 * place[-1], 1.22 * place[-1])
     axes.set_title(picture.title)

@@ -13,13 +13,13 @@ import numpy as np
 
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment
-from calcidem.app.campaign.remedies import Case, Remedy, describe_packing, explain
+from calcidem.app.campaign.remedies import Case, Remedy, explain_refusal, look_at_packing
 from calcidem.app.campaign.status import UNREAD
+from calcidem.app.campaign.task import section_of
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.reading import LEAST_COHERENCE, find_candidates, prepare, read_section, velocity_spectrum
-from calcidem.dem.wave.section import Section
 from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import CellKey, CellResult, CellStatus
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
 
 _SLOWED = 0.5  # least part of the static speed at which waves were found to travel (docs/velocity.md)
-_VELOCITIES = 240  # of the spectrum
+_SPECTRUM_POINTS = 240  # of the spectrum
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,11 +74,11 @@ def draw_case(case: Case, title: str, text: str) -> "Figure":
     best = case.candidates[chosen[0]] if chosen else case.best
     times = section.times[: len(prepared.across)]
     slowest = section.distance / max(float(times[-1]), 1.0 / section.frequency)
-    velocities = np.geomspace(slowest, 0.5 * _VELOCITIES * slowest, _VELOCITIES)
+    velocities = np.geomspace(slowest, 0.5 * _SPECTRUM_POINTS * slowest, _SPECTRUM_POINTS)
     if case.candidates or case.expected:
         travels = [one.travel_time for one in case.candidates]
         fastest = max([section.distance / travel for travel in travels] + list(case.expected or ()))
-        velocities = np.geomspace(slowest, 2.0 * fastest, _VELOCITIES)
+        velocities = np.geomspace(slowest, 2.0 * fastest, _SPECTRUM_POINTS)
     picture = SectionPicture(
         title=title,
         text=text,
@@ -145,10 +145,10 @@ class _Examiner:
 
     def diagnose(self, cell: CellResult) -> Diagnosis:
         """Diagnose one cell."""
-        experiment = self.experiment(cell.packing_index)
-        measured = None
-        section: Section | None = getattr(cell, "section", None)
-        if section is None:
+        experiment, measured = self.experiment(cell.packing_index), None
+        if cell.section is not None:
+            section = section_of(cell.section)
+        else:
             measured = self._measure(cell, experiment)
             section = measured.record.section
         reading, pick = read_section(section, experiment.pick), experiment.pick
@@ -159,10 +159,10 @@ class _Examiner:
         expected, source = self._expected(cell.key, experiment)
         candidates = find_candidates(section, pick.smoothing)
         case = Case(experiment, section, reading, candidates, expected, error, problem)
-        number, remedies = explain(case)
+        number, remedies = explain_refusal(case)
         packing = ""
         if not self.readable(cell.key.content):
-            packing, better = describe_packing(experiment.packing, experiment.stiffen()[1].shear_modulus)
+            packing, better = look_at_packing(experiment.packing, experiment.stiffen()[1].shear_modulus)
             remedies = (*better, *remedies)
         finding = f"{number} {_measured(case, source)}"
         return Diagnosis(cell.key, cell.status, cell.reason, packing, finding, remedies, case)

@@ -110,7 +110,7 @@ class Case:
         return self.section.frequency * self.travel_time
 
 
-def explain(case: Case) -> tuple[str, tuple[Remedy, ...]]:
+def explain_refusal(case: Case) -> tuple[str, tuple[Remedy, ...]]:
     """Return the number that refused a cell, in a sentence, and what may help, the most promising first."""
     verdict, pick = case.reading.verdict, case.experiment.pick
     if case.problem:
@@ -141,14 +141,15 @@ def explain(case: Case) -> tuple[str, tuple[Remedy, ...]]:
     return number, tuple(found) or tuple(_lower_frequency(case))
 
 
-def describe_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[Remedy, ...]]:
+def look_at_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[Remedy, ...]]:
     """Return what a packing is like, in sentences, and what makes it better if it cannot carry a wave."""
     report, radius = packing.report, float(np.mean(packing.radius))
     deep, stress = report.largest_overlap / radius, max(report.wall_stress)
     contacts = report.coordination_number_without_rattlers
     text = (
         f"Porosity {report.porosity:.3f}; {contacts:.2f} contacts per disk without rattlers; largest overlap "
-        f"{deep:.2g} of the mean radius; stress {stress / 1e3:.3g} kPa, {stress / shear_modulus:.2g} of the shear modulus."
+        f"{deep:.2g} of the mean radius; stress {stress / 1e3:.3g} kPa, "
+        f"{stress / shear_modulus:.2g} of the sand's shear modulus."
     )
     found = []
     if deep > _DEEP:  # an overlap of Hertz goes with the power 2/3 of the force

@@ -20,7 +20,7 @@ from calcidem.dem.wave.measurement import measure_all
 from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import CellStatus
 
-_LARGEST_CHANGE = 0.02  # of the neighbours' mean Vs that a remedy may make
+_MOST_CHANGED = 0.02  # of the neighbours' mean Vs that a remedy may make
 _BATCH = 8  # cells that are tried side by side: those without velocity, and readable ones for comparison
 
 
@@ -83,7 +83,7 @@ class RemedyTrial:
             return TrialOutcome.REFUSED
         if self.lost >= self.read:
             return TrialOutcome.LOSES if self.read else TrialOutcome.FAILED
-        if abs(self.change) > _LARGEST_CHANGE:
+        if abs(self.change) > _MOST_CHANGED:
             return TrialOutcome.MOVES
         if math.isnan(self.change):
             return TrialOutcome.UNCHECKED
@@ -193,8 +193,9 @@ def frequency_table(
     for diagnosis in diagnoses:
         if diagnosis.key.content not in tried and diagnosis.remedies[0].name == "wave.frequency":
             wanted[diagnosis.key.content].append(float(diagnosis.remedies[0].value))
+    useful = {TrialOutcome.WORKS, TrialOutcome.HELPS, TrialOutcome.UNCHECKED}
     for trial in rank_trials(trials):
-        if trial.remedy.name == "wave.frequency" and trial.outcome in {TrialOutcome.WORKS, TrialOutcome.HELPS}:
+        if trial.remedy.name == "wave.frequency" and trial.outcome in useful:
             wanted[trial.content] = wanted[trial.content] or [float(trial.remedy.value)]
     contents = campaign.record.contents
     return (contents, tuple(max(wanted.get(at) or [present(at)]) for at in contents)) if wanted else None

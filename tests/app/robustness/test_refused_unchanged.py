@@ -27,7 +27,6 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import open_store
 
 Change = Callable[[Configuration], Configuration]
@@ -120,27 +119,6 @@ def test_a_spreadsheet_evaluates_no_stored_text(text: str) -> None:
     rows = _as_text({"reason": np.array([text, "no top"], dtype=object), "vs": np.array([-1.5, np.nan])}, Format.CSV)
     assert list(csv.reader(io.StringIO(rows, newline="")))[1:] == [[f"'{text}", "-1.5"], ["no top", ""]]
     assert [spreadsheet_value(value) for value in ("-1.5", "no = sign", None, -2)] == ["-1.5", "no = sign", None, -2]
-
-
-def test_a_cell_read_with_stations_gets_no_remedy_of_another_rule(complete: Path, invoke: Callable[..., str]) -> None:
-    """Signals of stations are not stored, so what was stored is said of such a cell, and nothing is proposed."""
-    with open_store(complete) as store:
-        record = store.use_campaign()
-        store.extend((99,), record.contents)
-        with open_stored_campaign(complete) as campaign:
-            assert campaign.config["wave"]["stations"] > 0
-            cell = campaign.cell(seed=1, content=5.0)
-        unread = replace(cell, key=CellKey(99, 5.0), status=CellStatus.NO_ARRIVAL, vs=None, reason="two tops are alike")
-        store.record_results([unread])
-    with open_campaign(complete) as opened:
-        (diagnosis,) = opened.diagnose()
-        assert diagnosis.cures == ()
-        assert diagnosis.signal.tops == ()
-        assert len(diagnosis.draw().axes) > 0
-    told = " ".join(invoke("diagnose", complete).split())
-    assert "seed 99, 5 %: no arrival, two tops are alike" in told
-    assert "stations whose signals are not stored: no remedy is proposed" in told
-    assert "[wave" not in told
 
 
 def test_a_question_that_has_no_answer_is_answered_so(complete: Path) -> None:
