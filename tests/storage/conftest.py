@@ -21,8 +21,8 @@ from calcidem.storage.records import (
     GraphSummary,
     PackingRecord,
     PathFeatures,
+    RecordedSection,
     RunRecord,
-    Signal,
     WorkerRecord,
 )
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
@@ -81,7 +81,8 @@ class Records:
         values: dict[str, Any] = {
             "vs": 150.0 + 200.0 * content + seed,
             "vs_peak": 151.0,
-            "quality_peak": 0.9,
+            "coherence": 0.9,
+            "reading_error": 0.012,
             "frequency": 15e3,
             "time_step": 8e-8,
             "stability_limit": 1.1e-7,
@@ -112,7 +113,7 @@ class Records:
         return CellResult(CellKey(seed, content), status, "the pick was not clear", attempt=attempt, rank=1)
 
     def with_arrays(self, seed: int = 0, content: float = 5.0) -> CellResult:
-        """Build a done cell with path, signals and cement."""
+        """Build a done cell with path, section and cement."""
         samples, contacts, clusters = 30 + seed, 20 + seed, int(content)
         features = PathFeatures(
             path_contacts=3,
@@ -126,7 +127,8 @@ class Records:
         )
         path = GrainPath(np.array([4, 8, 15, 16]))
         start = 12.5 * 8e-8
-        signal = Signal(1e-6, start, *(np.arange(3 * samples) / 7.0 - content).reshape(3, samples))
+        motion = (1000 * np.arange(6 * samples) - 7 * int(content)).reshape(2, samples, 3)
+        section = RecordedSection(1e-6, start, 15e3, 2.0**-20 * 1e-3, 0.01, [0.03, 0.06, 0.094], *motion)
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
         graph = GraphSummary(
@@ -139,7 +141,7 @@ class Records:
         )
         retry = "velocities above ten times that of the pulse"
         return self.done(
-            seed, content, features=features, graph=graph, path=path, signal=signal, cement=cement, retry=retry
+            seed, content, features=features, graph=graph, path=path, section=section, cement=cement, retry=retry
         )
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401

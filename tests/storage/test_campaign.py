@@ -67,10 +67,20 @@ def test_select_gives_frozen_records(campaign: StoredCampaign, records: "Records
         list(campaign.select(where="nonsense"))
 
 
+def test_a_section_is_labelled(campaign: StoredCampaign) -> None:
+    """Times, places and both components of the motion come with their units."""
+    stored = campaign.recorded_section(seed=0, content=5.0)
+    found = campaign.section(seed=0, content=5.0)
+    assert (found.dims, found.attrs["units"]) == (("time", "place", "component"), "m s-1")
+    np.testing.assert_array_equal(found["place"], stored.places)
+    np.testing.assert_array_equal(found.sel(component="across").isel(place=-1), stored.received)
+    np.testing.assert_array_equal(found.sel(component="along"), stored.along * stored.resolution)
+
+
 def test_missing_things_say_so(campaign: StoredCampaign) -> None:
     """What isn't stored is an error that names it, never an empty object."""
     with pytest.raises(UnknownCellError, match="seed 1 and content"):
-        campaign.signal(seed=1, content=5.0)
+        campaign.section(seed=1, content=5.0)
     with pytest.raises(UnknownCellError, match="no outcome"):
         campaign.cell(seed=3, content=5.0)
     with pytest.raises(UnknownCellError, match="Packing 1"):

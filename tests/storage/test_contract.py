@@ -127,13 +127,13 @@ def test_later_attempt_replaces_other_outcomes(store: Store, records: "Records")
 
 
 def test_cell_round_trip(store: Store, records: "Records") -> None:
-    """Everything of a cell comes back as given; without arrays only path, signal and cement are left out."""
+    """Everything of a cell comes back as given; without arrays only path, section and cement are left out."""
     given = [records.with_arrays(seed, content) for seed in range(4) for content in (0.0, 5.0)]
     given.append(records.failed(2, 0.3, status=CellStatus.NO_ARRIVAL))
     store.record_results(reversed(given))
     in_order = sorted(given, key=lambda result: result.key)
     assert list(store.results(with_arrays=True)) == in_order
-    assert list(store.results()) == [dataclasses.replace(r, path=None, signal=None, cement=None) for r in in_order]
+    assert list(store.results()) == [dataclasses.replace(r, path=None, section=None, cement=None) for r in in_order]
 
 
 def test_unplanned_cell_is_refused_as_a_whole(store: Store, records: "Records") -> None:

@@ -176,7 +176,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
             assert variable.long_name
             assert variable.dtype is str or hasattr(variable, "units") or variable.name == "status"
         assert file["vs"].filters()["zlib"]
-        assert file["signal/received_force"].filters()["zlib"]
+        assert file["section/across"].filters()["zlib"]
 
 
 @pytest.mark.slow
@@ -202,7 +202,7 @@ def test_ncdump_opens_it(exported: Path) -> None:
     if ncdump is None:
         pytest.skip("ncdump is not installed (Debian: apt-get install netcdf-bin)")
     done = subprocess.run([ncdump, "-h", str(exported)], check=True, capture_output=True, text=True)
-    assert "group: signals" in done.stdout
+    assert "group: section" in done.stdout
 
 
 def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,17 +231,17 @@ def test_unusable_targets(filled: Filled, open_here: Callable[..., Store], recor
 
 
 def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, exported: Path, tmp_path: Path) -> None:
-    """Leaving out signals, cement and paths keeps the numbers of every cell, and such a file can be imported."""
-    small = export_netcdf(*filled, tmp_path / "small.nc", without=("signal", "cement", "path"))
+    """Leaving out sections, cement and paths keeps the numbers of every cell, and such a file can be imported."""
+    small = export_netcdf(*filled, tmp_path / "small.nc", without=("section", "cement", "path"))
     assert small.stat().st_size < exported.stat().st_size
     with xr.open_dataset(exported) as whole, xr.open_dataset(small) as numbers:
         xr.testing.assert_equal(whole, numbers)
     with netCDF4.Dataset(small) as file:
-        assert not {"signal", "cement", "path"} & set(file.groups)
+        assert not {"section", "cement", "path"} & set(file.groups)
     with open_store(tmp_path / "imported.db") as other:
         import_netcdf(small, other)
         assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled[0].results()}
-        assert all(r.signal is None for r in other.results(with_arrays=True))
+        assert all(r.section is None for r in other.results(with_arrays=True))
     with pytest.raises(ValueError, match="without = 'pictures'"):
         export_netcdf(*filled, tmp_path / "small.nc", without=("pictures",))
 

@@ -62,16 +62,16 @@ NUMBERS = [
         ("retry", "CAST(x'ff00' AS TEXT)"),
         ("checksum", "NULL"),
         ("checksum", "'unchecked '"),
-        ("checksum", "replace(checksum, 'signal:', 'signal:1')"),
+        ("checksum", "replace(checksum, 'section:', 'section:1')"),
     )
 ]
-SIGNAL, CEMENT, PATH = (f"{CELL_ID} AND name = '{name}'" for name in ("signal", "cement", "path"))
+SECTION, CEMENT, PATH = (f"{CELL_ID} AND name = '{name}'" for name in ("section", "cement", "path"))
 ARRAYS = [
-    f"UPDATE arrays SET content = substr(content, 1, 20) || x'00' || substr(content, 22) WHERE cell_id = {SIGNAL}",  # noqa: S608 - a test's own
+    f"UPDATE arrays SET content = substr(content, 1, 20) || x'00' || substr(content, 22) WHERE cell_id = {SECTION}",  # noqa: S608 - a test's own
     f"UPDATE arrays SET content = x'' WHERE cell_id = {CEMENT}",  # noqa: S608 - as above
     f"UPDATE arrays SET content = 'text' WHERE cell_id = {PATH}",  # noqa: S608 - as above
     f"UPDATE arrays SET cell_id = {CELL_ID} + 1000 WHERE cell_id = {CEMENT}",  # noqa: S608 - as above
-    f"DELETE FROM arrays WHERE cell_id = {SIGNAL}",  # noqa: S608 - as above
+    f"DELETE FROM arrays WHERE cell_id = {SECTION}",  # noqa: S608 - as above
 ]
 UNREADABLE_ATTEMPT = change("attempt", "recorded", "'yesterday'")
 PARTS = [change("attempt", "host", "'node8'"), UNREADABLE_ATTEMPT]
@@ -83,13 +83,13 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
     execute(database, statement)
     with open_stored_campaign(database) as campaign:
         damaged = campaign.cell(seed=1, content=5.0)
-        assert (damaged.status, damaged.vs, damaged.signal) == (CellStatus.DAMAGED, None, None)
+        assert (damaged.status, damaged.vs, damaged.section) == (CellStatus.DAMAGED, None, None)
         assert campaign.cell(seed=2, content=5.0) == records.with_arrays(2)
         found = campaign.store.integrity()
         assert set(found.cells) == {BAD}
         assert ("An attempt at a cell is not what was stored." in found.others) == (statement == UNREADABLE_ATTEMPT)
         with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*retry DB --damaged"):
-            campaign.signal(seed=1, content=5.0)
+            campaign.section(seed=1, content=5.0)
         if statement in NUMBERS:
             assert campaign.store.statuses()[BAD] is CellStatus.DAMAGED
             assert campaign.status_counts()[5.0, CellStatus.DAMAGED] == 1

@@ -99,7 +99,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     while process.poll() is None:
         with open_stored_campaign(database) as campaign:
             count = int(campaign.vs().count())
-            assert all(r.signal is not None for r in campaign.select(seed=range(3), with_arrays=True))
+            assert all(r.section is not None for r in campaign.select(seed=range(3), with_arrays=True))
         assert count >= counts[-1]
         counts.append(count)
         largest_log = max(largest_log, log.stat().st_size if log.exists() else 0)

@@ -18,7 +18,7 @@ from calcidem.storage.records import (
     CellStatus,
     CementPattern,
     PathFeatures,
-    Signal,
+    RecordedSection,
     canonical_content,
 )
 from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
@@ -26,6 +26,21 @@ from calcidem.storage.records.canonical import canonical_hash, canonical_json, c
 
 if TYPE_CHECKING:
     from conftest import Records
+
+
+def section(**changes: Any) -> RecordedSection:  # noqa: ANN401
+    """Two samples of one station and of the receiver."""
+    values: dict[str, Any] = {
+        "sampling_interval": 1e-6,
+        "start_time": 4e-7,
+        "pulse_frequency": 1e4,
+        "resolution": 1e-3 / 2**20,
+        "aperture": 0.01,
+        "places": [0.04, 0.09],
+        "across": [[1, 2], [3, 4]],
+        "along": [[0, 0], [0, 1]],
+    }
+    return RecordedSection(**(values | changes))
 
 
 @pytest.mark.parametrize(
@@ -82,9 +97,11 @@ def test_negative_seed_is_refused() -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Signal(1e-6, 0.0, [1.0, 2.0], [1.0], [1.0, 2.0]), "received_force has shape"),
-        (lambda: Signal(0.0, 0.0, [1.0], [1.0], [1.0]), "sampling_interval"),
-        (lambda: Signal(1e-6, 0.0, [np.nan], [1.0], [1.0]), "sent_velocity holds NaN"),
+        (lambda: section(along=[[1, 2]]), "along has shape"),
+        (lambda: section(across=[[1], [2]]), "across has shape"),
+        (lambda: section(sampling_interval=0.0), "sampling_interval"),
+        (lambda: section(resolution=-1.0), "resolution"),
+        (lambda: section(places=[np.nan, 0.09]), "places holds NaN"),
         (lambda: CementPattern([[1, 2]], [3], np.zeros((0, 2))), "kind"),
         (lambda: CementPattern([1, 2], [1], np.zeros((0, 2))), "contacts has shape"),
         (lambda: CementPattern([[1, 2.5]], [1], np.zeros((0, 2))), "can't represent"),
@@ -108,13 +125,21 @@ def test_records_with_arrays_compare_by_value(records: "Records") -> None:
 
 def test_arrays_of_records_are_frozen_copies() -> None:
     """Changing the caller's array doesn't change a record, and a record's array can't be written."""
-    samples = np.array([1.0, 2.0])
-    signal = Signal(1e-6, 4e-7, samples, samples, samples)
-    samples[0] = 9.0
-    assert signal.sent_velocity[0] == 1.0
+    counts = np.array([[1, 2], [3, 4]], dtype=np.int32)
+    recorded = section(across=counts, along=counts)
+    counts[0, 0] = 9
+    assert recorded.across[0, 0] == 1
     with pytest.raises(ValueError, match="read-only"):
-        signal.sent_velocity[0] = 9.0
-    np.testing.assert_array_equal(signal.time, [4e-7, 4e-7 + 1e-6])
+        recorded.across[0, 0] = 9
+
+
+def test_a_section_gives_times_and_velocities() -> None:
+    """What is not stored of it follows from what is: times, the pulse, and what the receiver recorded."""
+    recorded = section()
+    np.testing.assert_array_equal(recorded.time, [4e-7, 4e-7 + 1e-6])
+    np.testing.assert_allclose(recorded.transmitted, 1e-3 * (1.0 - np.cos(2e4 * np.pi * recorded.time)), rtol=1e-12)
+    np.testing.assert_allclose(recorded.received, np.array([2, 4]) * 1e-3 / 2**20, rtol=1e-15)
+    assert section(start_time=1.1e-4).transmitted.tolist() == [0.0, 0.0]
 
 
 def test_results_travel_between_processes(records: "Records") -> None:

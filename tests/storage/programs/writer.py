@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, Signal
+from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, RecordedSection
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
 
@@ -24,7 +24,7 @@ def main(database: str, seeds: int) -> None:
         sys.stdout.write(f"lease {grant.taken_over_from or 'free'}\n")
         sys.stdout.flush()
         for key in store.pending():
-            noise = np.random.default_rng((key.seed, int(key.content))).normal(size=(3, SAMPLES))
+            noise = np.random.default_rng((key.seed, int(key.content))).integers(-(2**30), 2**30, size=(2, SAMPLES, 3))
             result = CellResult(
                 key,
                 CellStatus.DONE,
@@ -33,7 +33,7 @@ def main(database: str, seeds: int) -> None:
                 time_step=1e-7,
                 stability_limit=2e-7,
                 steps=100,
-                signal=Signal(1e-6, 0.5e-6, *noise),
+                section=RecordedSection(1e-6, 0.5e-6, 1e4, 1e-9, 0.01, [0.03, 0.06, 0.09], *noise),
             )
             store.record_results([result])
             sys.stdout.write(f"{key.seed} {key.content}\n")
