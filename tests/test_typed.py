@@ -16,7 +16,7 @@ from calcidem.dem import Scene
 
 with calcidem.open_campaign("paper.db") as campaign:
     reveal_type(campaign.vs())
-    reveal_type(campaign.signal(seed=3, content=5.0).sampling_interval)
+    reveal_type(campaign.recorded_section(seed=3, content=5.0).sampling_interval)
     reveal_type(next(campaign.select(content=5.0)).vs)
 
 

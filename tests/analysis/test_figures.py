@@ -145,9 +145,9 @@ def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None
     assert 0 < int(np.argmax(near)) < len(near) - 1
 
 
-def test_sample_without_signal_is_unavailable(analysis: CampaignAnalysis) -> None:
-    """A cell whose signal was not kept says so."""
-    with pytest.raises(UnavailableError, match="no signal is stored"):
+def test_sample_without_section_is_unavailable(analysis: CampaignAnalysis) -> None:
+    """A cell whose section was not kept says so."""
+    with pytest.raises(UnavailableError, match="no section is stored"):
         load_arrival(analysis, 6, 9.0)
 
 

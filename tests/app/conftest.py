@@ -122,14 +122,20 @@ class Workshop(MarkedProcesses):
         return Finished(process.returncode, output, errors)
 
     def cells(self) -> Cells:
-        """Everything about each settled cell that physics decides, signals and cement included."""
+        """Everything about each settled cell that physics decides, sections and cement included."""
         with open_stored_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.reason, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.steps),
-                    *(cell.vs_cross_correlation, cell.quality_peak, cell.time_step, cell.stability_limit),
+                    *(
+                        cell.vs_cross_correlation,
+                        cell.coherence,
+                        cell.reading_error,
+                        cell.time_step,
+                        cell.stability_limit,
+                    ),
                     *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.error_bound),
-                    *(cell.signal, cell.cement),
+                    *(cell.section, cell.cement),
                 )
                 for cell in campaign.select(with_arrays=True)
             }

@@ -37,21 +37,21 @@ def test_plots_are_found_and_explained(campaign: OpenedCampaign) -> None:
 
 
 def test_a_film_is_the_stored_wave(campaign: OpenedCampaign) -> None:
-    """However often one looks, the signals keep their bits, and the disks that listen move as the receiver says."""
+    """However often one looks, the section keeps its bits, and the disks that listen move as the receiver says."""
     cell = campaign.cell(**CELL)
     experiment, bonded = campaign.cemented(**CELL)
-    signal = cell.signal
-    assert signal is not None
-    count = len(signal.sent_velocity)
+    section = cell.section
+    assert section is not None
+    count = len(section.across)
     film = film_wave(experiment, bonded, cell.frequency, frames=7, samples=count)
-    np.testing.assert_array_equal(film.record.force, signal.received_force)
-    np.testing.assert_array_equal(film.record.velocity, signal.received_velocity)
+    np.testing.assert_array_equal(film.record.section.across, section.across)
+    np.testing.assert_array_equal(film.record.section.along, section.along)
     whole, _ = experiment.stiffen()
     domain = domain_of(whole, experiment.wave, experiment.installation)
     heard = film.velocity[:, listening_disks(domain.packing, experiment.wave)].mean(axis=1)
     last = np.minimum(np.arange(1, 8) * -(-count // 7), count) - 1
-    np.testing.assert_allclose(heard, signal.received_velocity[last], rtol=1e-5)
-    np.testing.assert_allclose(film.times, film.record.times[last] + 0.5 * film.record.time_step)
+    np.testing.assert_allclose(heard, section.received[last], rtol=1e-5, atol=section.resolution)
+    np.testing.assert_allclose(film.times, section.time[last] + 0.5 * film.record.time_step)
 
 
 def test_a_movie_has_the_frames_asked_for(campaign: OpenedCampaign, tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     seed, packing, records = (
         json.loads(zlib.decompress(b64decode(blocks[name]))) for name in ("seed-3", "packing-0", "records")
     )
-    assert cell.signal is not None
+    assert cell.section is not None
     assert cell.cement is not None
     place = [described["content"] for described in seed].index(5.0)
     described, kinds = seed[place], np.zeros(len(packing["second"]), dtype=np.uint8)
@@ -140,8 +140,8 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     assert np.array_equal(np.cumsum(packing["first"]), graph.graph.pairs[:, 0])
     received = described["signal"]["received"]
     values = np.cumsum(received["steps"]) / 2000 * received["largest"]
-    stride = round(described["signal"]["interval"] / (1e3 * cell.signal.sampling_interval))
-    assert np.allclose(values, cell.signal.received_velocity[::stride], atol=1e-3 * received["largest"])
+    stride = round(described["signal"]["interval"] / (1e3 * cell.section.sampling_interval))
+    assert np.allclose(values, cell.section.received[::stride], atol=1e-3 * received["largest"])
     vs = records["columns"]["vs"][
         records["seeds"].index("3") * len(records["contents"]) + records["contents"].index(5.0)
     ]

@@ -69,7 +69,7 @@ def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: OpenedCampaign) 
 
 def test_an_export_without_cement_is_analysed_like_the_database(campaign: OpenedCampaign, tmp_path: Path) -> None:
     """Of what `calcidem import` makes of it the samples have the same contacts, paths and features."""
-    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("signal", "cement", "path"))
+    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("section", "cement", "path"))
     with open_store(tmp_path / "short.db") as store:
         import_netcdf(tmp_path / "short.nc", store)
     with open_campaign(tmp_path / "short.db") as short:

@@ -22,12 +22,11 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.app.studies.accuracy.command import plan_task
-from calcidem.app.studies.explain import Explanation, _alternatives_of, _precision
+from calcidem.app.studies.explain import Explanation, _precision
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
@@ -116,11 +115,11 @@ def no_packing_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_packing_is_made")
 def test_what_was_computed_comes_out_the_same(small: Path, invoke: Invoke) -> None:
-    """All cells come out the same to the last bit, signals and cement too, on the packing of the database."""
+    """All cells come out the same to the last bit, sections and cement too, on the packing of the database."""
     with open_campaign(small) as campaign:
         found = list(verify(campaign, random_cells(campaign, 100), campaign.experiment))
     assert len(found) == 4
-    assert all(verification.stored.signal is not None for verification in found)
+    assert all(verification.stored.section is not None for verification in found)
     assert [dict(verification.differences) for verification in found] == [{}] * 4
     output = invoke("verify", small, "--cells", 2, "--choice", 1)
     assert "2 cells: 2 same bits, 0 same to rounding, 0 different." in output
@@ -161,26 +160,30 @@ def test_another_version_of_the_physics_is_refused(
     assert exit_code_of(refused.value) == 2
 
 
-def test_signals_and_cement_are_compared(stored: CellResult) -> None:
-    """A signal off by little of its largest value is rounding; one cemented contact more is different."""
-    signal, cement = stored.signal, stored.cement
-    assert signal is not None
+def test_sections_and_cement_are_compared(stored: CellResult) -> None:
+    """A section off by one count, or by little, is rounding; one cemented contact more is different."""
+    section, cement = stored.section, stored.cement
+    assert section is not None
     assert cement is not None
-    force = np.array(signal.received_force)
-    force[0] += 1e-12 * np.abs(force).max()
-    near = _compare_outcomes(
-        stored, dataclasses.replace(stored, signal=dataclasses.replace(signal, received_force=force))
-    )
+
+    def with_section(**changes: object) -> CellResult:
+        return dataclasses.replace(stored, section=dataclasses.replace(section, **changes))
+
+    near = _compare_outcomes(stored, with_section(resolution=section.resolution * (1.0 + 1e-12)))
     assert near.agreement is Agreement.ROUNDING
-    assert near.most_different == "signal.received_force"
+    assert near.most_different == "section.resolution"
     assert near.differences[near.most_different] == pytest.approx(1e-12, rel=0.1)
-    far = dataclasses.replace(signal, received_velocity=1.001 * signal.received_velocity)
-    assert _compare_outcomes(stored, dataclasses.replace(stored, signal=far)).agreement is Agreement.DIFFERENT
+    for counts, agreement in ((1, Agreement.ROUNDING), (2, Agreement.DIFFERENT)):
+        across = np.array(section.across)
+        across[0, -1] += counts
+        other = _compare_outcomes(stored, with_section(across=across))
+        assert other.agreement is agreement
+        assert set(other.differences) == {"section.across"}
     fewer = dataclasses.replace(cement, contacts=cement.contacts[1:], kind=cement.kind[1:])
     other = _compare_outcomes(stored, dataclasses.replace(stored, cement=fewer))
     assert other.agreement is Agreement.DIFFERENT
     assert set(other.differences) == {"cement.contacts", "cement.kind"}
-    without = dataclasses.replace(stored, signal=None, cement=None)
+    without = dataclasses.replace(stored, section=None, cement=None)
     assert _compare_outcomes(without, stored).agreement is Agreement.SAME_BITS
     assert _compare_outcomes(stored, without).agreement is Agreement.DIFFERENT
 
@@ -274,16 +277,3 @@ def test_a_database_of_another_configuration_is_refused(
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
     assert exit_code_of(refused.value) == 2
-
-
-def test_explain_has_another_run_for_whatever_a_wave_records(small_packing: Packing) -> None:
-    """Without stations there is no motion along the way to record, and whoever leaves them out leaves out both."""
-    names, alone = ("stations", "motion along the way"), WaveRule(listening_depth=6e-3)
-    across = replace(alone, stations=4)
-    for wave, said in ((alone, names[:1]), (across, names), (replace(across, polarisation=True), names)):
-        found = {row.what: row for row in _alternatives_of(Experiment(small_packing, wave=wave), 0.66)}
-        assert tuple(name for name in names if name in found) == said
-        for name in said:
-            needed, opposite = found[name].needed, found[name].opposite
-            assert needed == (wave.stations > 0 if name == "stations" else wave.polarisation)
-            assert opposite is None or opposite.wave != wave

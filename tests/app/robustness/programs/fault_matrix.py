@@ -210,14 +210,14 @@ class Trial(MarkedProcesses):
         return self.wait(self.start(*options, case=case, ranks=ranks, restarts=restarts))
 
     def cells(self) -> Cells:
-        """Everything about each cell that physics decides, signals and cement included."""
+        """Everything about each cell that physics decides, sections and cement included."""
         if not self.database.exists():
             return {}
         with open_stored_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.vs_cross_correlation, cell.steps),
-                    *(cell.time_step, cell.content_reached, cell.p_contacts, cell.signal, cell.cement),
+                    *(cell.time_step, cell.content_reached, cell.p_contacts, cell.section, cell.cement),
                 )
                 for cell in campaign.select(status=("done", "no_arrival"), with_arrays=True)
             }
