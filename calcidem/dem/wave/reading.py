@@ -79,7 +79,7 @@ ONSET = 0.1
 class Verdict(StrEnum):
     """Why a section gives no velocity."""
 
-    SILENT = "nothing above the noise arrived: send a stronger pulse, or record for longer"
+    SILENT = "no motion above 1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
     TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
     NO_LINE = "no peak of the receiver continues what the stations recorded: send another frequency"
     UNCERTAIN = "the standard error of the reading is above pick.largest_error: send a higher frequency"
