@@ -26,7 +26,7 @@ from calcidem.dem import UnstableRunError
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing_file import PackingFileError
 from calcidem.dem.sample.settling import SettlingError
-from calcidem.dem.wave.pick import PickFailure
+from calcidem.dem.wave.reading import Verdict
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.sweep_end import LaunchError, MasterLostError
 
@@ -161,7 +161,7 @@ def test_troubleshooting_has_every_error_and_reason() -> None:
     assert not {name for name in names - {"StoreError"} if f"`{name}`" not in page}
     settled = {str(status) for status in CellStatus} - {"pending", "running", "done"}
     assert not {status for status in settled if f"| `{status}` |" not in page}
-    assert not {str(reason) for reason in PickFailure if f"| {reason} |" not in page}
+    assert not {str(reason) for reason in Verdict if f"| {reason} |" not in page}
 
 
 @pytest.mark.full

@@ -13,6 +13,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from calcidem.dem.wave.arrival import record_duration
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
@@ -24,7 +25,6 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.stability import hertz_tangent, pair_stiffness
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import NORMAL_X, NORMAL_Y, OVERLAP
-from calcidem.dem.wave.arrival import record_duration
 from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VELOCITIES = 400  # of the grid, evenly spaced by their logarithm
-_FINEST = 1e-3  # of a velocity, which a parabola over that grid resolves
+_RESOLVED = 1e-3  # of a velocity, which a parabola over that grid resolves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ def dispersion(
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    known = np.maximum(error, _FINEST * found)  # the grid tells no less
+    known = np.maximum(error, _RESOLVED * found)  # the grid tells no less
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,

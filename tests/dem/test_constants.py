@@ -20,7 +20,7 @@ def constants() -> Iterator[tuple[str, str]]:
         for node in ast.parse((CHECKOUT / WAVE / f"{module}.py").read_text(encoding="utf-8")).body:
             if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.BinOp):
                 name = ast.unparse(node.targets[0])
-                if module != "domain" or name == "STATIONS":
+                if module != "domain" or name == "_STATIONS":
                     yield module, name
 
 

@@ -15,7 +15,7 @@ from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, e
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import Arrival
+from calcidem.dem.wave.reading import ShearArrival
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import Section
@@ -48,13 +48,13 @@ def slipping(softening: float = 0.0, slipped: float = 0.0) -> WaveRecord:
     return replace(RECORD, nonlinear=(Nonlinearity(0.0, softening),), slipped=slipped)
 
 
-def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: float = 0.0) -> Arrival:
+def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: float = 0.0) -> ShearArrival:
     """A pulse that arrives after a travel time, its width multiplied."""
     time = np.arange(0.0, 6.0 / FREQUENCY, SAMPLING)
     middle = 0.5 / FREQUENCY
     clean = Pulse(1.0, FREQUENCY).velocity(middle + (time - TRAVEL_TIME - middle) / stretch)
     index = round((TRAVEL_TIME + middle) / SAMPLING)
-    return Arrival(travel_time, 1.0, 0.0, 0.2, roughness, None, None, index, clean[:, np.newaxis])
+    return ShearArrival(travel_time, 1.0, 0.0, 0.2, roughness, None, None, index, clean[:, np.newaxis])
 
 
 def parts(

@@ -10,9 +10,9 @@ from waves import DISTANCE, FREQUENCY, PARTS, Wave, at_receiver, at_stations, pe
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.reading import (
-    Arrival,
     PickRule,
     Reading,
+    ShearArrival,
     Verdict,
     find_candidates,
     is_settled,
@@ -31,7 +31,7 @@ LEAST, P_LEFT, BLUR, NEAR_FIELD, CREST = 0.014, 0.75, 0.16, 0.075, 1.8
 TRAVELS = st.floats(1.0, 12.0)
 
 
-def arrival_of(given: Section, rule: PickRule = ANY_ERROR) -> Arrival:
+def arrival_of(given: Section, rule: PickRule = ANY_ERROR) -> ShearArrival:
     """The S wave of a section; fails if none was found."""
     found = read_section(given, rule)
     assert found.arrival is not None, found.verdict
@@ -47,7 +47,7 @@ def same(one: Reading, other: Reading) -> bool:
     """Whether two readings have the same bits."""
     pairs: list[tuple[object, object, type]] = [(one, other, Reading)]
     if one.arrival is not None and other.arrival is not None:
-        pairs.append((one.arrival, other.arrival, Arrival))
+        pairs.append((one.arrival, other.arrival, ShearArrival))
     return (one.arrival is None) == (other.arrival is None) and all(
         np.array_equal(getattr(a, field.name), getattr(b, field.name))
         for a, b, kind in pairs

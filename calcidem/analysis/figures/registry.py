@@ -17,7 +17,7 @@ from calcidem.analysis.published import PublishedVelocity, is_published_sand, pu
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellResult
 
-_ONSET = 0.1
+_FIRST_ARRIVAL_LEVEL = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
 _SHOWN_HISTOGRAMS = 24
@@ -91,7 +91,7 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         # A cell that took the whole width for the way of the wave has no distance.
         distance=cell.distance or analysis.campaign.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
-        onset=_ONSET,
+        onset=_FIRST_ARRIVAL_LEVEL,
     )
 
 

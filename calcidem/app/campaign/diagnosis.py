@@ -61,10 +61,10 @@ class Diagnosis:
     def draw(self) -> "Figure":
         """Picture of the section with the line of each candidate, and its velocity spectrum."""
         text = "\n".join(filter(None, (f"No velocity: {self.reason}.", self.finding)))
-        return draw_case(self.case, f"{self.key.content:g} %, seed {self.key.seed}", text)
+        return _draw_case(self.case, f"{self.key.content:g} %, seed {self.key.seed}", text)
 
 
-def draw_case(case: Case, title: str, text: str) -> "Figure":
+def _draw_case(case: Case, title: str, text: str) -> "Figure":
     """Draw the section of a cell, with or without a velocity."""
     from calcidem.analysis.figures.sections import SectionPicture, draw_section  # noqa: PLC0415 - loads matplotlib
 

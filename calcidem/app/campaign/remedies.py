@@ -15,7 +15,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.error_estimate import NumericalError, cure_of, largest_part, turning_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import LARGEST_BOUND
-from calcidem.dem.wave.reading import LEAST_COHERENCE, P_TO_S, SILENCE, Candidate, Reading, Verdict, error_parts
+from calcidem.dem.wave.reading import LEAST_COHERENCE, P_TO_S, SILENCE, Candidate, Reading, Verdict, reading_error_parts
 from calcidem.dem.wave.section import RESOLUTION, Section
 
 _CUT_OFF = 0.8  # part of the cut-off frequency up to which grains transmit a wave
@@ -220,7 +220,7 @@ def _uncertainty(case: Case) -> tuple[str, Iterator[Remedy]]:
     arrival, allowed = case.reading.arrival, case.experiment.pick.largest_error
     if arrival is None or case.reading.error is None:
         raise ValueError("an uncertain reading has an arrival and an error")
-    parts, error = error_parts(case.section, arrival), case.reading.error
+    parts, error = reading_error_parts(case.section, arrival), case.reading.error
     name = max(parts._fields, key=lambda field: getattr(parts, field))
     words = {"p_left": "P wave left in", "width": "broad peak", "near_field": "near field", "least": "dispersion"}
     number = (

@@ -62,7 +62,7 @@ class _Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class _Section:
+class _PageSection:
     """A part of the page.
 
     Attributes
@@ -127,7 +127,7 @@ def write_report(
 def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
     """Give the page as text."""
     sections = [_make_section(plan, analysis) for plan in PAGE_SECTIONS]
-    sections.append(_Section("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
+    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
         autoescape=True,
@@ -167,7 +167,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
+def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _PageSection:
     """Make the tables and figures of a section, as far as the campaign allows."""
     remarks = _velocity_remarks(analysis) if plan.anchor == "velocities" else []
     read, planned = len(analysis.analysed_seeds), analysis.vs.sizes["seed"]
@@ -181,7 +181,7 @@ def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _Section:
         if reason:
             remarks.append(f"A table ({name}) is left out: {reason}.")
     entries = {entry.name: entry for entry in CAMPAIGN_FIGURES}
-    return _Section(
+    return _PageSection(
         plan.anchor,
         plan.title,
         tuple(remarks),

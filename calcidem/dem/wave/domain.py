@@ -19,7 +19,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 DEEPEST_LISTENING = 0.3
 """Listening depth over the width of the box; beyond, a lattice is read more than 10 % too fast (docs/reading.md)."""
 
-STATIONS = 9
+_STATIONS = 9
 """Slices of the sample between transmitter and receiver whose motion is recorded; with 18 no reading improves."""
 
 _NEAR_TRANSMITTER = 0.125  # of the width: no station is nearer
@@ -106,11 +106,11 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
 def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
     """Disks of each station, from the transmitter on: slices of one thickness before the disks that listen.
 
-    There are `STATIONS` of them, fewer where slices would be thinner than the largest disk, and none where one would
+    There are `_STATIONS` of them, fewer where slices would be thinner than the largest disk, and none where one would
     be empty. The first part of the path is left out: there P and S wave are one.
     """
     begin, end = _NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth
-    count = min(STATIONS, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))
+    count = min(_STATIONS, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))
     in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
     slices = pairwise(np.linspace(begin, end, count + 1))
     found = tuple(np.flatnonzero(in_band & (a <= packing.x) & (packing.x < b)) for a, b in slices)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity
-from calcidem.dem.wave.reading import ONSET, Arrival
+from calcidem.dem.wave.reading import ONSET, ShearArrival
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 from calcidem.dem.wave.section import Section
 
@@ -129,7 +129,7 @@ class NumericalError(NamedTuple):
     parts: ErrorParts
 
 
-def estimate_error(experiment: Experiment, record: WaveRecord, arrival: Arrival) -> NumericalError:
+def estimate_error(experiment: Experiment, record: WaveRecord, arrival: ShearArrival) -> NumericalError:
     """Relative numerical error of a velocity that was read.
 
     What is expected is the order of its size. A change of a signal by the part e of its amplitude, as fast as the pulse
@@ -161,7 +161,7 @@ def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
-def _shift_by_change(section: Section, arrival: Arrival) -> float:
+def _shift_by_change(section: Section, arrival: ShearArrival) -> float:
     """Shift of the peak over the travel time by a change of the signal, over that change.
 
     It is ``2 pi f w^2 / travel time``, see `estimate_error`; w^2 is amplitude over curvature of three smoothed values a

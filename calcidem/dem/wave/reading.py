@@ -29,10 +29,10 @@ Method = Literal["peak", "first_arrival", "cross_correlation"]
 SILENCE = 0.01
 """Velocity over v0 below which nothing is read; arrivals in real samples are above 0.02."""
 
-LARGER_SWING = 3.0
+_LARGER_SWING = 3.0
 """A swing along the path that another one this many times as large follows within a period is a precursor of it."""
 
-STEEPEST = 0.5
+_STEEPEST = 0.5
 """Largest motion across over that along which a P wave has: it arrives at 27 degrees to the path."""
 
 LEAST_COHERENCE = 0.5
@@ -41,35 +41,35 @@ LEAST_COHERENCE = 0.5
 P_TO_S = 2.1
 """Largest ratio of the speeds of P and S wave: up to so many travel times of a P wave the S wave may still come."""
 
-STRETCH = 0.04
+_STRETCH = 0.04
 """The line of a peak may be faster or slower by this part: the last grains delay or advance the receiver."""
 
 
-FEWEST_STATIONS = 4
+_FEWEST_STATIONS = 4
 """Stations that have to see the crest for a velocity of the path: fewer tell no line from a bend."""
 
-SMOOTHING = 0.3
+_SMOOTHING = 0.3
 """Half-width of the window of smoothing, of the period: grains pass on little of what is shorter."""
 
-LARGEST_ERROR = 0.15
+_LARGEST_ERROR = 0.15
 """Standard error of a reading above which it is refused; a smaller bound refuses fast samples first."""
 
-LEAST_ERROR = 0.014
+_LEAST_ERROR = 0.014
 """Standard error of the clearest reading: dispersion and scattering move any peak by so much."""
 
-P_LEFT = 0.75
+_P_LEFT = 0.75
 """Standard error over the shift that taking the P wave off makes."""
 
-BLUR = 0.16
+_BLUR = 0.16
 """Standard error over the relative width of the peak at 0.9 of its amplitude."""
 
-NEAR_FIELD = 0.075
+_NEAR_FIELD = 0.075
 """Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
 
-EDGE_SPEED = 1.5
+_EDGE_SPEED = 1.5
 """Speed, over that of the S wave, of the P waves from the edges of the transmitter: that of sand and of lattices."""
 
-CREST = 1.8
+_CREST = 1.8
 """Standard error of the path's velocity over the one that the scatter of the stations about their line gives."""
 
 ONSET = 0.1
@@ -79,7 +79,7 @@ ONSET = 0.1
 class Verdict(StrEnum):
     """Why a section gives no velocity."""
 
-    SILENT = "nothing above the noise arrived: send a stronger pulse, or record for longer"
+    SILENT = "no motion above 1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
     TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
     NO_LINE = "no peak of the receiver continues what the stations recorded: send another frequency"
     UNCERTAIN = "the standard error of the reading is above pick.largest_error: send a higher frequency"
@@ -100,8 +100,8 @@ class PickRule:
     """
 
     method: Method = "peak"
-    smoothing: PositivePart = SMOOTHING
-    largest_error: PositivePart = LARGEST_ERROR
+    smoothing: PositivePart = _SMOOTHING
+    largest_error: PositivePart = _LARGEST_ERROR
 
     def __post_init__(self) -> None:
         """Refuse windows without width and errors that say nothing."""
@@ -112,7 +112,7 @@ _DEFAULT_RULE = PickRule()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arrival:
+class ShearArrival:
     """The S wave in a section.
 
     Attributes
@@ -129,7 +129,7 @@ class Arrival:
         What smoothing takes away from the receiver's motion (rms) until a period after the peak, over its amplitude.
     path_velocity, path_scatter
         Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
-        stations about their line; None where fewer than `FEWEST_STATIONS` saw it.
+        stations about their line; None where fewer than `_FEWEST_STATIONS` saw it.
     index
         Sample of the peak.
     clean
@@ -168,7 +168,7 @@ class Reading:
     """
 
     verdict: Verdict | None
-    arrival: Arrival | None = None
+    arrival: ShearArrival | None = None
     peak: float | None = None
     first_arrival: float | None = None
     cross_correlation: float | None = None
@@ -177,7 +177,7 @@ class Reading:
     path_error: float | None = None
 
 
-class ErrorParts(NamedTuple):
+class ReadingErrorParts(NamedTuple):
     """Independent parts of the relative standard error of a reading, see `reading_error`.
 
     Attributes
@@ -285,7 +285,7 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
     for top in find_tops(swing).tolist():
         if swing[top] < SILENCE or top + soon >= len(swing):
             continue
-        if swing[top : top + soon].max() > LARGER_SWING * swing[top]:
+        if swing[top : top + soon].max() > _LARGER_SWING * swing[top]:
             continue
         # The last sample counts as far as the peak lies behind it: the share does not jump with the sampling.
         weight = along[: top + 1].copy()
@@ -293,7 +293,7 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
         share = np.sum(weight * across[: top + 1]) / np.sum(weight * along[: top + 1])
         over = along[top:] * along[top] <= 0.0
         end = top + int(over.argmax()) if over.any() else len(along)
-        return top, end, float(np.clip(share, -STEEPEST, STEEPEST))
+        return top, end, float(np.clip(share, -_STEEPEST, _STEEPEST))
     return -1, -1, 0.0
 
 
@@ -315,13 +315,13 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
 
 def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
     """Read the travel time of the shear wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
-    arrival = find_arrival(section, rule.smoothing)
+    arrival = _find_arrival(section, rule.smoothing)
     if isinstance(arrival, Verdict):
         return Reading(arrival)
     error = reading_error(section, arrival)
     if error > rule.largest_error:
         return Reading(Verdict.UNCERTAIN, arrival, error=error)
-    others = (_first_arrival(section, arrival), _cross_correlation(section, arrival))
+    others = (_read_first_arrival(section, arrival), _read_cross_correlation(section, arrival))
     near = 0.25 / section.frequency
     first, correlated = (
         section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
@@ -330,12 +330,12 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
     reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
     if arrival.path_scatter is None:
         return reading
-    path_error = float(np.sqrt(error * error + (CREST * arrival.path_scatter) ** 2))
+    path_error = float(np.sqrt(error * error + (_CREST * arrival.path_scatter) ** 2))
     known = path_error <= rule.largest_error
     return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
 
 
-def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = SMOOTHING) -> float:
+def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
     """Length of record in which a pulse without dispersion is read, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
@@ -362,7 +362,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     if verdict is Verdict.TOO_SHORT:
         return False
     prepared = prepare(section, rule.smoothing)
-    loudest = float(np.sqrt(1.0 + STEEPEST * STEEPEST)) * remaining_speed / section.amplitude
+    loudest = float(np.sqrt(1.0 + _STEEPEST * _STEEPEST)) * remaining_speed / section.amplitude
     unsmoothed = section.across[len(prepared.across) :]
     tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
     if max(loudest, float(tail[-1])) < SILENCE:
@@ -370,13 +370,13 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     if (prepared.p_top < 0).any():
         return False
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
-    now = (1.0 - STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
+    now = (1.0 - _STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
     later = np.arange(len(clean))[:, None] >= now
     highest = np.maximum(np.where(later, clean, 0.0).max(axis=0), np.maximum(tail, loudest))
     return float(np.minimum(highest / np.maximum(clean.max(axis=0), SILENCE), 1.0).mean()) < LEAST_COHERENCE
 
 
-def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:
+def _find_arrival(section: Section, smoothing: float) -> ShearArrival | Verdict:
     """Find the S wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
     prepared = prepare(section, smoothing)
     peaks = _receiver_peaks(prepared)
@@ -389,7 +389,7 @@ def find_arrival(section: Section, smoothing: float) -> Arrival | Verdict:
     return Verdict.NO_LINE
 
 
-def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdict | None:
+def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | Verdict | None:
     """Judge a peak of the receiver: None if it is not the S wave's."""
     early, time = _line_to(prepared, index)
     travel = time - prepared.peak
@@ -407,7 +407,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdi
     rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
     slope = _crest(prepared, clean, travel)
     interval = section.sampling_interval
-    return Arrival(
+    return ShearArrival(
         travel_time=travel * interval,
         coherence=coherence,
         shifted=shifted,
@@ -421,7 +421,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Arrival | Verdi
 
 
 def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]:
-    """Peaks of the receiver that may be the S wave's, in order, as `find_arrival` judges them.
+    """Peaks of the receiver that may be the S wave's, in order, as `_find_arrival` judges them.
 
     A record that is too short to decide is judged as far as it goes.
     """
@@ -479,7 +479,7 @@ def _coherences(prepared: _Prepared, clean: Floats, index: int, travel: float) -
 
 def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: float) -> float:
     """Stack of a section along a line from the transmitted peak, each station over its largest value."""
-    stretch = np.linspace(1.0 - STRETCH, 1.0 + STRETCH, 9)[:, None]
+    stretch = np.linspace(1.0 - _STRETCH, 1.0 + _STRETCH, 9)[:, None]
     time = prepared.peak + travel * stretch * prepared.parts
     left = np.clip(time.astype(int), 0, len(clean) - 2)
     share, station = time - left, np.arange(len(prepared.parts))
@@ -497,7 +497,7 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
         if near:
             place.append(part)
             time.append(min(near, key=lambda top: abs(top - wanted)))
-    if len(place) < FEWEST_STATIONS:
+    if len(place) < _FEWEST_STATIONS:
         return None
     x, t = np.array(place), np.array(time)
     first, second = np.triu_indices(len(x), 1)
@@ -514,7 +514,7 @@ def _median(values: Floats) -> float:
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
 
 
-def reading_error(section: Section, arrival: Arrival) -> float:
+def reading_error(section: Section, arrival: ShearArrival) -> float:
     """Relative standard error of a velocity that was read: root of the sum of squares of independent parts.
 
     What was taken off as P wave may leave a part of it, a broad peak may be two waves, and near a transmitter of finite
@@ -522,19 +522,19 @@ def reading_error(section: Section, arrival: Arrival) -> float:
     Geotechnique 53:337), unless the transmitter is so high that the P waves from its edges come half a period after the
     S wave. The factors were fitted to sections with a known delay (docs/reading.md).
     """
-    return float(np.sqrt(sum(part * part for part in error_parts(section, arrival))))
+    return float(np.sqrt(sum(part * part for part in reading_error_parts(section, arrival))))
 
 
-def error_parts(section: Section, arrival: Arrival) -> ErrorParts:
+def reading_error_parts(section: Section, arrival: ShearArrival) -> ReadingErrorParts:
     """Return the parts of `reading_error`."""
     periods = arrival.travel_time * section.frequency
     edge = section.aperture / section.distance * periods
-    later = max(0.0, float(np.sqrt(periods * periods + edge * edge)) / EDGE_SPEED - periods)
-    near = NEAR_FIELD / (periods * float(np.sqrt(periods))) * max(0.0, 1.0 - 2.0 * later)
-    return ErrorParts(LEAST_ERROR, P_LEFT * arrival.shifted, BLUR * arrival.width, near)
+    later = max(0.0, float(np.sqrt(periods * periods + edge * edge)) / _EDGE_SPEED - periods)
+    near = _NEAR_FIELD / (periods * float(np.sqrt(periods))) * max(0.0, 1.0 - 2.0 * later)
+    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, _BLUR * arrival.width, near)
 
 
-def _first_arrival(section: Section, arrival: Arrival) -> float | None:
+def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None:
     """Time between the last rises through the onset level before both peaks, s."""
     received = arrival.clean[: arrival.index + 1, -1]
     level = ONSET * float(received[-1])
@@ -548,7 +548,7 @@ def _first_arrival(section: Section, arrival: Arrival) -> float | None:
     return arrived - float(arc_sine(np.sqrt(ONSET))) / (np.pi * section.frequency)
 
 
-def _cross_correlation(section: Section, arrival: Arrival) -> float | None:
+def _read_cross_correlation(section: Section, arrival: ShearArrival) -> float | None:
     """Lag at which the pulse fits the received signal best, within half a period of the peak's, s."""
     pulse = section.transmitted[: int(section.period)]
     received, lag = arrival.clean[:, -1], round(arrival.travel_time / section.sampling_interval)
