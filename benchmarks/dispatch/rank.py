@@ -18,8 +18,7 @@ from simulation import durations
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
 from calcidem.storage.sql.rows import pack_result
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store, open_store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Session, run_sweep
 
 CELLS = 8

@@ -1,11 +1,10 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -22,48 +21,13 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import (
-    CampaignRecord,
     CellResult,
     CementPattern,
     PackingRecord,
     PathFeatures,
-    RunRecord,
-    Signal,
 )
-
-
-class CampaignReader(Protocol):
-    """What an analysis and its report read of a campaign, as `calcidem.storage.campaign.StoredCampaign` gives it."""
-
-    @property
-    def record(self) -> CampaignRecord:
-        """Name, hash and plan."""
-
-    @property
-    def config(self) -> dict[str, Any]:
-        """The physical configuration."""
-
-    def to_xarray(self) -> xr.Dataset:
-        """All scalar quantities along (seed, content)."""
-
-    def select(self, *, seed: Collection[int] | None = None, with_arrays: bool) -> Iterator[CellResult]:
-        """All outcomes, or those of some seeds, by seed, then content."""
-
-    def cell(self, *, seed: int, content: float) -> CellResult:
-        """One outcome with its arrays; `UnknownCellError` if there is none."""
-
-    def signal(self, *, seed: int, content: float) -> Signal:
-        """The signals of a cell; `UnknownCellError` if none were kept."""
-
-    def packing(self, index: int = 0) -> PackingRecord:
-        """A stored packing."""
-
-    def packing_indices(self) -> tuple[int, ...]:
-        """Indices of the stored packings, ascending."""
-
-    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
-        """Provenance of all runs with their numbers."""
 
 
 class UnavailableError(Exception):
@@ -135,7 +99,7 @@ class CampaignAnalysis:
         If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
     """
 
-    campaign: CampaignReader
+    campaign: StoredCampaign
     most_samples: int | None = None
 
     @cached_property

@@ -22,8 +22,8 @@ from calcidem.storage.records import (
     Signal,
     canonical_content,
 )
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Closable, Selection, Store
+from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.store import Closable, Selection
 
 
 def open_stored_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "StoredCampaign":
@@ -243,13 +243,15 @@ class StoredCampaign(Closable):
         >>> signal.time.shape == signal.received_force.shape
         True
         """
-        found = self.store.signal(CellKey(seed, content))
-        if found is None:
+        found = next(self.store.results(Selection((seed,), (content,)), with_arrays=True), None)
+        if found is not None:
+            found.refuse_damage()
+        if found is None or found.signal is None:
             raise UnknownCellError(
                 f"No signal is stored for seed {seed} and content {content} %.",
                 "Only cells that were computed with signals kept have one.",
             )
-        return found
+        return found.signal
 
     def packing(self, index: int = 0) -> PackingRecord:
         """Return a packing of the campaign.

@@ -36,7 +36,7 @@ from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))
 """Some 60 disks, made in less than a second."""
@@ -142,7 +142,7 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
 
 
 @pytest.fixture
-def store(packing: Packing, tmp_path: Path) -> Iterator[SqlStore]:
+def store(packing: Packing, tmp_path: Path) -> Iterator[Store]:
     """Give a store that has the tiny packing."""
     with open_store(tmp_path / "tiny.db") as opened:
         config = canonical_json(TINY.physics)
@@ -157,21 +157,21 @@ def put_into_cache(packing: Packing) -> None:
     (cache_folder() / cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing))
 
 
-def test_the_database_comes_before_the_cache(store: SqlStore, told: list[str], packing: Packing) -> None:
+def test_the_database_comes_before_the_cache(store: Store, told: list[str], packing: Packing) -> None:
     """A run goes on with the packing of its database, whatever the cache holds."""
     put_into_cache(replace(packing, x=packing.x * (1.0 + 1e-15)))
     assert provide_packing(TINY, store, told.append).content_hash == packing.content_hash
     assert told == ["Packing: taken from the database."]
 
 
-def damage_state(store: SqlStore) -> None:
+def damage_state(store: Store) -> None:
     """Change a byte of the state."""
     record = store.load_packing()
     assert record is not None
     store.save_packing(replace(record, state=record.state[:-1] + b"?"), replace_state=True)
 
 
-def test_a_damaged_state_is_replaced_by_the_same_packing(store: SqlStore, told: list[str], packing: Packing) -> None:
+def test_a_damaged_state_is_replaced_by_the_same_packing(store: Store, told: list[str], packing: Packing) -> None:
     """A packing of the same content takes the place of a stored one whose state can't be used."""
     damage_state(store)
     put_into_cache(packing)
@@ -185,7 +185,7 @@ def test_a_damaged_state_is_replaced_by_the_same_packing(store: SqlStore, told: 
 
 @pytest.mark.parametrize("column", ["grains", "width", "state"])
 def test_a_changed_row_is_replaced_by_the_same_packing(
-    store: SqlStore, told: list[str], packing: Packing, column: str
+    store: Store, told: list[str], packing: Packing, column: str
 ) -> None:
     """A packing whose row was changed is not used: readers take the same one of the cache, and a run puts it back."""
     with store._engine.begin() as connection:
@@ -201,7 +201,7 @@ def test_a_changed_row_is_replaced_by_the_same_packing(
     assert same_bits(stored_packing(record), packing)
 
 
-def test_a_damaged_state_is_not_replaced_by_another_packing(store: SqlStore, told: list[str], packing: Packing) -> None:
+def test_a_damaged_state_is_not_replaced_by_another_packing(store: Store, told: list[str], packing: Packing) -> None:
     """A packing of another content is refused in its place; the message names both."""
     damage_state(store)
     shear = packing.preload.shear.copy()

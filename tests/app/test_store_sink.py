@@ -13,11 +13,11 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.store import SqlStore
+from calcidem.storage.sql.store import Store
 from calcidem.sweep import EXIT_RESUMABLE, Batch
 
 
-class OftenLockedStore(SqlStore):
+class OftenLockedStore(Store):
     """A store that another process has locked a few times."""
 
     locked = 0

@@ -26,7 +26,7 @@ from calcidem.storage.records import (
     WorkerRecord,
 )
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
 SEEDS = range(4)
@@ -200,11 +200,11 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def open_here(address: str) -> Iterator[Callable[..., SqlStore]]:
+def open_here(address: str) -> Iterator[Callable[..., Store]]:
     """Open the empty database, as often as wanted; all are closed at the end."""
-    opened: list[SqlStore] = []
+    opened: list[Store] = []
 
-    def open_another(*, read_only: bool = False) -> SqlStore:
+    def open_another(*, read_only: bool = False) -> Store:
         opened.append(open_store(address, read_only=read_only))
         return opened[-1]
 
@@ -214,7 +214,7 @@ def open_here(address: str) -> Iterator[Callable[..., SqlStore]]:
 
 
 @pytest.fixture
-def store(open_here: Callable[..., SqlStore], records: Records) -> SqlStore:
+def store(open_here: Callable[..., Store], records: Records) -> Store:
     """Open a store with the campaign begun."""
     store = open_here()
     store.begin_campaign(records.campaign())

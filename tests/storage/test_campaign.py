@@ -15,14 +15,14 @@ from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.netcdf import groups
 from calcidem.storage.records import STATUS_CODES, CellStatus, canonical
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 
 if TYPE_CHECKING:
     from conftest import Records
 
 
 @pytest.fixture
-def campaign(store: SqlStore, open_here: Callable[..., SqlStore], records: "Records") -> StoredCampaign:
+def campaign(store: Store, open_here: Callable[..., Store], records: "Records") -> StoredCampaign:
     """Open a campaign with outcomes of several kinds, one plan that isn't rectangular, and a packing."""
     store.extend((7,), (9.0,))
     store.save_packing(records.packing())
@@ -96,13 +96,13 @@ def test_dataframe(campaign: StoredCampaign) -> None:
         campaign.to_dataframe(["vss"])
 
 
-def test_reader_sees_what_was_stored_since(campaign: StoredCampaign, store: SqlStore, records: "Records") -> None:
+def test_reader_sees_what_was_stored_since(campaign: StoredCampaign, store: Store, records: "Records") -> None:
     """An open reader sees cells stored after it was opened."""
     store.record_results([records.done(3, 5.0)])
     assert float(campaign.vs().sel(seed=3, content=5.0)) == 1153.0
 
 
-def test_campaign_is_chosen_by_name(store: SqlStore, records: "Records", address: str) -> None:
+def test_campaign_is_chosen_by_name(store: Store, records: "Records", address: str) -> None:
     """Where there are several campaigns one is opened by name, and an unknown name lists them."""
     store.begin_campaign(records.campaign({"x": 1}, name="second"))
     with open_stored_campaign(address, "second") as campaign:

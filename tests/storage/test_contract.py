@@ -21,7 +21,7 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, CellStatus
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import SqlStore
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 NUMBER_OF_CELLS = 12  # 4 seeds x 3 contents, see conftest
 
 
-def test_new_campaign_is_pending(store: SqlStore) -> None:
+def test_new_campaign_is_pending(store: Store) -> None:
     """All planned cells of a new campaign are pending, by seed, then content."""
     assert store.pending() == tuple(CellKey(seed, content) for seed in range(4) for content in (0.0, 0.3, 5.0))
 
 
-def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlStore], records: "Records") -> None:
+def test_continue_keeps_outcomes(store: Store, open_here: Callable[..., Store], records: "Records") -> None:
     """Beginning the same campaign again continues it: what was done is not pending."""
     store.record_results([records.done(1, 5.0)])
     again = open_here()
@@ -43,7 +43,7 @@ def test_continue_keeps_outcomes(store: SqlStore, open_here: Callable[..., SqlSt
     assert len(again.pending()) == NUMBER_OF_CELLS - 1
 
 
-def test_changed_config_is_refused_with_difference(store: SqlStore, records: "Records") -> None:
+def test_changed_config_is_refused_with_difference(store: Store, records: "Records") -> None:
     """A changed configuration under the same name is refused, naming the nested key and both values."""
     changed = records.campaign({"packing": {"friction": 0.5}, "wave": {"v0": 1e-5}})
     with pytest.raises(CampaignMismatchError, match=r"packing\.friction: 0\.2 -> 0\.5") as refusal:
@@ -52,7 +52,7 @@ def test_changed_config_is_refused_with_difference(store: SqlStore, records: "Re
     assert store.campaigns() == (records.campaign(),)
 
 
-def test_a_hash_stands_for_one_value_of_each_key(store: SqlStore, records: "Records") -> None:
+def test_a_hash_stands_for_one_value_of_each_key(store: Store, records: "Records") -> None:
     """Of two configurations with one hash, one may lack a key of the other; a key of both has one value."""
     stored = records.campaign()
     later = {"packing": {"friction": 0.2}, "wave": {"v0": 1e-5, "later": 3}}
@@ -62,7 +62,7 @@ def test_a_hash_stands_for_one_value_of_each_key(store: SqlStore, records: "Reco
         store.begin_campaign(dataclasses.replace(stored, config=canonical_json(changed_default)))
 
 
-def test_several_campaigns_share_a_store(store: SqlStore, records: "Records") -> None:
+def test_several_campaigns_share_a_store(store: Store, records: "Records") -> None:
     """Campaigns of different names live side by side, and each sees its own cells only."""
     store.record_results([records.done(1, 5.0)])
     store.begin_campaign(records.campaign({"other": 1}, name="other"))
@@ -73,7 +73,7 @@ def test_several_campaigns_share_a_store(store: SqlStore, records: "Records") ->
     assert len(store.pending()) == NUMBER_OF_CELLS - 1
 
 
-def test_extension_adds_cells_only(store: SqlStore, records: "Records") -> None:
+def test_extension_adds_cells_only(store: Store, records: "Records") -> None:
     """More seeds and contents extend the plan and leave outcomes alone; the union of plans is reported."""
     store.record_results([records.done(1, 5.0)])
     extended = store.begin_campaign(records.campaign(seeds=(3, 4, 5), contents=(5.0, 9.0)))
@@ -84,13 +84,13 @@ def test_extension_adds_cells_only(store: SqlStore, records: "Records") -> None:
     assert store.extend((0,), (9.0,)) == 0
 
 
-def test_pending_is_limited_to_what_is_asked(store: SqlStore) -> None:
+def test_pending_is_limited_to_what_is_asked(store: Store) -> None:
     """Seeds and contents limit what is pending, and contents are found whatever their last bits are."""
     assert store.pending(seeds=(2,), contents=(0.1 + 0.2,)) == (CellKey(2, 0.3),)
     assert store.pending(seeds=(0, 3), contents=(5.0,)) == (CellKey(0, 5.0), CellKey(3, 5.0))
 
 
-def test_storing_twice_gives_one_row(store: SqlStore, records: "Records") -> None:
+def test_storing_twice_gives_one_row(store: Store, records: "Records") -> None:
     """The same result stored twice, also within one call, changes nothing the second time."""
     result = records.with_arrays(1, 5.0)
     assert store.record_results([result, result]) == 1
@@ -100,14 +100,14 @@ def test_storing_twice_gives_one_row(store: SqlStore, records: "Records") -> Non
     assert list(store.history()) == before
 
 
-def test_repeated_failure_gives_one_attempt(store: SqlStore, records: "Records") -> None:
+def test_repeated_failure_gives_one_attempt(store: Store, records: "Records") -> None:
     """A failed outcome stored twice with the same attempt number counts as one attempt."""
     for _ in range(2):
         store.record_results([records.failed(1, 5.0)])
     assert store.attempt_counts([CellKey(1, 5.0)]) == {CellKey(1, 5.0): AttemptCount(1, 0)}
 
 
-def test_done_is_never_replaced_unless_told(store: SqlStore, records: "Records") -> None:
+def test_done_is_never_replaced_unless_told(store: Store, records: "Records") -> None:
     """A done cell survives later outcomes, and gives way with replace_done."""
     store.record_results([records.done(1, 5.0, vs=1000.0)])
     assert store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)]) == 0
@@ -116,7 +116,7 @@ def test_done_is_never_replaced_unless_told(store: SqlStore, records: "Records")
     assert next(store.results()).vs == 1001.0
 
 
-def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: "Records") -> None:
+def test_later_attempt_replaces_other_outcomes(store: Store, records: "Records") -> None:
     """An outcome other than done gives way to a later attempt and to a done one, not to an older failure."""
     store.record_results([records.failed(1, 5.0, attempt=2)])
     assert store.record_results([records.failed(1, 5.0, status=CellStatus.UNSTABLE, attempt=1)]) == 0
@@ -126,7 +126,7 @@ def test_later_attempt_replaces_other_outcomes(store: SqlStore, records: "Record
     assert store.statuses()[CellKey(1, 5.0)] is CellStatus.DONE
 
 
-def test_cell_round_trip(store: SqlStore, records: "Records") -> None:
+def test_cell_round_trip(store: Store, records: "Records") -> None:
     """Everything of a cell comes back as given; without arrays only path, signal and cement are left out."""
     given = [records.with_arrays(seed, content) for seed in range(4) for content in (0.0, 5.0)]
     given.append(records.failed(2, 0.3, status=CellStatus.NO_ARRIVAL))
@@ -134,18 +134,16 @@ def test_cell_round_trip(store: SqlStore, records: "Records") -> None:
     in_order = sorted(given, key=lambda result: result.key)
     assert list(store.results(with_arrays=True)) == in_order
     assert list(store.results()) == [dataclasses.replace(r, path=None, signal=None, cement=None) for r in in_order]
-    assert store.signal(CellKey(0, 5.0)) == given[1].signal
-    assert store.signal(CellKey(2, 0.3)) is None
 
 
-def test_unplanned_cell_is_refused_as_a_whole(store: SqlStore, records: "Records") -> None:
+def test_unplanned_cell_is_refused_as_a_whole(store: Store, records: "Records") -> None:
     """A batch with an unplanned cell is refused, and nothing of it is stored."""
     with pytest.raises(UnknownCellError, match="Seed 9"):
         store.record_results([records.done(1, 5.0), records.done(9, 5.0)])
     assert list(store.results()) == []
 
 
-def test_every_outcome_settles_until_retry(store: SqlStore, records: "Records") -> None:
+def test_every_outcome_settles_until_retry(store: Store, records: "Records") -> None:
     """All outcomes settle their cells; retry brings back failed and timed_out, and others on request."""
     outcomes = [s for s in STORED_STATUSES if s is not CellStatus.DONE]
     keys = [(seed, content) for seed in range(2) for content in (0.0, 0.3, 5.0)]
@@ -161,7 +159,7 @@ def test_every_outcome_settles_until_retry(store: SqlStore, records: "Records") 
 
 
 def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
-    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
+    store: Store, open_here: Callable[..., Store], records: "Records"
 ) -> None:
     """Lost attempts count up over several openings of the store, take numbers, and a retry forgets them."""
     key = CellKey(1, 5.0)
@@ -181,7 +179,7 @@ def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
     ]
 
 
-def test_attempts_belong_to_runs(store: SqlStore, records: "Records") -> None:
+def test_attempts_belong_to_runs(store: Store, records: "Records") -> None:
     """Attempts recorded during a run carry its number, and the run keeps its provenance and end."""
     number = store.begin_run(records.run(workers=records.workers()))
     store.record_results([records.done(1, 5.0)])
@@ -191,7 +189,7 @@ def test_attempts_belong_to_runs(store: SqlStore, records: "Records") -> None:
     assert store.runs() == ((number, records.run(ended=ended, exit_state="complete", workers=records.workers())),)
 
 
-def test_packing_round_trip(store: SqlStore, records: "Records") -> None:
+def test_packing_round_trip(store: Store, records: "Records") -> None:
     """Packings come back bit for bit; saving one again is harmless, another under its index is refused."""
     for index in (1, 0, 0):
         store.save_packing(records.packing(index))
@@ -202,7 +200,7 @@ def test_packing_round_trip(store: SqlStore, records: "Records") -> None:
         store.save_packing(records.packing(0, hash="another"))
 
 
-def test_another_packing_of_the_same_origin_is_refused(store: SqlStore, records: "Records") -> None:
+def test_another_packing_of_the_same_origin_is_refused(store: Store, records: "Records") -> None:
     """Disks that lie elsewhere, another box or another content hash are another packing; the error names both."""
     packing = records.packing(content_hash="mine")
     store.save_packing(packing)
@@ -214,7 +212,7 @@ def test_another_packing_of_the_same_origin_is_refused(store: SqlStore, records:
     assert store.content_hashes() == {0: "mine"}
 
 
-def test_a_packing_gets_what_it_lacks(store: SqlStore, records: "Records") -> None:
+def test_a_packing_gets_what_it_lacks(store: Store, records: "Records") -> None:
     """A packing of an earlier calcidem gets its content hash, and a damaged state is replaced if that is wanted."""
     store.save_packing(records.packing(state=b"damaged"))
     assert store.content_hashes() == {0: None}
@@ -224,7 +222,7 @@ def test_a_packing_gets_what_it_lacks(store: SqlStore, records: "Records") -> No
     assert store.load_packing() == records.packing(content_hash="mine")
 
 
-def test_status_counts(store: SqlStore, records: "Records") -> None:
+def test_status_counts(store: Store, records: "Records") -> None:
     """Counts by content and status add up to the plan."""
     store.record_results([records.done(0, 5.0), records.done(1, 5.0), records.failed(2, 5.0)])
     counts = store.status_counts()
@@ -247,7 +245,7 @@ def test_status_counts(store: SqlStore, records: "Records") -> None:
         (Selection(where="path_contacts is not None"), 0),
     ],
 )
-def test_selection(store: SqlStore, records: "Records", selection: Selection, count: int) -> None:
+def test_selection(store: Store, records: "Records", selection: Selection, count: int) -> None:
     """Selections by seed, content, status and expression find the cells they describe."""
     store.record_results(records.done(seed, content) for seed in range(4) for content in (0.0, 5.0))
     store.retry(keys=())
@@ -270,13 +268,13 @@ def test_selection(store: SqlStore, records: "Records", selection: Selection, co
         ("", "can't be read"),
     ],
 )
-def test_wrong_expressions_are_refused(store: SqlStore, where: str, hint: str) -> None:
+def test_wrong_expressions_are_refused(store: Store, where: str, hint: str) -> None:
     """An expression that isn't made of comparisons of quantities is refused with advice."""
     with pytest.raises(QueryError, match=hint.replace("(", r"\(")):
         list(store.results(Selection(where=where)))
 
 
-def test_quoted_text_stays_data(store: SqlStore, records: "Records") -> None:
+def test_quoted_text_stays_data(store: Store, records: "Records") -> None:
     """SQL inside a quoted word is only a word that nothing equals."""
     store.record_results([records.done(1, 5.0)])
     assert list(store.results(Selection(where="host == \"x' OR '1'='1\""))) == []
@@ -302,7 +300,7 @@ def test_quoted_text_stays_data(store: SqlStore, records: "Records") -> None:
         "UPDATE result SET graph_components = -1",
     ],
 )
-def test_schema_refuses_nonsense(store: SqlStore, records: "Records", statement: str) -> None:
+def test_schema_refuses_nonsense(store: Store, records: "Records", statement: str) -> None:
     """The database itself refuses numbers and statuses that contradict each other, whoever writes them."""
     store.record_results([records.with_arrays(1, 5.0)])
     with pytest.raises(InvalidRecordError), store._writing() as session:
@@ -310,9 +308,7 @@ def test_schema_refuses_nonsense(store: SqlStore, records: "Records", statement:
     assert list(store.results(with_arrays=True)) == [records.with_arrays(1, 5.0)]
 
 
-def test_read_only_store_refuses_writes(
-    store: SqlStore, open_here: Callable[..., SqlStore], records: "Records"
-) -> None:
+def test_read_only_store_refuses_writes(store: Store, open_here: Callable[..., Store], records: "Records") -> None:
     """A store opened for reading reads, and refuses to write."""
     store.record_results([records.done(1, 5.0)])
     reader = open_here(read_only=True)
@@ -322,7 +318,7 @@ def test_read_only_store_refuses_writes(
         reader.record_results([records.done(2, 5.0)])
 
 
-def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> None:
+def test_lease_is_granted_once_and_can_be_asked_for_again(store: Store) -> None:
     """Asking again for a held lease gives the same one; released, it is free for a new one."""
     grant = store.acquire_lease()
     assert store.acquire_lease() == grant
@@ -332,7 +328,7 @@ def test_lease_is_granted_once_and_can_be_asked_for_again(store: SqlStore) -> No
     assert again.taken_over_from is None
 
 
-def test_lease_holder_is_known_to_readers(store: SqlStore, open_here: Callable[..., SqlStore]) -> None:
+def test_lease_holder_is_known_to_readers(store: Store, open_here: Callable[..., Store]) -> None:
     """Whoever reads sees which process holds the lease, whether it may be alive, and nobody after its release."""
     reader = open_here(read_only=True)
     reader.use_campaign()
@@ -349,7 +345,7 @@ def test_lease_holder_is_known_to_readers(store: SqlStore, open_here: Callable[.
     assert reader.lease_holder() is None
 
 
-def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: "Records") -> None:
+def test_master_that_lost_its_lease_writes_nothing(store: Store, records: "Records") -> None:
     """Once another process has the lease, recording and heartbeats of the former master are refused."""
     store.acquire_lease()
     store.renew_lease()
@@ -362,7 +358,7 @@ def test_master_that_lost_its_lease_writes_nothing(store: SqlStore, records: "Re
     assert list(store.results()) == []
 
 
-def test_methods_need_a_campaign(open_here: Callable[..., SqlStore]) -> None:
+def test_methods_need_a_campaign(open_here: Callable[..., Store]) -> None:
     """Without a chosen campaign there is nothing to ask, and the error says what to call."""
     with pytest.raises(UnknownCampaignError, match="begin_campaign"):
         open_here().pending()

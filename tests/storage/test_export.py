@@ -37,7 +37,7 @@ from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -47,11 +47,11 @@ ASSETS = Path(__file__).parent / "assets"
 ENDLESS = ((2121, 2381), (204, 912), (970, 2409))
 """Blocks of 64 bytes of calcidem_0.1.0.nc; with two of them swapped the library loops for ever when it opens it."""
 
-Filled = tuple[SqlStore, CampaignRecord]
+Filled = tuple[Store, CampaignRecord]
 
 
 @pytest.fixture
-def filled(store: SqlStore, records: "Records") -> Filled:
+def filled(store: Store, records: "Records") -> Filled:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
     store.begin_run(records.run(workers=records.workers()))
@@ -143,7 +143,7 @@ def test_another_packing_is_refused(filled: Filled, exported: Path, tmp_path: Pa
         assert (copy.packing_indices(), copy.runs(), len(copy.statuses())) == ((0,), (), 1)
 
 
-def test_content_hashes_are_exported(store: SqlStore, records: "Records", tmp_path: Path) -> None:
+def test_content_hashes_are_exported(store: Store, records: "Records", tmp_path: Path) -> None:
     """The file names the content hash of each packing, and its import keeps it."""
     for index, content_hash in enumerate(("mine", None)):
         store.save_packing(records.packing(index, content_hash=content_hash))
@@ -220,9 +220,7 @@ def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monke
     assert [path.name for path in exported.parent.iterdir() if path.name.startswith(".")] == []
 
 
-def test_unusable_targets(
-    filled: Filled, open_here: Callable[..., SqlStore], records: "Records", tmp_path: Path
-) -> None:
+def test_unusable_targets(filled: Filled, open_here: Callable[..., Store], records: "Records", tmp_path: Path) -> None:
     """A missing folder and a campaign without cells are refused before anything is written."""
     with pytest.raises(FileNotFoundError, match="folder"):
         export_netcdf(*filled, tmp_path / "nowhere" / "campaign.nc")

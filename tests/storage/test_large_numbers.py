@@ -15,7 +15,7 @@ from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import LARGEST_SEED, CellKey, CellStatus
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def test_seeds_beyond_the_range_are_refused(seed: int, records: "Records") -> No
             refuse()
 
 
-def test_largest_seed_is_stored_on_every_backend(store: SqlStore, records: "Records") -> None:
+def test_largest_seed_is_stored_on_every_backend(store: Store, records: "Records") -> None:
     """The largest seed comes back from each backend."""
     store.extend((LARGEST_SEED,), (5.0,))
     store.record_results([records.done(LARGEST_SEED)])
@@ -95,14 +95,14 @@ def test_largest_seed_is_stored_on_every_backend(store: SqlStore, records: "Reco
         ("vs > " + "9" * 5000, "can't be read"),
     ],
 )
-def test_filters_that_mean_nothing_are_refused(store: SqlStore, where: str, message: str) -> None:
+def test_filters_that_mean_nothing_are_refused(store: Store, where: str, message: str) -> None:
     """A word is not compared with a number, on any backend, and filters are of a size that databases take."""
     with pytest.raises(QueryError, match=message):
         store.table(("seed",), Selection(where=where))
 
 
 @pytest.mark.parametrize(("where", "cells"), [("seed < 1" + "0" * 400, 3), ("vs > -1" + "0" * 400, 1), ("1 < 2", 3)])
-def test_huge_numbers_compare_as_infinite(store: SqlStore, records: "Records", where: str, cells: int) -> None:
+def test_huge_numbers_compare_as_infinite(store: Store, records: "Records", where: str, cells: int) -> None:
     """Whole numbers beyond all that can be stored are larger, or smaller, than everything."""
     store.record_results([dataclasses.replace(records.done(0), rank=None)])
     assert store.table(("seed",), Selection(seeds=(0,), where=where))["seed"].size == cells

@@ -13,13 +13,13 @@ from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import NewerSchemaError, OlderSchemaError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.sql.models import Base
-from calcidem.storage.sql.store import SqlStore, open_store
+from calcidem.storage.sql.store import Store, open_store
 
 if TYPE_CHECKING:
     from conftest import Records
 
 
-def test_every_constraint_is_in_the_database(open_here: Callable[..., SqlStore]) -> None:
+def test_every_constraint_is_in_the_database(open_here: Callable[..., Store]) -> None:
     """All tables, columns and checks of the models are in a database that was made."""
     with open_here()._engine.connect() as connection:
         found = inspect(connection)
@@ -32,7 +32,7 @@ def test_every_constraint_is_in_the_database(open_here: Callable[..., SqlStore])
             assert set(re.findall(r"\bck_\w+", reflected)) == checks
 
 
-def test_a_view_has_whole_cells(store: SqlStore, records: "Records") -> None:
+def test_a_view_has_whole_cells(store: Store, records: "Records") -> None:
     """Whoever asks the database itself finds each planned cell in one row, with its campaign and all quantities."""
     store.record_results([records.with_arrays(1, 5.0), records.failed(2, 5.0)])
     with store._engine.connect() as connection:
@@ -95,7 +95,7 @@ def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, reco
 
 
 def test_a_server_lets_only_a_writer_add_a_quantity(
-    postgresql_socket: Path, address: str, open_here: Callable[..., SqlStore]
+    postgresql_socket: Path, address: str, open_here: Callable[..., Store]
 ) -> None:
     """A reader of a server's older tables says what to do; a database with unknown quantities is one of the future."""
     if "postgresql" not in address:

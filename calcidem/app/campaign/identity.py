@@ -8,7 +8,7 @@ from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.campaign import refuse_other_campaign
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 
 
 def physics_version(record: CampaignRecord) -> object:

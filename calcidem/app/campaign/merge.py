@@ -16,8 +16,8 @@ from calcidem.storage.files import write_atomically
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Selection, Store
+from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.store import Selection
 
 _OUTCOMES_AT_ONCE = 200
 """Outcomes written in one transaction; with signals they take a few megabytes of memory."""

@@ -41,14 +41,14 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
-from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult, CementPattern
 from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.plots import CampaignPlots  # imports this module, and matplotlib when it is used
+    from calcidem.app.campaign.plots import CampaignPlots
 
 SUFFIXES = (".vtu", ".vtk", ".csv")
 """Formats of the file of a sample."""
@@ -107,12 +107,8 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     >>> vs.sizes["content"], vs.attrs["units"]
     (5, 'm s-1')
     """
-    store = open_store(path_or_url, read_only=True)
-    try:
-        return OpenedCampaign(store, store.use_campaign(name))
-    except BaseException:
-        store.close()
-        raise
+    stored = open_stored_campaign(path_or_url, name)
+    return OpenedCampaign(stored.store, stored.record)
 
 
 def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "OpenedCampaign":
@@ -392,7 +388,7 @@ class OpenedCampaign(StoredCampaign):
         """
         from calcidem.app.campaign.plots import CampaignPlots  # noqa: PLC0415 - matplotlib takes half a second
 
-        return CampaignPlots(self)
+        return CampaignPlots(self, self.cemented)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

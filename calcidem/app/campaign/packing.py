@@ -27,7 +27,7 @@ from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 
 CACHE_VARIABLE = "CALCIDEM_CACHE"
 """Names the folder of the cache, if it is not to be ``$XDG_CACHE_HOME/calcidem``."""

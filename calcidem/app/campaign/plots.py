@@ -6,6 +6,8 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
@@ -13,9 +15,10 @@ from calcidem.analysis.figures.film import draw_film, frame_shower, movie_writer
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, read_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
-from calcidem.app.campaign.opened import OpenedCampaign
 from calcidem.app.campaign.task import stored_signal
+from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.film import film_wave
+from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.files import write_atomically
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
@@ -33,8 +36,20 @@ class CampaignPlots:
         Where the figures have their numbers from; cells that are stored after its first use are not in it.
     """
 
-    def __init__(self, campaign: OpenedCampaign) -> None:
+    def __init__(
+        self, campaign: StoredCampaign, cemented: Callable[..., tuple[Experiment, npt.NDArray[np.bool_]]]
+    ) -> None:
+        """Draw figures of a campaign.
+
+        Parameters
+        ----------
+        campaign
+            An open campaign.
+        cemented
+            Gives the experiment of a cell, and which contacts are cemented (`OpenedCampaign.cemented`).
+        """
         self._campaign = campaign
+        self._cemented = cemented
 
     @cached_property
     def analysis(self) -> CampaignAnalysis:
@@ -106,7 +121,7 @@ class CampaignPlots:
         path = Path(file)
         writer = movie_writer(path)
         cell = self._campaign.cell(seed=seed, content=content)
-        experiment, bonded = self._campaign.cemented(seed=seed, content=content)
+        experiment, bonded = self._cemented(seed=seed, content=content)
         wave = experiment.wave
         if cell.retry:  # then its wave was sent with half the step
             experiment = replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))

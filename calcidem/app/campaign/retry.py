@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from calcidem.storage.errors import StoreUnavailableError, UnknownCellError
 from calcidem.storage.records import STORED_STATUSES, CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection, Store
+from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection
 
 RETRIABLE = tuple(status for status in STORED_STATUSES if status is not CellStatus.DONE)
 """Outcomes that can be given up for another attempt."""

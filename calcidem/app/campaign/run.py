@@ -25,7 +25,8 @@ from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
 from calcidem.storage.records import WorkerRecord
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.store import LeaseGrant, Store
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import LeaseGrant
 from calcidem.sweep import (
     StopRequest,
     SweepEnd,

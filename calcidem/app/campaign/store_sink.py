@@ -11,7 +11,7 @@ from calcidem.app.campaign.packing import Tell
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.sql.rows import pack_result
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
 
 _RENEWAL_INTERVAL = 30.0

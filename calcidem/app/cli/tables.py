@@ -17,7 +17,8 @@ from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulu
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
-from calcidem.storage.store import Selection, Store
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import pluralize
 

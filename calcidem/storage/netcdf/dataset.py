@@ -22,7 +22,7 @@ from calcidem.storage.records import (
     Quantity,
     RunRecord,
 )
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 
 LAYOUT = 1
 """Version of the layout of exported files."""

@@ -18,7 +18,7 @@ from calcidem.storage.netcdf.groups import append_arrays, append_attempts, appen
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, CampaignRecord, CellKey, CellStatus
 from calcidem.storage.sql.reading import chunks
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 
 _CELLS_COPIED_AT_ONCE = 1000
 """Cells whose arrays are in memory at a time."""

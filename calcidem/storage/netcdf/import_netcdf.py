@@ -40,7 +40,7 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.records.campaign import refuse_other_packing
 from calcidem.storage.records.quantity import quantities_of
-from calcidem.storage.store import Store
+from calcidem.storage.sql.store import Store
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})

@@ -13,7 +13,6 @@ from typing import Any
 from numpy.typing import NDArray
 from sqlalchemy import select
 from sqlalchemy.orm import Session
-from typing_extensions import override
 
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -48,7 +47,15 @@ from calcidem.storage.sql.engine import (
 )
 from calcidem.storage.sql.models import RUN, CampaignRow, LeaseRow, PackingRow, RunRow
 from calcidem.storage.sql.schema import is_empty, prepare_schema
-from calcidem.storage.store import ALL_CELLS, RETRIED_BY_DEFAULT, Integrity, LeaseGrant, LeaseHolder, Selection, Store
+from calcidem.storage.store import (
+    ALL_CELLS,
+    RETRIED_BY_DEFAULT,
+    Closable,
+    Integrity,
+    LeaseGrant,
+    LeaseHolder,
+    Selection,
+)
 
 _CHECKPOINT_INTERVAL = 10.0
 """Seconds after which a writer's next transaction brings the write-ahead log into the file, for whoever copies that."""
@@ -56,7 +63,7 @@ _CHECKPOINT_INTERVAL = 10.0
 _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
 
-def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "SqlStore":
+def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "Store":
     """Open a store, creating its database unless `read_only`.
 
     Parameters
@@ -73,11 +80,40 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
         `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left
         as it was.
     """
-    return SqlStore(parse_address(path_or_url), read_only=read_only)
+    return Store(parse_address(path_or_url), read_only=read_only)
 
 
-class SqlStore(Store):
-    """A `Store` on SQLAlchemy; see `open_store`.
+class Store(Closable):
+    """Campaigns, their cells and their outcomes, kept for good.
+
+    On SQLAlchemy; see `open_store`. Its rules:
+
+    1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign`
+       chooses the one that all other methods are about.
+    2. A campaign's physics never changes: its name goes with one hash. Its plan of seeds and contents only
+       grows.
+    3. Each writing method is one transaction: when it returns, all of it is on disk; when it raises,
+       nothing is.
+    4. Writing the same thing again changes nothing. A result is identified by its cell and the number of
+       its attempt.
+    5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of
+       the same or a later attempt, and to a done one.
+    6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells
+       pending again and keeps their history.
+    7. Attempts are counted from 1 for each cell over all runs, those whose worker was lost included. The
+       caller gives a result the number ``attempts + 1`` of `attempt_counts`.
+    8. Callers get frozen records, never rows; errors are `StoreError` with cause and cure.
+    9. At most one process holds the lease of a campaign. Once its lease has been taken over, a store
+       refuses to write. Writing without ever having asked for the lease is allowed, for imports and single
+       commands.
+    10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
+    11. A cell whose stored outcome is not what was stored is `CellStatus.DAMAGED` in whatever reads the damaged part;
+       nothing of it is given but its key and what is damaged. `retry_damaged` makes it pending.
+    12. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
+        `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
+        A `Selection` whose filter can't be understood raises `QueryError`.
+
+    A store is a context manager that closes itself. It may be used by one thread at a time.
 
     Attributes
     ----------
@@ -168,14 +204,26 @@ class SqlStore(Store):
 
     # Campaigns and runs
 
-    @override
     def campaigns(self) -> tuple[CampaignRecord, ...]:
+        """All campaigns, oldest first."""
         with self._reading() as session:
             found = session.scalars(select(CampaignRow).order_by(CampaignRow.id))
             return tuple(reading.campaign_record(session, row) for row in found)
 
-    @override
     def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
+        """Create the campaign, or continue the one with the same hash and extend its plan by what is new.
+
+        Returns
+        -------
+        CampaignRecord
+            As stored: with the seeds and contents of all plans so far.
+
+        Raises
+        ------
+        CampaignMismatchError
+            If the name is taken by a campaign with another hash; the message lists the differences, one
+            nested key a line.
+        """
         with self._writing() as session:
             row = writing.begin_campaign(session, campaign)
             writing.plan_cells(session, row.id, campaign.seeds, campaign.contents)
@@ -183,8 +231,14 @@ class SqlStore(Store):
         self._campaign_id = row.id
         return record
 
-    @override
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
+        """Choose an existing campaign; without a name the only one there is.
+
+        Raises
+        ------
+        UnknownCampaignError
+            If there is none of that name, or several and no name was given.
+        """
         with self._reading() as session:
             found = list(session.scalars(select(CampaignRow).order_by(CampaignRow.id)))
             chosen = [row for row in found if name is None or row.name == name]
@@ -195,13 +249,16 @@ class SqlStore(Store):
             self._campaign_id = chosen[0].id
             return reading.campaign_record(session, chosen[0])
 
-    @override
     def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
+        """Plan all cells of seeds x contents (percent) that are not planned yet; return how many were added."""
         with self._writing() as session:
             return writing.plan_cells(session, self._campaign, seeds, contents)
 
-    @override
     def begin_run(self, run: RunRecord) -> int:
+        """Store the provenance of a run and return its number.
+
+        Attempts recorded from here on belong to it.
+        """
         with self._writing() as session:
             row = rows.row_from_run(self._campaign, run)
             session.add(row)
@@ -209,8 +266,14 @@ class SqlStore(Store):
         self._run_id = row.id
         return row.id
 
-    @override
     def end_run(self, exit_state: str, ended: datetime) -> None:
+        """Store how and when the run of `begin_run` ended.
+
+        Raises
+        ------
+        UnknownCampaignError
+            If no run was begun.
+        """
         with self._writing() as session:
             row = session.get(RunRow, self._run_id)
             if row is None:
@@ -219,16 +282,22 @@ class SqlStore(Store):
             row.checksum = checksum_of(RUN, (), rows.run_columns(row))
         self._run_id = None
 
-    @override
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """All runs of the campaign with their numbers, oldest first."""
         with self._reading() as session:
             found = session.scalars(select(RunRow).where(RunRow.campaign_id == self._campaign).order_by(RunRow.id))
             return tuple((row.id, rows.run_from_row(row)) for row in found)
 
     # Lease
 
-    @override
     def acquire_lease(self) -> LeaseGrant:
+        """Become the campaign's only master; asked again, it refreshes the lease.
+
+        Raises
+        ------
+        LeaseHeldError
+            If another living process is it; the message says which, and when it would count as dead.
+        """
         if self._token is not None:
             self.renew_lease()
             return LeaseGrant(self._token, None)
@@ -251,19 +320,25 @@ class SqlStore(Store):
             self._lock.note(grant.token, heartbeat)
         return replace(grant, lost=lost)
 
-    @override
     def lease_holder(self) -> LeaseHolder | None:
+        """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
         with self._reading() as session:
             row = session.get(LeaseRow, self._campaign)
             return None if row is None else lease.holder_from_row(row)
 
-    @override
     def renew_lease(self) -> None:
+        """Say that this master is alive; recording does it too. Call it at least every minute.
+
+        Raises
+        ------
+        LeaseLostError
+            If another process took over.
+        """
         with self._writing():
             pass  # every writing transaction refreshes the lease
 
-    @override
     def release_lease(self) -> None:
+        """Give the lease back; does nothing without one."""
         if self._token is not None:
             token, self._token = self._token, None
             try:
@@ -278,88 +353,154 @@ class SqlStore(Store):
 
     # Writing
 
-    @override
     def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
+        """Store a packing under its index; the same one is left as it is, but gets a content hash that it lacks.
+
+        Parameters
+        ----------
+        packing : PackingRecord
+        replace_state : bool
+            Whether its state takes the place of a stored one, which is damaged.
+
+        Raises
+        ------
+        CampaignMismatchError
+            If the index has another packing; the message names the content hashes of both.
+        """
         with self._writing() as session:
             writing.save_packing(session, self._campaign, packing, replace_state=replace_state)
 
-    @override
     def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
+        """Store outcomes in one transaction (rules 4 and 5).
+
+        Returns
+        -------
+        int
+            How many were stored; the others were kept out by rule 5.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
         with self._writing() as session:
             return writing.record_results(session, self._campaign, self._run_id, results, replace_done=replace_done)
 
-    @override
     def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
+        """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
+
+        Unlike the other writes each call counts, since a loss has no result to be recognised by.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
         with self._writing() as session:
             return writing.record_lost(session, self._campaign, self._run_id, list(keys), reason)
 
-    @override
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
     ) -> tuple[CellKey, ...]:
+        """Make settled cells pending again, and forget the losses counted for them.
+
+        Parameters
+        ----------
+        statuses : collection of CellStatus
+            Which outcomes; done is refused.
+        keys : iterable of CellKey, optional
+            Only these cells.
+
+        Returns
+        -------
+        tuple of CellKey
+            The cells that are pending again.
+
+        Raises
+        ------
+        ValueError
+            If `statuses` contains done, pending or running.
+        """
         wrong = _NEVER_RETRIED & set(statuses)
         if wrong:
             raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
         with self._writing() as session:
             return writing.make_pending(session, self._campaign, statuses, None if keys is None else list(keys))
 
-    @override
     def retry_damaged(self, keys: Collection[CellKey]) -> None:
+        """Make damaged cells (of `integrity`) pending again, and drop their attempts that are damaged."""
         with self._writing() as session:
             writing.drop_damaged(session, self._campaign, keys)
 
-    @override
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
+        """Store a history as another store kept it (for imports); attempts that are there already stay.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
         with self._writing() as session:
             writing.restore_attempts(session, self._campaign, attempts)
 
     # Reading
 
-    @override
     def load_packing(self, index: int = 0) -> PackingRecord | None:
+        """Return a packing, or None if there is none of that index."""
         with self._reading() as session:
             statement = select(PackingRow).where(PackingRow.campaign_id == self._campaign, PackingRow.number == index)
             row = session.scalar(statement)
             return None if row is None else rows.packing_from_row(row)
 
-    @override
     def content_hashes(self) -> dict[int, str | None]:
+        """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
         with self._reading() as session:
             statement = select(PackingRow.number, PackingRow.content_hash)
             statement = statement.where(PackingRow.campaign_id == self._campaign).order_by(PackingRow.number)
             return {row.number: row.content_hash for row in session.execute(statement)}
 
-    @override
+    def packing_indices(self) -> tuple[int, ...]:
+        """Return the indices of the stored packings, ascending."""
+        return tuple(self.content_hashes())
+
     def pending(
         self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
     ) -> tuple[CellKey, ...]:
+        """Return the planned cells without an outcome, by seed, then content (percent); by default all."""
         return tuple(self.statuses(Selection(seeds, contents, (CellStatus.PENDING,))))
 
-    @override
     def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
+        """Status of each selected cell, by seed, then content; pending where it has no outcome."""
         columns = self.table(("seed", "content", "status"), selection)
         keys = map(CellKey, columns["seed"].tolist(), columns["content"].tolist())
         return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
 
-    @override
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
         with self._reading() as session:
             return reading.status_counts(session, self._campaign)
 
-    @override
     def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
+        """Count the attempts of these cells, or of all that were tried; a cell never tried counts 0."""
         with self._reading() as session:
             return reading.attempt_counts(session, self._campaign, None if keys is None else list(keys))
 
-    @override
     def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
+        """All attempts at the selected cells, by seed, content and number."""
         for chunk in self._chunks(selection):
             with self._reading() as session:
                 found = list(reading.attempts_of(session, chunk))
             yield from found
 
-    @override
     def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
+        """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
+
+        Parameters
+        ----------
+        selection : Selection
+        with_arrays : bool
+            Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
+        """
         for chunk in self._chunks(selection):
             with self._reading() as session:
                 found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
@@ -378,8 +519,8 @@ class SqlStore(Store):
             chosen = reading.select_cells(session, self._campaign, selection)
         yield from reading.chunks(chosen)
 
-    @override
     def integrity(self) -> Integrity:
+        """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
         noted = self._acknowledged()
         outcomes = self.results(with_arrays=True)
         damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
@@ -397,7 +538,6 @@ class SqlStore(Store):
             others += [] if lost is None else [lost]
         return Integrity(damaged, tuple(others))
 
-    @override
     def table(
         self,
         names: Sequence[str],
@@ -406,13 +546,37 @@ class SqlStore(Store):
         sort: Sequence[str] = (),
         limit: int | None = None,
     ) -> dict[str, NDArray[Any]]:
+        """Return columns of the selected planned cells in one query.
+
+        Parameters
+        ----------
+        names : sequence of str
+            From `calcidem.storage.records.QUANTITY_BY_NAME`.
+        selection : Selection
+        sort : sequence of str
+            Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
+            in the order of seed, then content.
+        limit : int, optional
+            Give the first so many cells only.
+
+        Returns
+        -------
+        dict of str to (cells,) array
+            Object arrays for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where
+            missing), in the units of the quantities.
+
+        Raises
+        ------
+        QueryError
+            For an unknown quantity, a filter that can't be understood, or a negative limit.
+        """
         with self._reading() as session:
             return reading.table(session, self._campaign, names, selection, sort, limit)
 
     # Life
 
-    @override
     def close(self) -> None:
+        """Release the lease and all connections; a closed store may be closed again."""
         try:
             with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
                 self.release_lease()
