@@ -50,7 +50,7 @@ def test_a_job_is_requeued_a_limited_number_of_times_and_only_if_it_can_go_on(
 def test_a_job_of_an_array_computes_its_part_into_its_own_database(
     variables: dict[str, str], part: str, tmp_path: Path
 ) -> None:
-    """It runs the other script from the folder of submission, with the number of parts of the array or the one given."""
+    """It runs the other script from the folder of submission, with the number of parts of the array or that given."""
     (tmp_path / "examples").mkdir()
     shutil.copy(SCRIPT, tmp_path / "examples")
     (tmp_path / "calcidem").write_text('#!/bin/sh\necho "$@" > asked\n')
