@@ -184,16 +184,19 @@ def postgresql_template(postgresql_socket: Path) -> str:
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+def address(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """Address of an empty database, once for each backend."""
     if request.param == "sqlite":
-        return str(tmp_path / "campaign.db")
+        yield str(tmp_path / "campaign.db")
+        return
     folder, template = (request.getfixturevalue(f"postgresql_{name}") for name in ("socket", "template"))
     name = f"test_{uuid.uuid4().hex}"
     server = f"postgresql+psycopg://postgres@/postgres?host={folder}"
     with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
         connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {template}'))
-    return f"postgresql://postgres@/{name}?host={folder}"
+    yield f"postgresql://postgres@/{name}?host={folder}"
+    with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.execute(text(f'DROP DATABASE "{name}" WITH (FORCE)'))
 
 
 @pytest.fixture
