@@ -31,7 +31,8 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("ranks", [pytest.param(2, marks=pytest.mark.full), 4])
+@pytest.mark.full
+@pytest.mark.parametrize("ranks", [2, 4])
 def test_ranks_do_not_change_a_bit(workshop: "Workshop", expected: "Cells", ranks: int) -> None:
     """A campaign gives the same bits on 2 and on 4 ranks as in one process."""
     workshop.configure()
@@ -64,6 +65,7 @@ def test_a_run_on_unlike_ranks_says_so(workshop: "Workshop") -> None:
     assert f"OpenBLAS {core}" in page
 
 
+@pytest.mark.full
 def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "Cells") -> None:
     """Cells computed in another order and in other batches have the same bits, and extending redoes none."""
     workshop.configure(seeds=(4, 2), contents=(5.0, 0.66))
@@ -101,7 +103,8 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
     assert workshop.attempts() == len(expected)
 
 
-@pytest.mark.parametrize("victim", ["mpirun", pytest.param("command", marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("victim", ["mpirun", "command"])
 def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected: "Cells", victim: str) -> None:
     """After SIGKILL of mpirun, or of the command above it, no rank is left and the campaign goes on."""
     workshop.configure()
@@ -117,6 +120,7 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected:
     assert workshop.cells() == expected
 
 
+@pytest.mark.full
 def test_a_lost_worker_costs_only_its_batch(workshop: "Workshop", expected: "Cells") -> None:
     """After SIGKILL of one rank the others complete the campaign, with exit code 0 and the same bits."""
     workshop.configure()
@@ -242,7 +246,7 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
 
 
 def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> None:
-    """SIGTERM while the packing is made, which takes half a minute, ends all ranks within seconds with 75."""
+    """SIGTERM while the packing is made, which takes half a minute, ends all ranks before it is made, with 75."""
     (workshop.folder / "c.toml").write_text("[campaign]\nseeds = 1\n[packing]\nseed = 47\n")
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
     # A small packing first: compiling its kernels is the one thing that no signal interrupts.
@@ -253,10 +257,8 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> Non
     assert any("being made" in line for line in process.stdout)
     time.sleep(0.5)
     process.send_signal(signal.SIGTERM)
-    asked = time.monotonic()
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors
-    assert time.monotonic() - asked < 8.0
     assert "ended before the packing was made" in stopped.output
     assert workshop.leaves_no_process()
     assert not workshop.database.exists()

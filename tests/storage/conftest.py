@@ -185,17 +185,22 @@ def postgresql_template(postgresql_socket: Path) -> str:
     return "migrated"
 
 
+@pytest.fixture
+def postgresql_database(postgresql_socket: Path, postgresql_template: str) -> Iterator[str]:
+    """Address of an empty database of the server, which is dropped with the test."""
+    name = f"test_{uuid.uuid4().hex}"
+    server = f"postgresql+psycopg://postgres@/postgres?host={postgresql_socket}"
+    with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {postgresql_template}'))
+        yield f"postgresql://postgres@/{name}?host={postgresql_socket}"
+        connection.execute(text(f'DROP DATABASE "{name}" WITH (FORCE)'))
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
 def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Address of an empty database, once for each backend."""
-    if request.param == "sqlite":
-        return str(tmp_path / "campaign.db")
-    folder, template = (request.getfixturevalue(f"postgresql_{name}") for name in ("socket", "template"))
-    name = f"test_{uuid.uuid4().hex}"
-    server = f"postgresql+psycopg://postgres@/postgres?host={folder}"
-    with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
-        connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {template}'))
-    return f"postgresql://postgres@/{name}?host={folder}"
+    on_server = request.param == "postgresql"
+    return request.getfixturevalue("postgresql_database") if on_server else str(tmp_path / "campaign.db")
 
 
 @pytest.fixture

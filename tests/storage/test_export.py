@@ -50,6 +50,13 @@ ENDLESS = ((2121, 2381), (204, 912), (970, 2409))
 Filled = tuple[Store, CampaignRecord]
 
 
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.full)])
+def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Address of an empty database: what a file says does not depend on the backend, as the round trip shows."""
+    on_server = request.param == "postgresql"
+    return request.getfixturevalue("postgresql_database") if on_server else str(tmp_path / "campaign.db")
+
+
 @pytest.fixture
 def filled(store: Store, records: "Records") -> Filled:
     """Fill a store with something of everything."""
@@ -74,6 +81,7 @@ def exported(filled: Filled, tmp_path: Path) -> Path:
     return export_netcdf(*filled, tmp_path / "campaign.nc")
 
 
+@pytest.mark.parametrize("address", ["sqlite", "postgresql"], indirect=True)
 def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_path: Path) -> None:
     """Database to NetCDF to database keeps plan, runs, packings, attempts and outcomes, bit for bit."""
     original, campaign = filled
@@ -299,7 +307,7 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
     while not (child := children.read_text().strip()):
         time.sleep(0.05)
     status = Path(f"/proc/{child}/stat")
-    while int(status.read_text().split()[13]) < 2 * os.sysconf("SC_CLK_TCK"):  # it has been in the library for long
+    while int(status.read_text().split()[13]) < os.sysconf("SC_CLK_TCK"):  # it has been in the library for long
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     assert process.wait(20.0) != 0

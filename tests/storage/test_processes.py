@@ -30,7 +30,7 @@ CELLS = 2 * SEEDS
 ACKNOWLEDGED = 12
 """Cells that are stored before the writer is killed."""
 
-StartWriter = Callable[[], "subprocess.Popen[str]"]
+StartWriter = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
@@ -44,8 +44,8 @@ def start_writer(database: Path) -> Iterator[StartWriter]:
     """Start a process that writes the database; ended with the test."""
     started: list[subprocess.Popen[str]] = []
 
-    def start() -> "subprocess.Popen[str]":
-        command = [sys.executable, str(WRITER), str(database), str(SEEDS)]
+    def start(seeds: int = SEEDS) -> "subprocess.Popen[str]":
+        command = [sys.executable, str(WRITER), str(database), str(seeds)]
         # The writer must import the calcidem under test, installed or not.
         environment = os.environ | {"PYTHONPATH": str(Path(calcidem.storage.__file__).parents[2])}
         started.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment))
@@ -201,10 +201,9 @@ def test_second_master_is_refused_while_the_first_lives(database: Path, start_wr
         assert f"process {first.pid}" in str(grant.taken_over_from)
 
 
-@pytest.mark.slow
 def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_writer: StartWriter) -> None:
     """A lease held on another machine is respected until it has been silent for five minutes."""
-    process = start_writer()
+    process = start_writer(seeds=1)
     process.communicate()
     elsewhere = (
         "INSERT INTO lease (campaign_id, token, host, pid, acquired, heartbeat) "
@@ -223,10 +222,9 @@ def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_
                 assert "elsewhere" in str(store.acquire_lease().taken_over_from)
 
 
-@pytest.mark.slow
 def test_orderly_end_leaves_one_file(database: Path, start_writer: StartWriter) -> None:
     """After an orderly end neither lock nor log is left beside the database."""
-    process = start_writer()
+    process = start_writer(seeds=1)
     process.communicate()
     assert process.returncode == 0
     assert [path.name for path in database.parent.iterdir()] == [database.name]

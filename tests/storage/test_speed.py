@@ -40,7 +40,9 @@ class Stopwatch:
         return result
 
 
-@pytest.fixture(scope="module", params=[10_000, pytest.param(100_000, marks=pytest.mark.full)])
+@pytest.fixture(
+    scope="module", params=[2_000, *(pytest.param(count, marks=pytest.mark.full) for count in (10_000, 100_000))]
+)
 def large(tmp_path_factory: pytest.TempPathFactory, records: "Records", request: pytest.FixtureRequest) -> Large:
     """Make a database of so many done cells, for every commit of a tenth of them."""
     path, timed = tmp_path_factory.mktemp("large") / "large.db", Stopwatch()

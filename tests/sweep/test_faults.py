@@ -4,6 +4,7 @@ The cell (5, 2.55) is the one that misbehaves; `--once` lets it do so a single t
 """
 
 import signal
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ def resume_twice(campaign: "Campaign", expected: "Values", *options: str, ulfm: 
         assert campaign.leaves_no_process()
 
 
-@pytest.mark.parametrize("fault", ["raise", "exit", "unpicklable"])
+@pytest.mark.parametrize("fault", [pytest.param("raise", marks=FULL), pytest.param("exit", marks=FULL), "unpicklable"])
 def test_an_exception_on_a_worker_costs_its_cell(campaign: "Campaign", expected: "Values", fault: str) -> None:
     """The bad cell alone is stored as failed; the run is complete; no worker is lost."""
     launch = campaign.run("--fault", fault)
@@ -49,9 +50,13 @@ def test_a_batch_past_its_time_limit_is_stored_as_timed_out(campaign: "Campaign"
     ]
 
 
-@pytest.mark.parametrize("moment", ["start", "end"])
 @pytest.mark.parametrize(
-    "fault", ["kill", pytest.param("segfault", marks=FULL), pytest.param("stop", marks=FULL), "loop"]
+    ("fault", "moment"),
+    [
+        *(("kill", "end"), ("loop", "start")),
+        *(pytest.param(*case, marks=FULL) for case in (("kill", "start"), ("loop", "end"))),
+        *(pytest.param(*case, marks=FULL) for case in product(("segfault", "stop"), ("start", "end"))),
+    ],
 )
 def test_a_lost_worker_costs_nothing_but_time(
     campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str, moment: str
@@ -79,7 +84,7 @@ def test_a_silent_worker_is_given_up_without_a_time_limit(
     assert campaign.leaves_no_process()
 
 
-@pytest.mark.parametrize("moment", ["start", "end"])
+@pytest.mark.parametrize("moment", [pytest.param("start", marks=FULL), "end"])
 def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
     campaign: "Campaign", expected: "Values", tmp_path: Path, moment: str
 ) -> None:
@@ -94,7 +99,7 @@ def test_a_worker_that_exits_behind_the_back_of_mpi_loses_nothing(
 
 
 @pytest.mark.parametrize(
-    "fault", ["hard-exit", "kill", *(pytest.param(fault, marks=FULL) for fault in ("segfault", "stop", "loop"))]
+    "fault", ["kill", *(pytest.param(fault, marks=FULL) for fault in ("hard-exit", "segfault", "stop", "loop"))]
 )
 def test_a_lost_worker_without_ulfm_ends_the_run(
     campaign: "Campaign", expected: "Values", tmp_path: Path, fault: str
@@ -133,8 +138,15 @@ def test_losses_count_over_restarts(campaign: "Campaign", expected: "Values") ->
     assert campaign.values() == {cell: value for cell, value in expected.items() if cell != BAD_CELL}
 
 
-@pytest.mark.parametrize("moment", ["before", "while", "after"])
-@pytest.mark.parametrize("fault", ["kill", pytest.param("segfault", marks=FULL), "raise"])
+@pytest.mark.parametrize(
+    ("fault", "moment"),
+    [
+        *(("kill", "while"), ("raise", "after")),
+        *(pytest.param(*case, marks=FULL) for case in (("kill", "before"), ("kill", "after"))),
+        *(pytest.param(*case, marks=FULL) for case in (("raise", "before"), ("raise", "while"))),
+        *(pytest.param("segfault", moment, marks=FULL) for moment in ("before", "while", "after")),
+    ],
+)
 def test_a_lost_master_loses_nothing_acknowledged(
     campaign: "Campaign", expected: "Values", fault: str, moment: str
 ) -> None:
@@ -146,7 +158,7 @@ def test_a_lost_master_loses_nothing_acknowledged(
     resume_twice(campaign, expected)
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=FULL)], ids=["ulfm", "plain"])
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=FULL)])
 def test_no_rank_outlives_mpirun(campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool) -> None:
     """When mpirun itself is killed all ranks are gone at once, and what they had told of is stored."""

@@ -21,14 +21,14 @@ def test_results_do_not_depend_on_the_number_of_ranks(
     assert campaign.leaves_no_process()
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=pytest.mark.full)], ids=["ulfm", "plain"])
 def test_all_workers_take_part(campaign: "Campaign", ulfm: bool) -> None:
     """Batches that take a while are spread over all workers and none is computed by the master."""
     campaign.run("--seconds", "0.1", ranks=4, ulfm=ulfm)
     assert campaign.rows("select distinct rank from cell order by rank") == [(1,), (2,), (3,)]
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=pytest.mark.full)], ids=["ulfm", "plain"])
 def test_a_complete_sweep_ends_at_once(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """With nothing left to compute the program ends with 0, again and again, and stores nothing twice."""
     campaign.run(ulfm=ulfm)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.mpi
 
 
-@pytest.mark.parametrize("kills", [4, pytest.param(100, marks=pytest.mark.full)])
+@pytest.mark.parametrize("kills", [2, pytest.param(100, marks=pytest.mark.full)])
 def test_random_kills_lose_nothing_acknowledged(
     campaign: "Campaign", capsys: pytest.CaptureFixture[str], kills: int
 ) -> None:

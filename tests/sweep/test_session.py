@@ -7,7 +7,7 @@ from calcidem.sweep import Session
 if TYPE_CHECKING:
     from conftest import Campaign
 
-ULFM = pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+ULFM = pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=pytest.mark.full)], ids=["ulfm", "plain"])
 
 
 def test_a_program_alone_has_rank_0_of_1() -> None:

@@ -13,7 +13,7 @@ BATCH = 0.5
 """Seconds of a batch; long against everything else, so that the signal comes while two are running."""
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [pytest.param(True, marks=pytest.mark.full), False], ids=["ulfm", "plain"])
 def test_sigusr1_finishes_what_runs(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """SIGUSR1 to mpirun: the running batches are stored too, exit code 75, and the run can be completed."""
     launch = campaign.start("--seconds", str(BATCH), ulfm=ulfm)
@@ -29,7 +29,7 @@ def test_sigusr1_finishes_what_runs(campaign: "Campaign", expected: "Values", ul
     assert campaign.values() == expected
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=pytest.mark.full)], ids=["ulfm", "plain"])
 def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm: bool) -> None:
     """SIGUSR2 to mpirun: the end comes long before the running batches would be done, with 75."""
     launch = campaign.start("--seconds", "5", "--seeds", "4", ulfm=ulfm)
@@ -46,7 +46,7 @@ def test_sigusr2_drops_what_runs(campaign: "Campaign", expected: "Values", ulfm:
     assert campaign.values() == expected
 
 
-@pytest.mark.parametrize("ulfm", [True, False], ids=["ulfm", "plain"])
+@pytest.mark.parametrize("ulfm", [True, pytest.param(False, marks=pytest.mark.full)], ids=["ulfm", "plain"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.full)])
 def test_a_terminated_mpirun_ends_quickly(
     campaign: "Campaign", expected: "Values", number: signal.Signals, ulfm: bool

@@ -65,6 +65,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {"device_toml": OWN_DISKS.replace("own.csv", "/dev/zero").encode()},
         "device",
     ),
+    "an array that is none": (("export", "quick.db", "new.nc", "--without", "paths"), {}, "'paths' is none of"),
     "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is no content"),
     "a width that is none": (
         ("plan", "quick.db", "--content", "5", "--halfwidth", "nan"),

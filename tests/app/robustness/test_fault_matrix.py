@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 SENTINEL = Case("SIGKILL", "master", "while")
-"""For every commit: `test_runs` kills a worker and mpirun, but not the master. The others belong to the full run."""
+"""For every commit: tests of the scheduler kill workers and mpirun, too. The others belong to the full run."""
 
 
 @pytest.fixture(scope="module")
