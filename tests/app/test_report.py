@@ -123,14 +123,16 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     with open_stored_campaign(small_database) as campaign:
         analysis = CampaignAnalysis(campaign)
         blocks = gather_cell_data(analysis).blocks
-        cell, graph = campaign.cell(seed=3, content=5.0), analysis.graphs[0]
-        path = analysis.sample(3, 5.0).path.grains
+        done = list(campaign.select(status="done", with_arrays=True))
+        cell = max(done, key=lambda cell: cell.key.content)
+        seed_number, content = cell.key.seed, cell.key.content
+        graph, path = analysis.graphs[0], analysis.sample(seed_number, content).path.grains
     seed, packing, records = (
-        json.loads(zlib.decompress(b64decode(blocks[name]))) for name in ("seed-3", "packing-0", "records")
+        json.loads(zlib.decompress(b64decode(blocks[name]))) for name in (f"seed-{seed_number}", "packing-0", "records")
     )
     assert cell.section is not None
     assert cell.cement is not None
-    place = [described["content"] for described in seed].index(5.0)
+    place = [described["content"] for described in seed].index(content)
     described, kinds = seed[place], np.zeros(len(packing["second"]), dtype=np.uint8)
     for earlier in seed[: place + 1]:
         for kind, rows in enumerate(earlier["cement"]):
@@ -143,7 +145,7 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     stride = round(described["signal"]["interval"] / (1e3 * cell.section.sampling_interval))
     assert np.allclose(values, cell.section.received[::stride], atol=1e-3 * received["largest"])
     vs = records["columns"]["vs"][
-        records["seeds"].index("3") * len(records["contents"]) + records["contents"].index(5.0)
+        records["seeds"].index(str(seed_number)) * len(records["contents"]) + records["contents"].index(content)
     ]
     assert vs == pytest.approx(cell.vs, rel=1e-5)
 
