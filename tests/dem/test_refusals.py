@@ -81,11 +81,11 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: PackingRule(diameter=(3e-3, 2e-3)), "diameter", "0.003", "smallest"),
     (lambda: PackingRule(width=0.01), "diameter", "0.003", "4 disks"),
     (lambda: PackingRule(porosity=0.05), "porosity", "0.05", "0.1 and 0.5"),
-    (lambda: PackingRule(expansion_steps=0), "expansion_steps", "0", "1 to 100"),
+    (lambda: PackingRule(expansion_steps=0), "expansion_steps", "0", "[1, 100]"),
     (lambda: PackingRule(friction_preparation=-0.1), "friction_preparation", "-0.1", "0 or more"),
     (lambda: PackingRule(stress=0.0), "stress", "0.0", "positive"),
     (lambda: PackingRule(damping=1.0), "damping", "1.0", "(0, 1)"),
-    (lambda: PackingRule(unbalanced_force_ratio=0.1), "unbalanced_force_ratio", "0.1", "(0, 1e-3]"),
+    (lambda: PackingRule(unbalanced_force_ratio=0.1), "unbalanced_force_ratio", "0.1", "(0, 0.001]"),
     (lambda: PackingRule(most_steps=0), "most_steps", "0", "positive"),
 ]
 
