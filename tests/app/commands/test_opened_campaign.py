@@ -1,7 +1,7 @@
 """The Python API on a small real database."""
 
 import doctest
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +125,7 @@ def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:
     configuration = load_configuration(Path(__file__).parents[3] / "docs" / "tutorial" / "quick.toml", {})
     stored = campaign.experiment()
     given = configuration.experiment(stored.packing)
-    names = [name for name in Experiment.__slots__ if name != "packing"]
+    names = [field.name for field in fields(Experiment) if field.name != "packing"]
     assert {name: getattr(stored, name) for name in names} == {name: getattr(given, name) for name in names}
 
 
