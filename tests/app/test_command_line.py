@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import venv
+from collections.abc import Callable
 from typing import TYPE_CHECKING, get_type_hints
 
 import pytest
@@ -108,7 +109,7 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop"
     assert "seeds = 116" in (workshop.folder / "paper.toml").read_text(encoding="utf-8")
 
 
-def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
+def test_a_campaign_from_run_to_export(workshop: "Workshop", invoke: Callable[..., str]) -> None:
     """`run` reports packing, velocities and paths; `status` and `export` find what it stored."""
     gentle = "amplitude = 1e-4\ntransmitter_half_width = 0.01"
     short = f"{gentle}\n[wave.frequency]\ncontent = [0.0, 0.66]\nfrequency = [17e3, 17e3]"
@@ -126,11 +127,10 @@ def test_a_campaign_from_run_to_export(workshop: "Workshop") -> None:
         read = strong.notnull() & weak.notnull()
         assert read.any()
         assert (strong > weak).where(read, True).all(), "cement stiffens"
-    status = workshop.run("status", str(database))
-    assert status.code == 0, status.errors
-    assert "2 seeds x 2 contents" in status.output
-    assert "Run 1" in status.output
-    assert workshop.run("export", str(database), "again.nc").code == 0
+    status = invoke("status", database)
+    assert "2 seeds x 2 contents" in status
+    assert "Run 1" in status
+    invoke("export", database, workshop.folder / "again.nc")
     assert (workshop.folder / "again.nc").exists()
 
 
@@ -147,8 +147,8 @@ def test_the_packing_can_be_made_alone(workshop: "Workshop") -> None:
     ("arguments", "code", "words"),
     [
         (("status", "none.db"), 2, "none.db does not exist"),
-        (("export", "none.db", "out.nc"), 2, "none.db does not exist"),
-        (("status", "c.toml"), 2, "c.toml: file is not a database"),
+        pytest.param(("export", "none.db", "out.nc"), 2, "none.db does not exist", marks=pytest.mark.full),
+        pytest.param(("status", "c.toml"), 2, "c.toml: file is not a database", marks=pytest.mark.full),
         (("run", "c.toml", "--ranks", "-1"), 2, "--ranks"),
         (("run", "c.toml", "--rank", "2"), 2, "--ranks"),
         (("frobnicate",), 2, "frobnicate"),

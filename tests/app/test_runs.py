@@ -245,13 +245,15 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
     assert "No heartbeat from rank 0 on" in done.errors
 
 
+@pytest.mark.full
 def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> None:
     """SIGTERM while the packing is made, which takes half a minute, ends all ranks before it is made, with 75."""
     (workshop.folder / "c.toml").write_text("[campaign]\nseeds = 1\n[packing]\nseed = 47\n")
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
-    # A small packing first: compiling its kernels is the one thing that no signal interrupts.
-    (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.02\nheight = 0.03\n")
-    workshop.run("run", "small.toml", "--packing-only")
+    # A small packing first, of so many disks that their kernel is that of the large one: compiling it is the one thing
+    # that no signal interrupts.
+    (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.03\nheight = 0.06\n")
+    assert workshop.run("run", "small.toml", "--packing-only").code == 0
     process = workshop.start("run", "c.toml", "--ranks", "2")
     assert process.stdout is not None
     assert any("being made" in line for line in process.stdout)

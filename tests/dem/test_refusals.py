@@ -86,7 +86,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: PackingRule(stress=0.0), "stress", "0.0", "positive"),
     (lambda: PackingRule(damping=1.0), "damping", "1.0", "(0, 1)"),
     (lambda: PackingRule(unbalanced_force_ratio=0.1), "unbalanced_force_ratio", "0.1", "(0, 0.001]"),
-    (lambda: PackingRule(most_steps=0), "most_steps", "0", "positive"),
+    (lambda: PackingRule(most_steps=0), "most_steps", "0", "1 or more"),
 ]
 
 

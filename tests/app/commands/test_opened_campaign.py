@@ -38,9 +38,10 @@ def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: OpenedCampaign,
     assert len(sample.bonds.pairs) == stored.bonded_contacts
 
 
-def test_a_rebuilt_sample_is_in_balance(campaign: OpenedCampaign) -> None:
-    """The disks, forces and walls that come back are those of a packing at rest."""
-    sample = campaign.sample(seed=1, content=0.66)
+@pytest.mark.parametrize("content", [0.0, pytest.param(0.66, marks=pytest.mark.full)])
+def test_a_rebuilt_sample_is_in_balance(campaign: OpenedCampaign, content: float) -> None:
+    """The disks, forces and walls that come back are those of a packing at rest, with cement or without."""
+    sample = campaign.sample(seed=1, content=content)
     state = calcidem.dem.start(sample.scene, preload=sample.packing.preload)
     # Servo and friction of the packing stage are gone; what is left out of balance is that of the packing's report.
     assert calcidem.dem.unbalanced_ratio(state) < 1e-4
