@@ -143,7 +143,7 @@ def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     """A step fraction above 1 is refused before anything is computed."""
     judgement = judge_scene(Extreme(step_fraction=1.01))
     assert judgement.verdict == StabilityVerdict.REFUSED
-    assert "choose 0.05 to 0.95" in judgement.reason
+    assert "give 0.05 to 0.95" in judgement.reason
 
 
 @pytest.mark.parametrize("regime", ["linear", "small"])
@@ -166,9 +166,9 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
     experiment = experiment_of_scene(scene)
     found = measure(experiment, content_of(scene, experiment), [1], lanes=1)[0]
-    assert found.outcome == Outcome.UNSTABLE
+    assert found.result.outcome == Outcome.UNSTABLE
     assert found.vs is None
-    assert "bonds broke" in found.reason
+    assert "bonds broke" in found.result.reason
     assert "bonds broke" in found.record.retry
     assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
 

@@ -14,6 +14,7 @@ from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
+from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.recorder import WaveRecord
 
 HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
@@ -268,16 +269,22 @@ def measure_convergence(
     even = replace(even, early_stop=False, installation="preserve")
     width = fitting_lanes(seeds, lanes)
     runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in CONVERGENCE_STEPS]
-    changes = np.median([_signal_changes([run[cell].record for run in runs]) for cell in range(len(seeds))], axis=0)
+    records = [[run[cell].record for run in runs] for cell in range(len(seeds))]
+    changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
     orders = np.log2(changes[:-1] / changes[1:])
     return Convergence(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
-def _signal_changes(records: Sequence[WaveRecord]) -> Floats:
-    """Change from each record to the next, at the times of the first."""
-    times = [record.section.times for record in records]
+def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
+    """Change from each record to the next, at the times of the first.
+
+    Smoothing takes away the steps in which velocities are recorded, which are as large as the smallest change.
+    """
+    sections = [record.section for record in records]
+    signals = [smooth(section.received, smoothing * section.period) for section in sections]
+    times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     common = times[0][(times[0] >= begin) & (times[0] <= end)]
-    signals = [_at_times(common, time, record.section.received) for time, record in zip(times, records, strict=True)]
+    signals = [_at_times(common, time, signal) for time, signal in zip(times, signals, strict=True)]
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])
