@@ -40,7 +40,16 @@ def judge(folder: Path, module: str, name: str, factor: float) -> subprocess.Com
     lines = source.splitlines(keepends=True)
     lines[value.lineno - 1] = f"{name} = {moved!r}\n"
     path.write_text("".join(lines), encoding="utf-8")
-    options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--confcutdir", str(Path(__file__).parent)]
+    options = [
+        "-x",
+        "-q",
+        "--no-header",
+        "-p",
+        "no:cacheprovider",
+        "--confcutdir",
+        str(Path(__file__).parent),
+        "--hypothesis-seed=0",
+    ]
     command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *JUDGES]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)  # its folder comes first
 
