@@ -112,12 +112,12 @@ def test_a_foot_hides_the_first_arrival_if_it_is_higher_than_a_tenth(level: floa
     assert (found.first_arrival is None) == hidden
 
 
-def test_nothing_below_a_hundredth_is_read() -> None:
-    """Silence is a hundredth of v0, and says so."""
+def test_nothing_below_a_thousandth_is_read() -> None:
+    """Silence is a thousandth of v0, and says so."""
     top = smooth(wave(8.0)(1.0, np.arange(800) / 40.0), 12.0).max()
     assert read_section(section(silence)).verdict is Verdict.SILENT
-    assert read_section(section(wave(8.0, 0.0085 / top))).verdict is Verdict.SILENT
-    assert read_section(section(wave(8.0, 0.0115 / top))).verdict is None
+    assert read_section(section(wave(8.0, 0.00085 / top))).verdict is Verdict.SILENT
+    assert read_section(section(wave(8.0, 0.00115 / top))).verdict is None
 
 
 # --- The P wave
@@ -158,8 +158,8 @@ def test_a_shear_wave_without_motion_along_keeps_its_bits() -> None:
     """Nothing is taken off where nothing moves along, or less than silence."""
     alone = read_section(section(wave(8.0)))
     assert alone.peak is not None
-    assert same(read_section(section(wave(8.0), wave(4.0, 0.0085))), alone)
-    assert not same(read_section(section(total(wave(8.0), wave(4.0, 0.004)), wave(4.0, 0.0115))), alone)
+    assert same(read_section(section(wave(8.0), wave(4.0, 0.00085))), alone)
+    assert not same(read_section(section(total(wave(8.0), wave(4.0, 0.0004)), wave(4.0, 0.00115))), alone)
 
 
 def test_a_late_motion_along_takes_nothing_off() -> None:

@@ -26,8 +26,8 @@ from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
-SILENCE = 0.01
-"""Velocity over v0 below which nothing is read; arrivals in real samples are above 0.02."""
+SILENCE = 0.001
+"""Velocity over v0 below which nothing is read; arrivals in real samples are above 0.003, where a wall rubs."""
 
 _LARGER_SWING = 3.0
 """A swing along the path that another one this many times as large follows within a period is a precursor of it."""
@@ -79,7 +79,7 @@ ONSET = 0.1
 class Verdict(StrEnum):
     """Why a section gives no velocity."""
 
-    SILENT = "no motion above 1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
+    SILENT = "no motion above 0.1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
     TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
     NO_LINE = "no peak of the receiver continues what the stations recorded: send another frequency"
     UNCERTAIN = "the standard error of the reading is above pick.largest_error: send a higher frequency"

@@ -10,7 +10,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pulse import Pulse
 
 RESOLUTION = 2.0**-20
-"""Step of a recorded velocity over the amplitude of the pulse: 1e-4 of the weakest arrival that is read."""
+"""Step of a recorded velocity over the amplitude of the pulse: 1e-3 of the weakest arrival that is read."""
 
 _LARGEST_COUNT = 2**30
 Counts = npt.NDArray[np.int32]
