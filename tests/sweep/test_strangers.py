@@ -148,7 +148,7 @@ def strangers() -> Iterator[Callable[..., "subprocess.Popen[bytes]"]]:
         process.communicate()
 
 
-@pytest.mark.parametrize("descriptors", [None, 20])
+@pytest.mark.parametrize("descriptors", [None, pytest.param(20, marks=pytest.mark.full)])
 def test_idle_connections_neither_end_the_watch_nor_keep_ranks_out(
     strangers: Callable[..., "subprocess.Popen[bytes]"], descriptors: int | None
 ) -> None:
