@@ -1,5 +1,6 @@
 """Who can reach the port of a run can neither end it nor hold a rank: what comes costs the sender its connection."""
 
+import os
 import resource
 import selectors
 import socket
@@ -56,10 +57,16 @@ def end(connection: socket.socket, how: str) -> None:
         connection.close()
 
 
-def judge(watch: RankWatch, false_rank: int | None = None) -> None:
-    """Ranks that nobody pretends to be are heard, and whatever is asked of the watch has an answer."""
+def judge(watch: RankWatch, false_rank: int | None = None, make_room: Callable[[], None] = lambda: None) -> None:
+    """Ranks that nobody pretends to be are heard, and whatever is asked of the watch has an answer.
+
+    ``make_room`` is called before each of them connects: here they need descriptors of the watch's own process.
+    """
     true = [number for number in range(3) if number != false_rank]
-    ranks = [SpokenRank(watch, number).say("loaded", "joined", "alive 0") for number in true]
+    ranks = []
+    for number in true:
+        make_room()
+        ranks.append(SpokenRank(watch, number).say("loaded", "joined", "alive 0"))
     assert all(rank.welcome for rank in ranks)
     assert watch.begun == (false_rank is None) or watch._ranks[2].joined
     assert all(watch._ranks[number].joined and not watch._ranks[number].ended for number in true)
@@ -148,7 +155,7 @@ def strangers() -> Iterator[Callable[..., "subprocess.Popen[bytes]"]]:
         process.communicate()
 
 
-@pytest.mark.parametrize("descriptors", [None, pytest.param(20, marks=pytest.mark.full)])
+@pytest.mark.parametrize("descriptors", [None, 20])
 def test_idle_connections_neither_end_the_watch_nor_keep_ranks_out(
     strangers: Callable[..., "subprocess.Popen[bytes]"], descriptors: int | None
 ) -> None:
@@ -158,15 +165,22 @@ def test_idle_connections_neither_end_the_watch_nor_keep_ranks_out(
         process = strangers(place_of(watch)[1], "idle")
         assert process.stdout is not None
         selector.register(process.stdout, selectors.EVENT_READ)
+        # The strangers' connections take whatever is free, so each rank has a descriptor kept for it.
+        kept = [os.open(os.devnull, os.O_RDONLY) for _ in range(3)]
+        gaps = []
         if descriptors is not None:
-            open_now = max(int(path.name) for path in Path("/proc/self/fd").iterdir()) + 1
-            resource.setrlimit(resource.RLIMIT_NOFILE, (open_now + descriptors, limits[1]))
+            highest = max(int(path.name) for path in Path("/proc/self/fd").iterdir())
+            while not gaps or gaps[-1] < highest:
+                gaps.append(os.open(os.devnull, os.O_RDONLY))
+            resource.setrlimit(resource.RLIMIT_NOFILE, (gaps[-1] + 1 + descriptors, limits[1]))
         try:
             while not selector.select(0.0):
                 watch.listen(0.01)
-            judge(watch)
+            judge(watch, make_room=lambda: os.close(kept.pop()))
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            for descriptor in (*kept, *gaps):
+                os.close(descriptor)
         assert "more; the run goes on" in watch.describe_dropped()
 
 
