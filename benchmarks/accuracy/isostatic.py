@@ -38,7 +38,7 @@ def main() -> None:
         errors = [(abs(_velocity(linear) / _velocity(finite) - 1.0), linear) for linear, finite in found]
         given = [(error, cell) for error, cell in errors if cell.vs]
         refused = [error for error, cell in errors if not cell.vs]
-        within = sum(error <= (cell.error_bound or 0.0) for error, cell in given)
+        within = sum(error <= cell.result.error.bound for error, cell in given if cell.result.error)
         worst = (f"{max(chosen, default=0.0):.1%}" for chosen in ([error for error, _ in given], refused))
         row = (seed, len(found), len(given), within, next(worst), len(refused), next(worst))
         print(f"| {' | '.join(map(str, row))} |", flush=True)
@@ -58,12 +58,12 @@ def _pairs(seed: int) -> list[tuple[Measurement, Measurement]]:
 
 def _read(cell: Measurement) -> bool:
     """Whether a top was found, whatever its error may be."""
-    return bool(cell.vs) or (cell.reason.startswith(_TOO_INEXACT) and cell.picks is not None and bool(cell.picks.peak))
+    return bool(cell.vs) or cell.result.reason.startswith(_TOO_INEXACT)
 
 
 def _velocity(cell: Measurement) -> float:
     """Vs, m/s, given or not."""
-    return cell.vs or cell.distance / cell.picks.peak.travel_time  # type: ignore[union-attr]
+    return cell.vs or cell.result.reading.peak  # type: ignore[union-attr,return-value]
 
 
 _TOO_INEXACT = f"the numerical error may be above {LARGEST_BOUND:.0%}".replace("%", " %")

@@ -37,7 +37,7 @@ def main() -> None:
             for pulse in pulses:
                 began = time.process_time()
                 cells = measure_all(pulse, content, _SEEDS)
-                steps = np.mean([cell.record.duration / cell.record.time_step for cell in cells])
+                steps = np.mean([cell.record.section.duration / cell.record.time_step for cell in cells])
                 found += [time.process_time() - began, steps, sum(bool(cell.record.retry) for cell in cells)]
             rounds.append(found)
         row = np.median(np.array(rounds), axis=0)

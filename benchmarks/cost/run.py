@@ -147,10 +147,12 @@ def lanes_agree() -> dict[str, Any]:
         beside = measure(experiment, content, SEEDS[:2], lanes=8)
         for sample in beside:
             (alone,) = measure(experiment, content, [sample.seed], lanes=1)
-            if sample.vs is None or alone.vs is None or sample.error_bound is None:
-                raise SystemExit(f"seed {sample.seed} at {content} % has no velocity: {sample.reason or alone.reason}")
+            if sample.vs is None or alone.vs is None or sample.result.error is None:
+                raise SystemExit(
+                    f"seed {sample.seed} at {content} % has no velocity: {sample.result.reason or alone.result.reason}"
+                )
             differences.append(abs(sample.vs / alone.vs - 1.0))
-            estimates.append(sample.error_bound)
+            estimates.append(sample.result.error.bound)
     found = {"cells": len(differences), "largest": max(differences), "smallest_estimate": min(estimates)}
     print(f"{found['cells']} samples, 8 lanes against 1: largest difference {found['largest']:.1e} of Vs")
     return found

@@ -65,12 +65,12 @@ def thread_times() -> tuple[float, float]:
 
 
 def real_outcomes(database: str) -> tuple[PackedResult, ...]:
-    """As many outcomes as a batch has, with cement and signals; the signals are kept of one seed, so others share them."""
+    """As many outcomes as a batch has, with cement and sections; the sections are kept of one seed, so others share them."""
     with open_store(database, read_only=True) as store:
         store.use_campaign()
         stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
-    signals = {result.key.content: result.signal for result in stored if result.signal is not None}
-    complete = (replace(result, signal=signals[result.key.content]) for result in stored)
+    sections = {result.key.content: result.section for result in stored if result.section is not None}
+    complete = (replace(result, section=sections[result.key.content]) for result in stored)
     return tuple(islice(cycle(map(pack_result, complete)), CELLS))
 
 

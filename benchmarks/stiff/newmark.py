@@ -13,7 +13,6 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from calcidem.dem.wave.arrival import record_duration
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
@@ -29,6 +28,7 @@ from calcidem.dem.wave.domain import listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.reading import record_duration
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.scene import TRANSMITTER, lane_bonds, wave_scene
 
@@ -123,8 +123,8 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for content in (5.0, 9.0):
         exact = measure(with_wave(bare, step_fraction=0.025, samples_per_period=SAMPLES), content, SEEDS[:1])[0]
-        true = CubicSpline(exact.record.times, exact.record.velocity)
-        end = exact.record.times[-1]
+        true = CubicSpline(exact.record.section.times, exact.record.section.received)
+        end = exact.record.section.times[-1]
 
         def distance(
             at: np.ndarray, signal: np.ndarray, true: CubicSpline = true, end: float = end, first: float = SETTLED
@@ -134,7 +134,7 @@ def main() -> None:
 
         for fraction in (0.8, 0.4, 0.2):
             record, seconds = explicit(bare, content, fraction)
-            error = distance(record.times, record.velocity)
+            error = distance(record.section.times, record.section.received)
             print(f"| {content:g} | explicit, 8 lanes | {fraction:g} | {seconds:.2f} | {error:.1e} |", flush=True)
         stiffened, sand = bare.stiffen()
         bonds = lane_bonds(stiffened, bare.cement, [exact.cement.bonded], 1, "preserve")

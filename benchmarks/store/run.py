@@ -53,14 +53,19 @@ def cells(seeds: int) -> Iterator[CellResult]:
         for content, factor in zip(CONTENTS, scatter, strict=True):
             key = CellKey(seed, content)
             if seed % 100 == 0:
-                yield CellResult(key, CellStatus.NO_ARRIVAL, "no peak stands out of the received signal", rank=1)
+                yield CellResult(
+                    key,
+                    CellStatus.NO_ARRIVAL,
+                    "no peak of the receiver continues what the stations recorded: send another frequency",
+                    rank=1,
+                )
                 continue
             yield CellResult(
                 key,
                 CellStatus.DONE,
                 vs=(300.0 + 200.0 * content) * factor,
                 vs_peak=(300.0 + 200.0 * content) * factor,
-                quality_peak=0.9,
+                coherence=0.9,
                 frequency=15e3,
                 time_step=8e-8,
                 stability_limit=1e-7,

@@ -117,7 +117,7 @@ def explain_refusal(case: Case) -> tuple[str, tuple[Remedy, ...]]:
         number, found = f"A guard ended the run: {case.problem}.", _steadier_run(case)
     elif verdict is Verdict.SILENT:
         largest = float(case.section.across[:, -1].max(initial=0)) * RESOLUTION
-        number = f"The receiver moves at most at {largest:.2%} of the pulse's amplitude; {SILENCE:.0%} is needed."
+        number = f"The receiver moves at most at {largest:.2%} of the pulse's amplitude; {SILENCE:.1%} is needed."
         found = _louder_arrival(case)
     elif verdict is Verdict.TOO_SHORT:
         ended = case.section.duration

@@ -27,7 +27,7 @@ from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 SILENCE = 0.001
-"""Velocity over v0 below which nothing is read; arrivals in real samples are above 0.003, where a wall rubs."""
+"""Velocity over v0 below which nothing is read; the presets have 0.017 and more, a small stiff sample may have less."""
 
 _LARGER_SWING = 3.0
 """A swing along the path that another one this many times as large follows within a period is a precursor of it."""
@@ -315,7 +315,7 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
 
 def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
     """Read the travel time of the shear wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
-    arrival = _find_arrival(section, rule.smoothing)
+    arrival = _find_arrival(prepare(section, rule.smoothing), section)
     if isinstance(arrival, Verdict):
         return Reading(arrival)
     error = reading_error(section, arrival)
@@ -356,12 +356,10 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     The S wave is there, or no later peak can be one: its stack would be too small. On its line each station is later
     than on that of the present, so what is known of it and ``remaining_speed`` bound the stack.
     """
-    verdict = read_section(section, rule).verdict
-    if verdict is None or verdict is Verdict.UNCERTAIN:
-        return True
-    if verdict is Verdict.TOO_SHORT:
-        return False
     prepared = prepare(section, rule.smoothing)
+    found = _find_arrival(prepared, section)
+    if isinstance(found, ShearArrival) or found is Verdict.TOO_SHORT:
+        return isinstance(found, ShearArrival)
     loudest = float(np.sqrt(1.0 + _STEEPEST * _STEEPEST)) * remaining_speed / section.amplitude
     unsmoothed = section.across[len(prepared.across) :]
     tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
@@ -373,12 +371,11 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     now = (1.0 - _STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
     later = np.arange(len(clean))[:, None] >= now
     highest = np.maximum(np.where(later, clean, 0.0).max(axis=0), np.maximum(tail, loudest))
-    return float(np.minimum(highest / np.maximum(clean.max(axis=0), SILENCE), 1.0).mean()) < LEAST_COHERENCE
+    return float(np.minimum(highest / _largest(clean), 1.0).mean()) < LEAST_COHERENCE
 
 
-def _find_arrival(section: Section, smoothing: float) -> ShearArrival | Verdict:
+def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdict:
     """Find the S wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
-    prepared = prepare(section, smoothing)
     peaks = _receiver_peaks(prepared)
     if not peaks:
         return Verdict.SILENT

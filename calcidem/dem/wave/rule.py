@@ -48,7 +48,8 @@ class WaveRule:
     step_fraction
         Time step as a part of the stability limit.
     samples_per_period
-        Least number of samples of the section in a period of the pulse. With 40 a peak moves by 2e-4, with 20 by 1e-3.
+        Samples of the section in a period of the pulse, or a few fewer: all samples of a content have one stride, and a
+        soft one has longer steps. With 40 a peak moves by 2e-4, with 20 by 1e-3.
     slowest
         Slowest velocity that is waited for, m/s.
     listening_depth
