@@ -310,7 +310,7 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
     top, whole = int(prepared.p_top[-1]), prepared.across[:, -1]
     found = [i for i in find_tops(whole).tolist() if (top < 0 or i < top) and whole[i] > SILENCE]
     found += [i for i in find_tops(clean).tolist() if i >= top >= 0 and clean[i] > SILENCE]
-    return [i for i in found if i > prepared.peak]
+    return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
 def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
@@ -460,8 +460,8 @@ def _horizon(prepared: _Prepared, travel: float) -> int:
 
 
 def _largest(clean: Floats) -> Floats:
-    """(X,) largest value of each station."""
-    return np.asarray(np.maximum(clean.max(axis=0), SILENCE * RESOLUTION))
+    """(X,) largest motion of each station, of either sign: what reverberates is small beside what passed before."""
+    return np.asarray(np.maximum(np.abs(clean).max(axis=0), SILENCE * RESOLUTION))
 
 
 def _coherences(prepared: _Prepared, clean: Floats, index: int, travel: float) -> tuple[float, float]:
