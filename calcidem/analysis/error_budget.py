@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calcidem.storage.records.error_budget import departs
 
@@ -47,16 +47,18 @@ def error_budget(cells: Mapping[Any, ArrayLike | xr.DataArray]) -> ErrorBudget:
     vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
     absolute = (vs * reading)[np.isfinite(vs * reading)]
     return ErrorBudget(
-        total=_median_known(total),
-        reading=_median_known(reading),
-        numerical=_median_known(numerical),
+        total=median_known(total),
+        reading=median_known(reading),
+        numerical=median_known(numerical),
         scatter=float(np.sqrt(np.mean(absolute**2))) if absolute.size else np.nan,
         compared=int(np.isfinite(departure).sum()),
         departing=int(departs(departure).sum()),
     )
 
 
-def _median_known(values: NDArray[np.float64]) -> float:
+def median_known(given: ArrayLike | xr.DataArray) -> float:
+    """Median of the finite values, NaN without any."""
+    values = np.asarray(given, dtype=float)
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else np.nan
 

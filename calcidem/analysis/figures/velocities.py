@@ -35,7 +35,7 @@ _LOW_CONTENT = 0.7
 _HISTOGRAM_COLUMNS = 4
 _MANY = 30
 """Marks of more samples than this are pixels in vector files, which keeps these small."""
-_ABREAST = 0.006
+_SIDE_BY_SIDE = 0.006
 """How far the first and last sample of a content stand beside it, as a part of the range of contents."""
 _PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
@@ -95,7 +95,7 @@ def _draw_range(
     axes.fill_between(
         content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
     )
-    abreast = _ABREAST * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
+    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
     apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for row in rows:
         of_content = cells.sel(content=row.content)

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import is_published_sand, published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
@@ -23,7 +24,7 @@ from calcidem.app.report.wording import (
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
 
 _MOST_REASONS = 20
-_MOST_SEEDS = 10
+_MOST_NAMED_SEEDS = 10
 _MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
@@ -76,7 +77,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row in analysis.distributions:
         column = cells.sel(content=row.content)
-        known = {name: _median_known(column[name]) for name in _MEANING}
+        known = {name: median_known(column[name]) for name in _MEANING}
         rows.append(
             (
                 f"{row.content:g}",
@@ -86,7 +87,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
                 decimal(known["wavelength_over_d50"], 1),
                 decimal(known["content_of_contacts"], 2),
                 *(
-                    (decimal(known["static_speed"]), decimal(_median_known(column["vs"] / column["static_speed"]), 2))
+                    (decimal(known["static_speed"]), decimal(median_known(column["vs"] / column["static_speed"]), 2))
                     if static
                     else ()
                 ),
@@ -117,7 +118,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
 def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
     """Contents, by their place, where half of the cells or more have too few wavelengths on the path."""
     found = (
-        _median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
+        median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
     )
     return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
@@ -256,14 +257,14 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
         rows.append(
             (
                 f"{row.content:g}",
-                decimal(_median_known(column["frequency"]) / 1e3, 1),
-                significant(1e9 * _median_known(column["time_step"])),
-                decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
-                decimal(_median_known(column["steps"])),
+                decimal(median_known(column["frequency"]) / 1e3, 1),
+                significant(1e9 * median_known(column["time_step"])),
+                decimal(median_known(column["time_step"] / column["stability_limit"]), 2),
+                decimal(median_known(column["steps"])),
                 *(significant(100 * part, 2) for part in (budget.total, budget.reading, budget.numerical)),
                 significant(100 * float(column["error_bound"].max()), 2),
                 decimal(relative, 2),
-                time_span(_median_known(column["seconds"])),
+                time_span(median_known(column["seconds"])),
             )
         )
     return Table(
@@ -296,14 +297,14 @@ def departure_table(analysis: CampaignAnalysis) -> Table | None:
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
         column = analysis.cells.sel(content=row.content)
         apart = column["seed"].to_numpy()[departs(column["path_departure"].to_numpy())].tolist()
-        more = f" and {len(apart) - _MOST_SEEDS} more" if len(apart) > _MOST_SEEDS else ""
+        more = f" and {len(apart) - _MOST_NAMED_SEEDS} more" if len(apart) > _MOST_NAMED_SEEDS else ""
         rows.append(
             (
                 f"{row.content:g}",
                 str(budget.compared),
-                decimal(_median_known(column["path_vs"] / column["vs"]), 2),
+                decimal(median_known(column["path_vs"] / column["vs"]), 2),
                 str(budget.departing),
-                (", ".join(str(seed) for seed in apart[:_MOST_SEEDS]) or ABSENT) + more,
+                (", ".join(str(seed) for seed in apart[:_MOST_NAMED_SEEDS]) or ABSENT) + more,
             )
         )
     return Table(
@@ -315,10 +316,3 @@ def departure_table(analysis: CampaignAnalysis) -> Table | None:
         tuple(rows),
         frozenset(i for i, budget in enumerate(analysis.budgets) if budget.departing),
     )
-
-
-def _median_known(values: xr.DataArray) -> float:
-    """Median of the finite values, NaN without any."""
-    found = values.to_numpy()
-    known = found[np.isfinite(found)]
-    return float(np.median(known)) if known.size else math.nan
