@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
+from calcidem.analysis.dispersion import ContentDispersion, dispersion_of_cells
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, error_budget
+from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
@@ -251,6 +252,22 @@ class CampaignAnalysis:
             raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
         with _translate_refusals():
             return self._sample(cell, cell.cement)
+
+    @cached_property
+    def dispersions(self) -> tuple[ContentDispersion, ...]:
+        """Dispersion of each content of which three and more cells have a velocity and a stored section."""
+        found = []
+        for row in self.distributions:
+            column = self.cells.sel(content=row.content)
+            with suppress(ValueError):  # too few sections
+                spectrum = dispersion_of_cells(
+                    self.campaign.select(content=row.content, status="done", with_arrays=True)
+                )
+                medians = (median_known(column[name]) for name in ("vs", "static_speed"))
+                found.append(ContentDispersion(row.content, spectrum, *medians))
+        if not found:
+            raise UnavailableError("fewer than three cells of each content have a velocity and a stored section")
+        return tuple(found)
 
     def measured_samples(self, content: float) -> list[MeasuredSample]:
         """Give the samples of one content that have a velocity, from the slowest to the fastest."""
