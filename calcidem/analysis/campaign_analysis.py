@@ -1,7 +1,7 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
-from calcidem.analysis.dispersion import ContentDispersion, dispersion_of_cells
+from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.features import FEATURES
@@ -309,6 +309,26 @@ class CampaignAnalysis:
             path=path,
             features=graph.features(path),
         )
+
+
+def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
+    """Find the dispersion from the stored sections of cells of one content that have a velocity.
+
+    Phase velocities from a third to three times the median Vs are looked for.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three of the cells have a velocity and a section.
+    """
+    read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
+    if len(read) < FEWEST_SECTIONS:
+        raise ValueError(
+            f"{len(read)} cells have a velocity and a stored section; a dispersion needs {FEWEST_SECTIONS} and more"
+        )
+    median = float(np.median([vs for vs, _ in read]))
+    motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
+    return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))
 
 
 @contextmanager

@@ -4,16 +4,16 @@ One sample holds one to three wavelengths, so its spectrum over frequency and wa
 spectra of many samples tells the dispersion of the content and the speed of its long waves.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records import CellResult
-
 _VELOCITIES = 400  # of the grid, evenly spaced by their logarithm
-_FEWEST = 3  # samples: fewer have no jackknife
+FEWEST_SECTIONS = 3
+"""Samples that a jackknife needs."""
+
 _RESOLVED = 1e-3  # of a velocity, which a parabola over that grid resolves
 
 
@@ -118,7 +118,7 @@ def dispersion(
     sum is averaged over the samples. The long-wave limit is the intercept of the phase velocity over the square of the
     frequency, each weighted by its standard error: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
     """
-    if len(sections) < _FEWEST:
+    if len(sections) < FEWEST_SECTIONS:
         raise ValueError(f"sections: {len(sections)} given; give those of three samples and more")
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
@@ -140,26 +140,6 @@ def dispersion(
         long_wave_error=float(_jackknife(limits)),
         samples=count,
     )
-
-
-def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
-    """Find the dispersion from the stored sections of cells of one content that have a velocity.
-
-    Phase velocities from a third to three times the median Vs are looked for.
-
-    Raises
-    ------
-    ValueError
-        If fewer than three of the cells have a velocity and a section.
-    """
-    read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
-    if len(read) < _FEWEST:
-        raise ValueError(
-            f"{len(read)} cells have a velocity and a stored section; a dispersion needs {_FEWEST} and more"
-        )
-    median = float(np.median([vs for vs, _ in read]))
-    motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
-    return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))
 
 
 def _power(

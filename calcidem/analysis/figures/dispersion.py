@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from calcidem.analysis.dispersion import ContentDispersion
 from calcidem.analysis.figures.style import BLACK, GREEN, KHZ, VERMILION, apply_style, letter_panels, new_figure
 
-_COLUMNS = 2
+_PANELS_ABREAST = 2
 _NARROW = 0.45, 2.2
 """Velocities that are shown, over the median Vs, if all that was found lies between."""
 
@@ -17,9 +17,9 @@ _NARROW = 0.45, 2.2
 @apply_style
 def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
     """Draw power over frequency and phase velocity, the phase velocity with its error, and the long-wave limit."""
-    lines = -(-len(contents) // _COLUMNS)
+    lines = -(-len(contents) // _PANELS_ABREAST)
     figure = new_figure(height=0.7 + 2.1 * lines)
-    panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+    panels = figure.subplots(lines, _PANELS_ABREAST, squeeze=False).ravel()
     for axes, shown in zip(panels, contents, strict=False):
         _draw_content(axes, shown)
     letter_panels(panels[: len(contents)])

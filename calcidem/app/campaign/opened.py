@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.dispersion import Dispersion, dispersion_of_cells
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
+from calcidem.analysis.dispersion import Dispersion
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_dataset
 from calcidem.analysis.outcomes import name_outcomes
