@@ -103,6 +103,20 @@ class StoredCampaign(Closable):
         """
         return cell_matrices(self.store, ("vs",))["vs"]
 
+    def vs_error(self) -> xr.DataArray:
+        """Return the relative standard errors (seed, content) of the velocities, NaN where they are not known.
+
+        Each is made of the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`), and
+        1.96 of them on either side of a velocity hold 95 %.
+
+        Examples
+        --------
+        >>> campaign = open_stored_campaign("example.db")
+        >>> campaign.vs_error().sel(content=5.0).values.round(4)
+        array([0.012, 0.012,   nan,   nan])
+        """
+        return cell_matrices(self.store, ("vs_error",))["vs_error"]
+
     def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
         """Return scalar quantities of every cell (`calcidem.storage.netcdf.dataset.campaign_dataset`).
 

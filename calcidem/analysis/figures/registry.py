@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
+from calcidem.analysis.figures.dispersion import draw_dispersion
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
@@ -20,6 +21,7 @@ from calcidem.storage.records import CellResult
 _FIRST_ARRIVAL_LEVEL = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
+_SHOWN_DISPERSIONS = 6
 _SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
@@ -158,7 +160,7 @@ def _plot_signals(analysis: CampaignAnalysis) -> Figure:
 
 def _plot_range(analysis: CampaignAnalysis) -> Figure:
     _measured_contents(analysis)  # refuses a campaign without
-    return draw_range(analysis.vs, analysis.distributions, published_velocities(analysis))
+    return draw_range(analysis.cells, analysis.distributions, published_velocities(analysis))
 
 
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
@@ -170,6 +172,11 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
     if not bool(np.isfinite(analysis.cells["vs_peak"]).any()):
         raise UnavailableError("no sample has a velocity from peak to peak")
     return draw_methods(analysis.cells)
+
+
+def _plot_dispersion(analysis: CampaignAnalysis) -> Figure:
+    known = {one.content: one for one in analysis.dispersions}
+    return draw_dispersion([known[content] for content in _pick_evenly(list(known), _SHOWN_DISPERSIONS)])
 
 
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
@@ -204,8 +211,10 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
-        "Dots are samples, the line joins their means. The dark band is the 95 % confidence interval of the mean, "
-        "the pale one the interval in which 95 % of new samples fall if Vs is normal at each content.",
+        "Dots are samples, bars the 95 % intervals of their velocities (reading and simulation); in rings vs and "
+        "path_vs differ by more than their errors. The line joins the means. The dark band is the 95 % confidence "
+        "interval of the mean, the pale one the interval in which 95 % of new samples fall if Vs is normal at each "
+        "content.",
         _plot_range,
     ),
     CampaignFigure(
@@ -245,6 +254,14 @@ CAMPAIGN_FIGURES = (
         "Three ways to read the arrival",
         "Median and central 80 % of the samples for each way to read the travel time.",
         _plot_methods,
+    ),
+    CampaignFigure(
+        "dispersion",
+        "Phase velocity against frequency",
+        "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, the "
+        "diamond is the limit of long waves.",
+        _plot_dispersion,
     ),
     CampaignFigure(
         "paths",

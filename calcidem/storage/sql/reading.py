@@ -1,7 +1,7 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
     ColumnElement,
+    Integer,
     Select,
     SQLColumnExpression,
     UnaryExpression,
     and_,
     case,
+    cast,
     func,
     select,
     tuple_,
@@ -36,13 +38,13 @@ from calcidem.storage.sql import rows
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     ARRAYS,
-    EXPRESSIONS,
     LOST,
     RESULT,
     STATUS,
     AttemptRow,
     CampaignRow,
     CellRow,
+    expression_of,
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
@@ -57,6 +59,9 @@ _KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 
 _LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
+
+_MOST_ATTEMPTS = 2**31 - 1
+"""Largest number of an attempt, that of a 32-bit column."""
 
 _BY_KEY = (CellRow.seed, CellRow.content)
 
@@ -115,19 +120,32 @@ def table(
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
-    outcome = rows.OutcomeColumns(names)
+    fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
+    outcome = rows.OutcomeColumns(fetched)
     statement = join_results(select(*outcome.columns)).where(*conditions(campaign_id, selection))
     ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
         found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
-        return _listed_columns(found, outcome, names, selection)
+        return _with_derived(_listed_columns(found, outcome, fetched, selection), names)
     except UNREADABLE as error:
         if sort or limit is not None or not may_be_damage(error):
             raise  # where a value can't be read there is no order
     cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id).order_by(*_BY_KEY)).all()
     one_by_one = (row for chunk in chunks(cells) for row in _outcome_rows(session, statement, chunk))
-    return _listed_columns(one_by_one, outcome, names, selection)
+    return _with_derived(_listed_columns(one_by_one, outcome, fetched, selection), names)
+
+
+def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Columns of these names, of which some are derived from those that were fetched."""
+    table = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        if quantity.formula is None:
+            table[name] = columns[name]
+        else:
+            table[name] = quantity.formula(np.sqrt, *(columns[needed] for needed in quantity.needs))
+    return table
 
 
 def _listed_columns(
@@ -217,7 +235,7 @@ def _check_names(names: Iterable[str]) -> None:
 
 
 def _order_of(name: str) -> UnaryExpression[Any]:
-    expression = EXPRESSIONS[name.removeprefix("-")]
+    expression = expression_of(name.removeprefix("-"))
     return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
 
 
@@ -277,8 +295,10 @@ def other_damage(session: Session, campaign_id: int) -> list[str]:
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
     losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
+    # SQLite lets damage put a text, a fraction or a number beyond all attempts there, and the next attempt counts on.
+    number = case((AttemptRow.number.between(1, _MOST_ATTEMPTS), cast(AttemptRow.number, Integer)), else_=0)
     statement = (
-        select(CellRow.seed, CellRow.content, func.max(AttemptRow.number), losses)
+        select(CellRow.seed, CellRow.content, func.max(number), losses)
         .join(AttemptRow, AttemptRow.cell_id == CellRow.id)
         .where(CellRow.campaign_id == campaign_id)
         .group_by(CellRow.id, CellRow.seed, CellRow.content)
