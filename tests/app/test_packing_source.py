@@ -133,7 +133,7 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
     """Whoever computes the preset gets the shipped numbers: its packing is the one that they were computed on."""
     with open_store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
         import_netcdf(path, store, identify_packing)
-        record = store.load_packing()
+        record = store.packing()
     (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
     archive = preset_packing(load_configuration(tmp_path / "c.toml").packing_hash)
     assert record is not None
@@ -166,7 +166,7 @@ def test_the_database_comes_before_the_cache(store: Store, told: list[str], pack
 
 def damage_state(store: Store) -> None:
     """Change a byte of the state."""
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
     store.save_packing(replace(record, state=record.state[:-1] + b"?"), replace_state=True)
 
@@ -178,7 +178,7 @@ def test_a_damaged_state_is_replaced_by_the_same_packing(store: Store, told: lis
     assert same_bits(provide_packing(TINY, store, told.append), packing)
     assert "can't be used: the checksum does not fit" in told[0]
     assert "the one in the database has been replaced" in told[-1]
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
     assert same_bits(stored_packing(record), packing)
 
@@ -196,7 +196,7 @@ def test_a_changed_row_is_replaced_by_the_same_packing(
     assert same_bits(readable_packing(store, 0), packing)
     assert same_bits(provide_packing(TINY, store, told.append), packing)
     assert "the one in the database has been replaced" in told[-1]
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
     assert same_bits(stored_packing(record), packing)
 

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.models import EXPRESSIONS, AttemptRow, CellRow
 from calcidem.storage.sql.reading import cell_in, conditions, join_results
@@ -57,7 +57,7 @@ def large(tmp_path_factory: pytest.TempPathFactory, records: "Records", request:
 def test_seconds_of_a_large_campaign(large: Large, capsys: pytest.CaptureFixture[str]) -> None:
     """A large campaign is complete in every way of reading it; its seconds are printed."""
     path, timed, seeds = large
-    with timed("open", lambda: open_stored_campaign(path)) as campaign:
+    with timed("open", lambda: open_campaign(path)) as campaign:
         assert timed("pending", lambda: campaign.store.pending(seeds, CONTENTS)) == ()
         counts = timed("status counts", campaign.status_counts)
         assert counts == {(content, CellStatus.DONE): len(seeds) for content in CONTENTS}

@@ -24,7 +24,7 @@ from calcidem.dem.sample.packing import (
 )
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, UnknownCellError
+from calcidem.storage.errors import DamagedStoreError, OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.sql.store import Store
@@ -80,16 +80,13 @@ def provide_packing(
     CampaignMismatchError
         If the stored one is damaged and what is found or made is another one.
     """
-    if store is None:
+    if store is None or 0 not in store.packing_indices():
         return _find_packing(configuration, tell, check, watch)
     try:
-        record = store.load_packing()
-        packing = None if record is None else stored_packing(record)
+        packing = stored_packing(store.packing())
     except DamagedStoreError as error:
         tell(f"Packing: {error.problem}")
     else:
-        if packing is None:
-            return _find_packing(configuration, tell, check, watch)
         tell("Packing: taken from the database.")
         return packing
     packing = _find_packing(configuration, tell, check, watch)
@@ -109,9 +106,7 @@ def readable_packing(store: Store, index: int) -> Packing:
         If there is none of that index.
     """
     try:
-        record = store.load_packing(index)
-        if record is not None:
-            return stored_packing(record)
+        return stored_packing(store.packing(index))
     except DamagedStoreError:
         content_hash = store.content_hashes().get(index)
         cached = sorted(cache_folder().glob("packing-*.npz"))
@@ -121,7 +116,6 @@ def readable_packing(store: Store, index: int) -> Packing:
                 if found.content_hash == content_hash:
                     return found
         raise
-    raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {store.packing_indices()}.")
 
 
 def _find_packing(

@@ -39,7 +39,7 @@ from calcidem.sweep import (
 )
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import OpenedCampaign  # statistics, which the ranks do not need
+    from calcidem.app.campaign.opened import Campaign  # statistics, which the ranks do not need
 
 _LEASE_POLL = 1.0
 """Seconds between two looks at a lease that another machine holds."""
@@ -53,7 +53,7 @@ def run(
     set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
     progress: Callable[[RunProgress], object] | bool | None = None,
     executor: Executor | None = None,
-) -> "OpenedCampaign":
+) -> "Campaign":
     """Compute a campaign, or what is left of it, in this process or on the workers of an executor.
 
     Parameters
@@ -75,7 +75,7 @@ def run(
 
     Returns
     -------
-    OpenedCampaign
+    Campaign
         Open for reading; to be closed.
 
     Raises

@@ -56,7 +56,7 @@ class TerminalView:
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:
-            self.say(f"Wrote {export_netcdf(work.store, work.record, netcdf)}")
+            self.say(f"Wrote {export_netcdf(work.store, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
             from calcidem.app.report import write_report
 

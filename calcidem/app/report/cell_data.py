@@ -17,6 +17,7 @@ from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.wording import readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
+from calcidem.storage.store import ALL_CELLS
 
 _MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
@@ -62,7 +63,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         remarks.append(f"No samples are drawn: {error}.")
     shown: list[int] = []
     room = _ROOM_FOR_SAMPLES
-    for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
+    for seed, cells in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
         if room < 0:
@@ -111,7 +112,7 @@ def _numbers_or_none(values: NDArray[Any]) -> list[Any]:
 
 def _packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
     """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
-    packing, wave = graph.packing, analysis.campaign.config["wave"]
+    packing, wave = graph.packing, analysis.config["wave"]
     return {
         **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
         **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},

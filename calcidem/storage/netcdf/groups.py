@@ -2,7 +2,7 @@
 
 Columns are appended block by block to keep memory small. Arrays of different lengths lie one after the other along a
 dimension, and a count for each of them tells how many elements are whose (the contiguous ragged arrays of the CF
-conventions, section 9.3.3).
+conventions, section 9.3.3). An array whose rows differ in length from cell to cell lies there row after row.
 """
 
 import json
@@ -165,10 +165,8 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
         )
 
 
-def append_packing(file: Group, packing: PackingRecord | None) -> None:
-    """Append a packing, if there is one, to the group ``packings``."""
-    if packing is None:
-        return
+def append_packing(file: Group, packing: PackingRecord) -> None:
+    """Append a packing to the group ``packings``."""
     group = file.createGroup("packings")
     state = np.frombuffer(packing.state, dtype=np.uint8)
     columns = {
@@ -237,9 +235,11 @@ def _append_records(group: Group, kind: type[Any], records: Sequence[tuple[CellK
     of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
     for name, along in array_fields(kind).items():
         arrays = [getattr(record, name) for _, record in records]
+        if along.columns:
+            arrays = [array.ravel() for array in arrays]
         counts = np.array([len(array) for array in arrays], dtype=np.int64)
-        columns[f"{along.dimension}{_COUNT}"] = ("1", f"number of elements of {along.dimension}", counts)
-        of_dimensions[along.dimension][name] = (along.unit, along.meaning, np.concatenate(arrays))
+        columns[f"{along.elements}{_COUNT}"] = ("1", f"number of elements of {along.elements}", counts)
+        of_dimensions[along.elements][name] = (along.unit, along.meaning, np.concatenate(arrays))
     _append_columns(group, "cell", columns)
     for dimension, of_elements in of_dimensions.items():
         _append_columns(group, dimension, of_elements)
@@ -266,7 +266,7 @@ class CellArrays:
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
             self._cells = _read_columns(self._group, "cell")
-            dimensions = {along.dimension for along in array_fields(self._kind).values()}
+            dimensions = {along.elements for along in array_fields(self._kind).values()}
             self._ends = {d: np.concatenate(([0], np.cumsum(self._cells[f"{d}{_COUNT}"]))) for d in dimensions}
             keys = zip(self._cells["seed"].tolist(), self._cells["content"].tolist(), strict=True)
             self._row = {key: row for row, key in enumerate(keys)}
@@ -282,6 +282,9 @@ class CellArrays:
         for dimension, ends in self._ends.items():
             first, end = ends[[row, row + 1]] - ends[self._block.start]
             values |= {name: array[first:end] for name, array in self._arrays[dimension].items()}
+        for name, along in array_fields(self._kind).items():
+            if along.columns:
+                values[name] = values[name].reshape(-1, self._cells[f"{along.columns}{_COUNT}"][row])
         return self._kind(**values)
 
     def _read_block(self, row: int) -> None:

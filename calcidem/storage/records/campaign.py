@@ -1,10 +1,12 @@
 """Frozen records of a campaign, its packings and its runs (cells are in `calcidem.storage.records.cell`)."""
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +143,12 @@ class CampaignRecord:
         object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
         object.__setattr__(self, "seeds", tuple(sorted({checked_seed(s) for s in self.seeds})))
         object.__setattr__(self, "created", as_utc(self.created))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The configuration, by section and key."""
+        found: dict[str, Any] = json.loads(self.config)
+        return found
 
     @property
     def checksum(self) -> str:

@@ -42,8 +42,8 @@ class RecordedSection(ComparedByValue):
     resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
     aperture: Annotated[float, Quantity("m", "half the height of the transmitter")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
-    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts")]
-    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts")]
+    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
+    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""

@@ -20,7 +20,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from calcidem.storage.errors import DamagedStoreError, QueryError
+from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
     QUANTITY_BY_NAME,
     AttemptCount,
@@ -93,6 +93,22 @@ def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
     if listed and listed[-1] - listed[0] == len(listed) - 1:
         return CellRow.seed.between(listed[0], listed[-1])
     return CellRow.seed.in_(listed)
+
+
+def refuse_unknown_contents(session: Session, campaign_id: int, selection: Selection) -> None:
+    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
+    unknown = []
+    for content in selection.contents or ():
+        statement = select(CellRow.id).where(CellRow.campaign_id == campaign_id, CellRow.content == content)
+        if session.scalar(statement.limit(1)) is None:
+            unknown.append(f"{content:g} %")
+    if unknown:
+        contents = session.scalars(select(CellRow.content).where(CellRow.campaign_id == campaign_id).distinct())
+        there_are = ", ".join(f"{content:g}" for content in sorted(contents))
+        name = session.scalar(select(CampaignRow.name).where(CampaignRow.id == campaign_id))
+        raise UnknownCellError(
+            f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
+        )
 
 
 def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import product
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Table, and_, delete, insert, or_, select, tuple_, update
@@ -61,14 +60,13 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
     return row
 
 
-def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], contents: Iterable[float]) -> int:
-    """Plan the cells of seeds x contents that are not planned yet; return how many."""
-    wanted = [CellKey(seed, content) for seed, content in product(sorted(set(seeds)), sorted(set(contents)))]
+def plan_cells(session: Session, campaign_id: int, keys: Iterable[CellKey]) -> int:
+    """Plan the cells that are not planned yet, by seed, then content; return how many."""
     statement = select(CellRow.seed, CellRow.content).where(CellRow.campaign_id == campaign_id)
     planned = {(seed, content) for seed, content in session.execute(statement)}
     new = [
         {"campaign_id": campaign_id, "seed": key.seed, "content": key.content}
-        for key in dict.fromkeys(wanted)
+        for key in sorted(set(keys))
         if (key.seed, key.content) not in planned
     ]
     if new:

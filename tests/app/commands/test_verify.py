@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import cached_name
@@ -117,7 +116,7 @@ def no_packing_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_was_computed_comes_out_the_same(small: Path, invoke: Invoke) -> None:
     """All cells come out the same to the last bit, sections and cement too, on the packing of the database."""
     with open_campaign(small) as campaign:
-        found = list(verify(campaign, random_cells(campaign, 100), campaign.experiment))
+        found = list(verify(campaign.store, random_cells(campaign.store, 100), campaign.experiment))
     assert len(found) == 4
     assert all(verification.stored.section is not None for verification in found)
     assert [dict(verification.differences) for verification in found] == [{}] * 4
@@ -205,9 +204,7 @@ def test_broken_bonds_are_told_where_there_are_some(change: Change, small: Path,
     assert "pulse broke" not in invoke("show", small, *cell)
     for path, told in ((changed, "The pulse broke bonds in 1 cell, at most 4 in one."), (small, "")):
         with open_campaign(path) as campaign:
-            assert [line for line in _velocity_remarks(CampaignAnalysis(campaign)) if "broke" in line] == [told] * bool(
-                told
-            )
+            assert [line for line in _velocity_remarks(campaign.analyse()) if "broke" in line] == [told] * bool(told)
             assert ("broke bonds in 1 cell:" in str(vs_table(campaign.store, Selection()).caption)) == bool(told)
 
 
@@ -227,8 +224,8 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
 def test_choice_of_cells(small: Path) -> None:
     """The same seed chooses the same cells, and never more than there are."""
     with open_campaign(small) as campaign:
-        assert random_cells(campaign, 2, 7) == random_cells(campaign, 2, 7)
-        assert random_cells(campaign, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
+        assert random_cells(campaign.store, 2, 7) == random_cells(campaign, 2, 7)
+        assert random_cells(campaign.store, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
 
 
 @pytest.mark.usefixtures("no_packing_is_made")

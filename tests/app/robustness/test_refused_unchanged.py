@@ -23,7 +23,6 @@ from calcidem.app.cli.query import Format, _as_text
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import export_netcdf
@@ -73,8 +72,8 @@ def test_an_import_of_impossible_values_writes_nothing(
     complete: Path, invoke: Callable[..., str], database: str, tmp_path: Path
 ) -> None:
     """An attempt that took a negative time is named; a new database does not appear, another stays as it is."""
-    with open_stored_campaign(complete) as campaign:
-        damaged = export_netcdf(campaign.store, campaign.record, tmp_path / "damaged.nc")
+    with open_campaign(complete) as campaign:
+        damaged = export_netcdf(campaign.store, tmp_path / "damaged.nc")
     with netCDF4.Dataset(damaged, "r+") as file:
         file["attempts"]["seconds"][3] = -1.0
     with unchanged_if_refused(tmp_path) as codes:
@@ -91,8 +90,8 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
     command: str, complete: Path, invoke: Callable[..., str]
 ) -> None:
     """A device, and a file of the kernel that cannot be read from its beginning, are bad input and no accident."""
-    with open_stored_campaign(complete) as campaign:
-        export_netcdf(campaign.store, campaign.record, complete.with_suffix(".nc"))
+    with open_campaign(complete) as campaign:
+        export_netcdf(campaign.store, complete.with_suffix(".nc"))
     words = {
         "report": ("report", "/proc/self/mem"),
         "retry": ("retry", "sqlite:////dev/null"),

@@ -16,7 +16,6 @@ from calcidem.storage.records import (
     NOT_PLANNED,
     QUANTITY_BY_NAME,
     STATUS_CODES,
-    CampaignRecord,
     CellKey,
     CellStatus,
     Quantity,
@@ -69,7 +68,6 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
 
 def campaign_dataset(
     store: Store,
-    campaign: CampaignRecord,
     names: Sequence[str] | None = None,
     damaged: Mapping[CellKey, str] | None = None,
 ) -> xr.Dataset:
@@ -78,8 +76,7 @@ def campaign_dataset(
     Parameters
     ----------
     store : Store
-        With that campaign chosen.
-    campaign : CampaignRecord
+        With a campaign chosen.
     names : sequence of str, optional
         Quantities, by default all.
     damaged : mapping of CellKey to str, optional
@@ -106,8 +103,10 @@ def campaign_dataset(
             value = (known | {"reason": reason}).get(name, missing)
             matrix.loc[{"seed": key.seed, "content": key.content}] = value
     if not any(matrix.size for matrix in matrices.values()):
-        raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
-    return xr.Dataset(matrices, attrs=_global_attributes(store, campaign))
+        raise UnknownCampaignError(
+            f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
+        )
+    return xr.Dataset(matrices, attrs=_global_attributes(store))
 
 
 def _values_and_gap(quantity: Quantity, values: NDArray[Any]) -> tuple[NDArray[Any], Any]:
@@ -132,7 +131,8 @@ def _attributes(quantity: Quantity) -> dict[str, Any]:
     return attributes
 
 
-def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]:
+def _global_attributes(store: Store) -> dict[str, Any]:
+    campaign = store.record
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": "CF-1.11",
