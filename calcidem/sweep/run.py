@@ -183,6 +183,7 @@ class _Master:
         if time.monotonic() > self._next_heartbeat:
             self._next_heartbeat = time.monotonic() + _HEARTBEAT_INTERVAL
             tell_command("beat")
+            self._sink.keep_alive()
             self._progress.on_heartbeat(workers=workers, running=running)
 
     def _hand_out(self, workers: Workers[CellT]) -> bool:

@@ -43,6 +43,9 @@ class MemorySink:
         """Keep outcomes."""
         self.outcomes.extend(outcomes)
 
+    def keep_alive(self) -> None:
+        """Do nothing."""
+
     def store_loss(self, batch: Batch[Any], reason: str) -> None:
         """Keep a loss."""
         self.losses.append((batch, reason))

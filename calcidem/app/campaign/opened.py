@@ -217,7 +217,7 @@ class Campaign(Closable):
         Examples
         --------
         >>> campaign = open_campaign("quick.db")
-        >>> list(campaign.to_dataframe(["seed", "vs"], content=5.0, status="done")["seed"])
+        >>> campaign.to_dataframe(["seed", "vs"], content=5.0, status="done")["seed"].tolist()
         [1, 2, 3, 4, 5, 6, 7, 8]
         """
         names = list(QUANTITY_BY_NAME) if columns is None else list(columns)

@@ -4,6 +4,7 @@ import ctypes
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 
@@ -25,6 +26,7 @@ _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_",
 """Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
 
+@cache  # a process stays what it is
 def describe_worker(rank: int) -> WorkerRecord:
     """What this process is."""
     processor, features = target_processor()

@@ -51,8 +51,8 @@ class TerminalView:
         address = parse_address(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf
-        if belongs_to_another(netcdf, work.record.hash):  # two campaigns of one database, or of one name
-            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.record.hash[:8]}")
+        if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or of one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.store.record.hash[:8]}")
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:

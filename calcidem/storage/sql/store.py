@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from itertools import product, starmap
 from pathlib import Path
@@ -35,8 +35,9 @@ from calcidem.storage.records import (
     PackedResult,
     PackingRecord,
     RunRecord,
+    WorkerRecord,
 )
-from calcidem.storage.records.campaign import as_utc
+from calcidem.storage.records.run import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
 from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import (
@@ -335,13 +336,21 @@ class Store(Closable):
         UnknownCampaignError
             If no run was begun.
         """
+        self._change_run(exit_state=exit_state, ended=as_utc(ended))
+        self._run_id = None
+
+    def note_workers(self, workers: Iterable[WorkerRecord]) -> None:
+        """Store what the processes of the run of `begin_run` are, instead of what was known; errors as `end_run`."""
+        self._change_run(workers=list(map(asdict, workers)))
+
+    def _change_run(self, **values: object) -> None:
         with self._writing() as session:
             row = session.get(RunRow, self._run_id)
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
-            row.exit_state, row.ended = exit_state, as_utc(ended)
+            for name, value in values.items():
+                setattr(row, name, value)
             row.checksum = checksum_of(RUN, (), rows.run_columns(row))
-        self._run_id = None
 
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         """All runs of the campaign with their numbers, oldest first."""
