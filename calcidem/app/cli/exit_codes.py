@@ -34,6 +34,9 @@ _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError,
 _NO_THREAD = "can't start new thread"
 """What Python says, as a RuntimeError, where there is no memory for the stack of a thread."""
 
+_NO_EXCEPTION = "without setting an exception"
+"""What Python says, as a SystemError, where a function had no memory even for its MemoryError."""
+
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _CURE_OF_ERRNO = {
@@ -60,7 +63,7 @@ def exit_code_of(error: BaseException) -> int:
 
 def tell_error(error: Exception) -> int:
     """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
-    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD or str(error).endswith(_NO_EXCEPTION):
         text = (
             f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
@@ -69,7 +72,10 @@ def tell_error(error: Exception) -> int:
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
         text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"
-        path = log_error(error)
+        try:
+            path = log_error(error)
+        except MemoryError as lack:
+            return tell_error(lack)
         text += (
             f"\nPlease report it with the log {path}; what was stored before is safe."
             if path

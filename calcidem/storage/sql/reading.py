@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
     ColumnElement,
+    Integer,
     Select,
     SQLColumnExpression,
     UnaryExpression,
     and_,
     case,
+    cast,
     func,
     select,
     tuple_,
@@ -57,6 +59,9 @@ _KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 
 _LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
+
+_MOST_ATTEMPTS = 2**31 - 1
+"""Largest number of an attempt, that of a 32-bit column."""
 
 _BY_KEY = (CellRow.seed, CellRow.content)
 
@@ -293,8 +298,10 @@ def other_damage(session: Session, campaign_id: int) -> list[str]:
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
     losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
+    # SQLite lets damage put a text, a fraction or a number beyond all attempts there, and the next attempt counts on.
+    number = case((AttemptRow.number.between(1, _MOST_ATTEMPTS), cast(AttemptRow.number, Integer)), else_=0)
     statement = (
-        select(CellRow.seed, CellRow.content, func.max(AttemptRow.number), losses)
+        select(CellRow.seed, CellRow.content, func.max(number), losses)
         .join(AttemptRow, AttemptRow.cell_id == CellRow.id)
         .where(CellRow.campaign_id == campaign_id)
         .group_by(CellRow.id, CellRow.seed, CellRow.content)

@@ -6,6 +6,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import netCDF4
 import numpy as np
@@ -102,13 +103,33 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
     assert exit_code_of(refused.value) == 2
 
 
-@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+        SystemError("<function run_command> returned NULL without setting an exception"),
+    ],
+)
 def test_a_lack_of_memory_is_called_that(error: Exception, capsys: pytest.CaptureFixture[str]) -> None:
     """What Python raises at a limit of memory is no fault to be reported."""
     assert tell_error(error) == 1
     told = capsys.readouterr().err
     assert "memory" in told
     assert "report" not in told
+
+
+def test_an_error_that_no_memory_is_left_to_log_is_a_lack_of_memory(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where writing the log of any error ends in a MemoryError, that is what is told."""
+
+    def fail(_error: BaseException) -> NoReturn:
+        raise MemoryError
+
+    monkeypatch.setattr("calcidem.app.cli.exit_codes.log_error", fail)
+    assert tell_error(RuntimeError("anything")) == 1
+    assert "memory" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "@SUM(1)", "+1+1", "-2+3", "\t=1", "\uff1d1"])
