@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from unchanged import unchanged_if_refused
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.cli.main import build_application
 from calcidem.app.config.reader import load_configuration
 
@@ -180,7 +180,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     configuration = folder / "c.toml"
     configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave=""), encoding="utf-8")
     packing_hash = load_configuration(configuration).packing_hash
-    shutil.copy(SMALL_PACKING, folder / cached_name(packing_hash))
+    shutil.copy(SMALL_PACKING, folder / _cached_name(packing_hash))
     return folder
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.wave.domain import domain_of, listening_disks
 from calcidem.dem.wave.film import film_wave
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
@@ -75,7 +75,7 @@ def test_a_movie_that_cannot_be_made_says_so_at_once(campaign: Campaign, tmp_pat
         for name, words in (("wave.mp4", "apt-get install ffmpeg.*gif"), ("wave.avi", "neither .gif nor .mp4")):
             with pytest.raises(OutputRefusedError, match=words) as caught:
                 campaign.plot.movie(tmp_path / name, **CELL)
-            assert exit_code_of(caught.value) == 2
+            assert _exit_code_of(caught.value) == 2
     with pytest.raises(UnknownCellError):
         campaign.plot.movie(tmp_path / "wave.gif", seed=6, content=0.34)
     assert not list(tmp_path.iterdir())

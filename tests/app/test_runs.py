@@ -231,7 +231,7 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
     """A stopped rank 0 is reported with its process, nothing is killed, and the run completes once it goes on."""
     workshop.configure(contents=(0.66, 5.0))
     program = (
-        "from calcidem.sweep import rank_watch; from calcidem.app.cli.main import main;"
+        "from calcidem.launch import rank_watch; from calcidem.app.cli.main import main;"
         " rank_watch._HEARTBEAT_TIMEOUT = 1.0; main()"
     )
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)

@@ -11,7 +11,7 @@ from calcidem.app.campaign import store_sink
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.workers import describe_worker
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
@@ -37,7 +37,7 @@ class OftenLockedStore(Store):
 @pytest.mark.slow
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
-    monkeypatch.setattr(store_sink, "LOCK_PAUSE", 0.0)
+    monkeypatch.setattr(store_sink, "_LOCK_PAUSE", 0.0)
     told: list[tuple[str, bool]] = []
     with OftenLockedStore(parse_address(tmp_path / "one.db")) as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
@@ -48,11 +48,11 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
         assert len(told) == 3
         assert "Waiting for another process that has locked the database" in told[0][0]
         assert all(is_busy for _, is_busy in told)
-        monkeypatch.setattr(store_sink, "MOST_PATIENCE", 0.0)
+        monkeypatch.setattr(store_sink, "_MOST_PATIENCE", 0.0)
         store.locked = 100
         with pytest.raises(StoreLockedError) as refused:
             sink.store_loss(Batch(0, ((1, 5.0),), 1.0), "killed")
-    assert exit_code_of(refused.value) == EXIT_RESUMABLE
+    assert _exit_code_of(refused.value) == EXIT_RESUMABLE
 
 
 def test_workers_of_an_executor_are_noted_once_they_answer(tmp_path: Path) -> None:

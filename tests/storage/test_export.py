@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import (
@@ -331,11 +331,11 @@ def test_a_file_that_the_library_never_finishes_is_refused(
     blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
-    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 1.0)
+    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 1.0)
     path = endless_file(tmp_path, blocks)
     with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
         import_netcdf(path, store)
-    assert exit_code_of(caught.value) == 2
+    assert _exit_code_of(caught.value) == 2
     assert export.belongs_to_another(path, "the hash of any campaign")
 
 
@@ -359,7 +359,7 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
-    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 2.0)
+    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 2.0)
     last = (ASSETS / "calcidem_0.1.0.nc").stat().st_size // 64
     random = np.random.default_rng(7)
     for number in range(100):

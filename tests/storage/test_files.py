@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.storage.errors import (
     DamagedStoreError,
     DiskFullError,
@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
-from calcidem.storage.sql.schema import CREATION_LOCK
+from calcidem.storage.sql.schema import _CREATION_LOCK
 from calcidem.storage.sql.store import open_store
 from calcidem.sweep import EXIT_RESUMABLE
 
@@ -140,7 +140,7 @@ def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> N
 
 def test_lock_of_another_process(database: Path, records: "Records", monkeypatch: pytest.MonkeyPatch) -> None:
     """A database locked by somebody else gives an error after the waiting time, and nothing is stored."""
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_SECONDS", 0.1)
+    monkeypatch.setattr(engine, "_BUSY_TIMEOUT_SECONDS", 0.1)
     with open_store(database) as store:
         store.use_campaign()
         other = sqlite3.connect(database, isolation_level=None)
@@ -186,7 +186,7 @@ def test_pragmas(database: Path, on_network: bool, journal: str, monkeypatch: py
         "journal_mode": journal,
         "synchronous": 2,
         "foreign_keys": 1,
-        "journal_size_limit": engine.WAL_SIZE_LIMIT_BYTES,
+        "journal_size_limit": engine._WAL_SIZE_LIMIT_BYTES,
     }
 
 
@@ -226,14 +226,14 @@ def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
     url = f"postgresql+psycopg://postgres@/{postgresql_template}?host={postgresql_socket}"
     wait = "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
     with create_engine(url).connect() as holder, ThreadPoolExecutor(1) as thread:
-        holder.execute(text(f"SELECT pg_advisory_lock({CREATION_LOCK})"))
+        holder.execute(text(f"SELECT pg_advisory_lock({_CREATION_LOCK})"))
         opening = thread.submit(open_store, url)
         while not (waiting := holder.scalar(text(wait))):
             holder.rollback()
         holder.execute(text(f"SELECT pg_terminate_backend({waiting})"))
         with pytest.raises(StoreInterruptedError) as caught:
             opening.result()
-    assert exit_code_of(caught.value) == EXIT_RESUMABLE
+    assert _exit_code_of(caught.value) == EXIT_RESUMABLE
 
 
 def test_errors_can_travel(database: Path) -> None:

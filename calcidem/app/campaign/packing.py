@@ -83,7 +83,7 @@ def provide_packing(
     if store is None or 0 not in store.packing_indices():
         return _find_packing(configuration, tell, check, watch)
     try:
-        packing = stored_packing(store.packing())
+        packing = _stored_packing(store.packing())
     except DamagedStoreError as error:
         tell(f"Packing: {error.problem}")
     else:
@@ -106,7 +106,7 @@ def readable_packing(store: Store, index: int) -> Packing:
         If there is none of that index.
     """
     try:
-        return stored_packing(store.packing(index))
+        return _stored_packing(store.packing(index))
     except DamagedStoreError:
         content_hash = store.content_hashes().get(index)
         cached = sorted(cache_folder().glob("packing-*.npz"))
@@ -126,7 +126,7 @@ def _find_packing(
     if packing is not None:
         return packing
     packing = new_packing(configuration, tell, check, watch)
-    _write_cache(cache_folder() / cached_name(configuration.packing_hash), packing, tell)
+    _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
     return packing
 
 
@@ -152,14 +152,14 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
     if archive is not None:
         tell("Packing: comes with calcidem.")
         return packing_from_bytes(archive)
-    path = cache_folder() / cached_name(packing_hash)
+    path = cache_folder() / _cached_name(packing_hash)
     packing = _read_cache(path, tell)
     if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
     return packing
 
 
-def cached_name(packing_hash: str) -> str:
+def _cached_name(packing_hash: str) -> str:
     """Name in the cache of the packing with this `Configuration.packing_hash`, as the present method makes it."""
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
@@ -268,7 +268,7 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
     )
 
 
-def stored_packing(record: PackingRecord) -> Packing:
+def _stored_packing(record: PackingRecord) -> Packing:
     """Packing of a record, bit for bit the one that was stored.
 
     Raises
@@ -302,9 +302,9 @@ def identify_packing(record: PackingRecord) -> PackingRecord:
     Raises
     ------
     DamagedStoreError
-        As `stored_packing`.
+        As `_stored_packing`.
     """
-    return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
+    return replace(record, content_hash=_stored_packing(record).content_hash) if record.state else record
 
 
 def content_hash_of(record: PackingRecord) -> str | None:

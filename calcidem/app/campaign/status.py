@@ -137,10 +137,10 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
         If the database can't be read or has no such campaign.
     """
     with read_campaign(database, campaign_name) as store:
-        return campaign_status(store, running=is_being_written(store))
+        return _campaign_status(store, running=_is_being_written(store))
 
 
-def campaign_status(store: Store, *, running: bool) -> CampaignStatus:
+def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
     """Gather how far a campaign is, in a few short queries.
 
     Parameters
@@ -148,7 +148,7 @@ def campaign_status(store: Store, *, running: bool) -> CampaignStatus:
     store
         With a campaign chosen.
     running
-        Whether a process writes it (`is_being_written`).
+        Whether a process writes it (`_is_being_written`).
     """
     columns = store.table(("seed", "content", "status", "vs", "seconds"))
     contents = np.unique(columns["content"])
@@ -240,7 +240,7 @@ def _troubles_of(store: Store) -> tuple[Trouble, ...]:
     return tuple(found)
 
 
-def is_being_written(store: Store) -> bool:
+def _is_being_written(store: Store) -> bool:
     """Whether a living process holds the lease of a campaign, as far as can be told from this machine.
 
     On another machine a process counts as living until its heartbeat is five minutes old.

@@ -18,10 +18,10 @@ from calcidem.sweep import Batch, BatchOutcome, Cell
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
 
-LOCK_PAUSE = 1.0
+_LOCK_PAUSE = 1.0
 """Seconds until a lock is asked for again; SQLite itself has waited for half a minute by then."""
 
-MOST_PATIENCE = 600.0
+_MOST_PATIENCE = 600.0
 """Seconds for which a lock of another process is waited for."""
 
 
@@ -108,7 +108,7 @@ class StoreSink:
         StoreLockedError
             If it keeps the lock for more than ten minutes.
         """
-        deadline = time.monotonic() + MOST_PATIENCE
+        deadline = time.monotonic() + _MOST_PATIENCE
         with self.busy:
             while True:
                 try:
@@ -117,7 +117,7 @@ class StoreSink:
                     if time.monotonic() > deadline:
                         raise
                     self._tell(f"Waiting for another process that has locked the database ({error.problem})")
-                    time.sleep(LOCK_PAUSE)
+                    time.sleep(_LOCK_PAUSE)
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())

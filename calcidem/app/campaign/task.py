@@ -242,14 +242,14 @@ def _describe_graph(
     Where no chain of contacts joins transmitter and receiver there is no path.
     """
     bonded = packing.bonded(cement)
-    summary = graph_summary(packing.graph, bonded)
+    summary = _graph_summary(packing.graph, bonded)
     if summary.graph_gap_contacts is None:
         return None, None, summary
     path = packing.path(bonded)
     return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
 
 
-def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
+def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
     """Summarise the graph of one sample.
 
     Parameters

@@ -9,9 +9,9 @@ from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
 from calcidem.app.config.calibrated import calibration_note
+from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
-from calcidem.sweep.channel import command_listens
 from calcidem.sweep.environment import available_cores, launcher
 
 

@@ -30,8 +30,8 @@ from calcidem.storage.errors import (
 from calcidem.storage.passwords import hide_passwords, password_of
 from calcidem.storage.sql.filesystem import is_network_filesystem
 
-BUSY_TIMEOUT_SECONDS = 30.0
-WAL_SIZE_LIMIT_BYTES = 64 * 2**20
+_BUSY_TIMEOUT_SECONDS = 30.0
+_WAL_SIZE_LIMIT_BYTES = 64 * 2**20
 
 _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction is going to write."""
@@ -169,7 +169,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
-    engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_SECONDS})
+    engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
     journal = None if read_only else ("DELETE" if is_network_filesystem(path) else "WAL")
 
     @event.listens_for(engine, "connect")
@@ -180,7 +180,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
             connection.execute("PRAGMA synchronous=FULL")
-            connection.execute(f"PRAGMA journal_size_limit={WAL_SIZE_LIMIT_BYTES}")
+            connection.execute(f"PRAGMA journal_size_limit={_WAL_SIZE_LIMIT_BYTES}")
         else:
             connection.execute("PRAGMA query_only=ON")
 

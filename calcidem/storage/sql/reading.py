@@ -76,7 +76,7 @@ def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
         yield chunk
 
 
-def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
+def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
     found = [CellRow.campaign_id == campaign_id]
     if selection.seeds is not None:
@@ -118,7 +118,7 @@ def refuse_unknown_contents(session: Session, campaign_id: int, selection: Selec
 
 def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
     """Ids of the selected cells, by seed, then content."""
-    statement = join_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
+    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
     return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
 
 
@@ -137,7 +137,7 @@ def table(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
     outcome = rows.OutcomeColumns(names)
-    statement = join_results(select(*outcome.columns)).where(*conditions(campaign_id, selection))
+    statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
     ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.

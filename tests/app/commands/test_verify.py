@@ -12,10 +12,10 @@ from places import SMALL_PACKING
 
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
+from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
 from calcidem.app.cli.tables import vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
@@ -73,7 +73,7 @@ def small(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compute the campaign of 280 disks and four cells, on the packing that is kept with the tests."""
     folder = tmp_path_factory.mktemp("small")
     configuration = load_configuration(toml)
-    shutil.copy(SMALL_PACKING, folder / cached_name(configuration.packing_hash))
+    shutil.copy(SMALL_PACKING, folder / _cached_name(configuration.packing_hash))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CALCIDEM_CACHE", str(folder))
         run(configuration, db=folder / "small.db").close()
@@ -156,7 +156,7 @@ def test_another_version_of_the_physics_is_refused(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:
         invoke("verify", small)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2
 
 
 def test_sections_and_cement_are_compared(stored: CellResult) -> None:
@@ -273,4 +273,4 @@ def test_a_database_of_another_configuration_is_refused(
         invoke(command, other, "--db", small)
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2

@@ -19,7 +19,7 @@ from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.workers import describe_worker
-from calcidem.app.cli.exit_codes import exit_code_of, tell_error
+from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
 from calcidem.app.cli.query import Format, _as_text
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
@@ -63,7 +63,7 @@ def test_a_run_that_is_refused_changes_no_file(begun: Configuration, change: Cha
         with unchanged_if_refused(tmp_path) as codes:
             with pytest.raises(Exception, match=said) as refused:
                 attempt()
-            codes.append(exit_code_of(refused.value))
+            codes.append(_exit_code_of(refused.value))
         assert codes == [2]
     assert not (tmp_path / "results").exists()
 
@@ -82,7 +82,7 @@ def test_an_import_of_impossible_values_writes_nothing(
             StoreError, match=r"damaged.nc is damaged .*seconds is -1.0.*nothing was written"
         ) as refused:
             invoke("import", damaged, "--db", tmp_path / database)
-        codes.append(exit_code_of(refused.value))
+        codes.append(_exit_code_of(refused.value))
     assert codes == [2]
 
 
@@ -100,7 +100,7 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
     }[command]
     with pytest.raises(StoreError, match="is not a database file") as refused:
         invoke(*words)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2
 
 
 @pytest.mark.parametrize(

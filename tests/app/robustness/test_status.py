@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy import stats
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.status import campaign_status, is_being_written, read_status
+from calcidem.app.campaign.status import _campaign_status, _is_being_written, read_status
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
@@ -73,7 +73,7 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
         store.use_campaign()
         store.extend((1,), (7.0,))
     with open_campaign(complete) as campaign:
-        found = campaign_status(campaign.store, running=False)
+        found = _campaign_status(campaign.store, running=False)
     costs = {content.content: content.seconds_per_cell for content in found.contents}
     assert np.isnan(costs[7.0])
     assert found.seconds_left == pytest.approx((costs[5.0] + costs[9.0]) / 2)
@@ -116,6 +116,6 @@ def test_a_living_master_is_seen(complete: Path) -> None:
         store.use_campaign()
         store.acquire_lease()
         with open_campaign(complete) as campaign:
-            assert is_being_written(campaign.store)
+            assert _is_being_written(campaign.store)
     with open_campaign(complete) as campaign:
-        assert not is_being_written(campaign.store)
+        assert not _is_being_written(campaign.store)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from calcidem.app.campaign.launch import find_mpirun
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.retry import retry_cells
 from calcidem.app.config.reader import load_configuration
 
@@ -251,7 +251,7 @@ def reference(folder: Path, cache: Path, seeds: int = SEEDS) -> Cells:
     """What an undisturbed run gives; the packing is put into the cache for all trials."""
     trial = Trial(folder, cache, seeds)
     packing_hash = load_configuration(folder / "c.toml").packing_hash
-    shutil.copy(SMALL_PACKING, cache / cached_name(packing_hash))
+    shutil.copy(SMALL_PACKING, cache / _cached_name(packing_hash))
     ended = trial.wait(trial.start(ranks=1), 4.0 * PATIENCE)  # it compiles
     if ended.code != 0:
         raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")
