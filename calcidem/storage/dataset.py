@@ -19,7 +19,6 @@ from calcidem.storage.records import (
     CellKey,
     CellStatus,
     Quantity,
-    RunRecord,
 )
 from calcidem.storage.sql.store import Store
 
@@ -147,15 +146,10 @@ def _global_attributes(store: Store) -> dict[str, Any]:
         "calcidem_config": campaign.config,
         "calcidem_checksum": campaign.checksum,
         "calcidem_packing_content_hash": " ".join(found or "unknown" for found in store.content_hashes().values()),
-        "calcidem_runs": json.dumps([_run_as_json(number, run) for number, run in store.runs()]),
+        "calcidem_runs": json.dumps(
+            [{"number": number} | asdict(run) for number, run in store.runs()], default=datetime.isoformat
+        ),
     }
-
-
-def _run_as_json(number: int, run: RunRecord) -> dict[str, Any]:
-    values = {name: getattr(run, name) for name in RunRecord.__slots__}
-    plain = {name: value.isoformat() if isinstance(value, datetime) else value for name, value in values.items()}
-    workers = [asdict(worker) for worker in run.workers]
-    return {"number": number, **plain, "versions": dict(run.versions), "workers": workers}
 
 
 def _own_version() -> str:

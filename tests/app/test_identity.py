@@ -77,6 +77,7 @@ def test_import_refuses_another_packing(small_database: Path, other_database: Pa
         file = export_netcdf(campaign.store, tmp_path / "small.nc")
     copy = Path(shutil.copy(other_database, tmp_path / "copy.db"))
     with open_store(copy) as store:
+        store.use_campaign()
         with pytest.raises(CampaignMismatchError, match=both):
             import_netcdf(file, store, identify_packing)
         assert [cell.key.seed for cell in store.results()] == [7]

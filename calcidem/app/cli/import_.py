@@ -35,7 +35,7 @@ def import_command(
         if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
             with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, identify_packing)
-        is_new = path is not None and not (path.exists() and path.stat().st_size)
+        is_new = path is not None and (not path.exists() or (path.is_file() and path.stat().st_size == 0))
         place = write_atomically(path) if path and is_new else nullcontext(database)
         with place as target, open_store(target) as store:
             campaign = import_netcdf(file, store, identify_packing)

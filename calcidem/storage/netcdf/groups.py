@@ -35,18 +35,6 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _NO_NUMBER = -1  # stands for None in whole-number columns, all of whose real values are 0 or more
 
-_PACKING_NUMBERS = {
-    "width": ("m", "width of the box"),
-    "height": ("m", "height of the lid"),
-    "porosity": ("1", "area of the voids over area of the box"),
-    "coordination_number": ("1", "mean number of contacts of a grain"),
-    "coordination_number_without_rattlers": ("1", "mean number of contacts of a grain that carries load"),
-    "mean_relative_overlap": ("1", "mean overlap over mean diameter"),
-    "largest_relative_overlap": ("1", "largest overlap over mean diameter"),
-    "unbalanced_ratio": ("1", "mean unbalanced force over mean contact force"),
-    "seconds": ("s", "computing time"),
-}
-
 
 def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
     """Append columns of equal length along an unlimited dimension, creating what isn't there yet.
@@ -107,11 +95,6 @@ def _texts(values: list[str | None]) -> NDArray[np.object_]:
     return np.array([value or "" for value in values], dtype=object)
 
 
-def _optional_texts(values: NDArray[Any]) -> list[str | None]:
-    """Inverse of `_texts`."""
-    return [value or None for value in values.tolist()]
-
-
 def append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
     """Append attempts to the group ``attempts``."""
     recorded = [(attempt.recorded - _EPOCH) // _MICROSECOND for attempt in attempts]
@@ -148,8 +131,7 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
     if "attempts" not in file.groups:
         return
     columns = _read_columns(file.groups["attempts"], "attempt")
-    hosts = _optional_texts(columns["host"])
-    for i, host in enumerate(hosts):
+    for i in range(len(columns["host"])):
         run, rank, seconds = int(columns["run"][i]), int(columns["rank"][i]), float(columns["seconds"][i])
         yield AttemptRecord(
             key=CellKey(int(columns["seed"][i]), float(columns["content"][i])),
@@ -157,7 +139,7 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
             outcome=str(columns["outcome"][i]),
             reason=str(columns["reason"][i]),
             rank=None if rank == _NO_NUMBER else rank,
-            host=host,
+            host=str(columns["host"][i]) or None,
             seconds=None if np.isnan(seconds) else seconds,
             recorded=_EPOCH + int(columns["recorded"][i]) * _MICROSECOND,
             run_id=None if run == _NO_NUMBER else run_numbers[run],
@@ -181,9 +163,7 @@ def append_packing(file: Group, packing: PackingRecord) -> None:
         "grain_count": ("1", "number of grains", np.array([packing.radius.size], dtype=np.int64)),
         "state_byte_count": ("1", "bytes of the complete state", np.array([state.size], dtype=np.int64)),
     }
-    numbers = {
-        name: (unit, meaning, np.array([getattr(packing, name)])) for name, (unit, meaning) in _PACKING_NUMBERS.items()
-    }
+    numbers = {q.name: (q.unit, q.meaning, np.array([getattr(packing, q.name)])) for q in quantities_of(PackingRecord)}
     _append_columns(group, "packing", columns | numbers)
     grains = {
         "x": ("m", "horizontal position of the centre", packing.x),
@@ -202,7 +182,7 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
     columns = _read_columns(group, "packing")
     grains, states = _slice_by_counts(columns["grain_count"]), _slice_by_counts(columns["state_byte_count"])
     for i, (of_grains, of_state) in enumerate(zip(grains, states, strict=True)):
-        values: dict[str, Any] = {name: float(columns[name][i]) for name in _PACKING_NUMBERS}
+        values: dict[str, Any] = {q.name: float(columns[q.name][i]) for q in quantities_of(PackingRecord)}
         values |= _read_columns(group, "grain", of_grains)
         yield PackingRecord(
             index=int(columns["index"][i]),

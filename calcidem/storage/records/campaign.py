@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,13 @@ from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.records.cell import canonical_content, checked_seed
+from calcidem.storage.records.quantity import Bound, Quantity, check_bounds
 from calcidem.storage.records.run import as_utc
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingRecord(ComparedByValue):
-    """A packing with the report on its quality.
+    """A packing with the report on its quality; the annotations say what its numbers are.
 
     Attributes
     ----------
@@ -30,20 +31,10 @@ class PackingRecord(ComparedByValue):
         Hash of everything the packing was made from. It decides the packing's bits only on machines that compute alike.
     x, y, radius : (grains,) arrays
         Centres and radii of the disks [m].
-    width, height : float
-        Width of the box and final height of the lid [m].
-    porosity : float
-        Area of the voids over the area of the box.
     coordination_number, coordination_number_without_rattlers : float
         2 N_contacts / N with and without the grains that carry nothing.
     wall_stress : mapping of str to float
         Normal stress on each wall [Pa], by the wall's name.
-    mean_relative_overlap, largest_relative_overlap : float
-        Overlap of contacts over the mean diameter of the disks.
-    unbalanced_ratio : float
-        Mean unbalanced force over mean contact force at rest.
-    seconds : float
-        Time it took to make [s].
     state : bytes
         Complete state as its maker wrote it, to restore the packing bit for bit; opaque here.
     content_hash : str or None
@@ -56,22 +47,33 @@ class PackingRecord(ComparedByValue):
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     radius: NDArray[np.float64]
-    width: float
-    height: float
-    porosity: float
-    coordination_number: float
-    coordination_number_without_rattlers: float
+    width: Annotated[float, Quantity("m", "width of the box", "packing", Bound.POSITIVE)]
+    height: Annotated[float, Quantity("m", "height of the lid", "packing", Bound.POSITIVE)]
+    porosity: Annotated[float, Quantity("1", "area of the voids over area of the box", "packing", Bound.NOT_NEGATIVE)]
+    coordination_number: Annotated[
+        float, Quantity("1", "mean number of contacts of a grain", "packing", Bound.NOT_NEGATIVE)
+    ]
+    coordination_number_without_rattlers: Annotated[
+        float, Quantity("1", "mean number of contacts of a grain that carries load", "packing", Bound.NOT_NEGATIVE)
+    ]
     wall_stress: Mapping[str, float]
-    mean_relative_overlap: float
-    largest_relative_overlap: float
-    unbalanced_ratio: float
-    seconds: float
+    mean_relative_overlap: Annotated[
+        float, Quantity("1", "mean overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
+    ]
+    largest_relative_overlap: Annotated[
+        float, Quantity("1", "largest overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
+    ]
+    unbalanced_ratio: Annotated[
+        float, Quantity("1", "mean unbalanced force over mean contact force", "packing", Bound.NOT_NEGATIVE)
+    ]
+    seconds: Annotated[float, Quantity("s", "computing time", "packing", Bound.NOT_NEGATIVE)]
     state: bytes = b""
     content_hash: str | None = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
+        check_bounds(self)
         if self.index < 0:
             raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
         grains = np.shape(self.radius)[0] if np.ndim(self.radius) else 0

@@ -175,7 +175,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the driver must not begin or commit: the listener below does
-        connection.text_factory = _read_any_text
+        connection.text_factory = lambda content: content.decode("utf-8", "replace")  # a checksum finds the damage
         connection.execute("PRAGMA foreign_keys=ON")
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
@@ -191,11 +191,6 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
-
-
-def _read_any_text(content: bytes) -> str:
-    """Text, also of damaged bytes, which a checksum then finds."""
-    return content.decode("utf-8", "replace")
 
 
 def may_be_damage(error: BaseException) -> bool:

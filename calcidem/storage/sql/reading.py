@@ -12,7 +12,6 @@ from sqlalchemy import (
     Integer,
     Select,
     SQLColumnExpression,
-    UnaryExpression,
     and_,
     case,
     cast,
@@ -131,14 +130,17 @@ def table(
     limit: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """See `Store.table`."""
-    _check_names([*names, *(name.removeprefix("-") for name in sort)])
+    if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
+        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
     if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
     outcome = rows.OutcomeColumns(names)
     statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
-    ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
+    columns = [(EXPRESSIONS[name.removeprefix("-")], name.startswith("-")) for name in sort]
+    order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
+    ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
         found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
@@ -222,24 +224,6 @@ def _readable_rows(
                 yield from _readable_rows(session, statement, number, part)
             return
     yield from found
-
-
-def _check_names(names: Iterable[str]) -> None:
-    """Refuse names that are not in the catalogue of quantities.
-
-    Raises
-    ------
-    QueryError
-        Naming them.
-    """
-    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
-    if unknown:
-        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
-
-
-def _order_of(name: str) -> UnaryExpression[Any]:
-    expression = EXPRESSIONS[name.removeprefix("-")]
-    return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
 
 
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:

@@ -595,14 +595,19 @@ class Store(Closable):
         with_arrays : bool
             Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
         """
-        for chunk in self._chunks(selection):
-            with self._reading() as session:
-                found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
-            for result in found:
-                # A damaged one was chosen by what it is no longer.
-                is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
-                if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
-                    yield result
+        chunks = self._chunks(selection)
+
+        def fetch() -> Iterator[CellResult]:
+            for chunk in chunks:
+                with self._reading() as session:
+                    found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
+                for result in found:
+                    # A damaged one was chosen by what it is no longer.
+                    is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
+                    if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
+                        yield result
+
+        return fetch()
 
     def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, then let the caller fetch them piece by piece.
@@ -611,8 +616,7 @@ class Store(Closable):
         """
         with self._reading() as session:
             reading.refuse_unknown_contents(session, self._campaign, selection)
-            chosen = reading.select_cells(session, self._campaign, selection)
-        yield from reading.chunks(chosen)
+            return reading.chunks(reading.select_cells(session, self._campaign, selection))
 
     def integrity(self) -> Integrity:
         """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""

@@ -224,7 +224,7 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
 def test_choice_of_cells(small: Path) -> None:
     """The same seed chooses the same cells, and never more than there are."""
     with open_campaign(small) as campaign:
-        assert random_cells(campaign.store, 2, 7) == random_cells(campaign, 2, 7)
+        assert random_cells(campaign.store, 2, 7) == random_cells(campaign.store, 2, 7)
         assert random_cells(campaign.store, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
 
 
