@@ -165,6 +165,8 @@ _QUANTITIES = """# Stored quantities
 Every cell has these quantities, or lacks them. They have the same names in `calcidem query`, in filters, in the view
 `cells` of the database, in the NetCDF file, in pandas and xarray, and in the records of Python. A quantity marked as
 exact is equal, to the last bit, wherever the same campaign is computed. `since` is the first physics version with it.
+Those of the error budget are not stored, and not in that view: they follow from others when they are read
+([reading](reading.md)).
 
 """
 

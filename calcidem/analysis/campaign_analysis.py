@@ -15,6 +15,7 @@ from calcidem.analysis.connectivity import ContactWeights, normalized_connectivi
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
+from calcidem.analysis.error_budget import ErrorBudget, error_budget
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
@@ -137,6 +138,16 @@ class CampaignAnalysis:
     def distributions(self) -> tuple[ContentDistribution, ...]:
         """Distribution of Vs at each content."""
         return describe_contents(self.vs, self.status)
+
+    @cached_property
+    def budget(self) -> ErrorBudget:
+        """Errors of all velocities."""
+        return error_budget(self.cells.data_vars)
+
+    @cached_property
+    def budgets(self) -> tuple[ErrorBudget, ...]:
+        """Errors of the velocities of each content, in the order of `distributions`."""
+        return tuple(error_budget(self.cells.sel(content=row.content).data_vars) for row in self.distributions)
 
     @cached_property
     def stages(self) -> tuple[StageGrowth, ...]:

@@ -122,7 +122,7 @@ def _attributes(quantity: Quantity) -> dict[str, Any]:
     if quantity.kind != "text":
         attributes["units"] = quantity.unit
     if quantity.name == "vs":
-        attributes["ancillary_variables"] = "status error_bound"
+        attributes["ancillary_variables"] = "status vs_error"
     if quantity.name == "status":
         attributes["standard_name"] = "status_flag"
         attributes["flag_values"] = np.array(list(STATUS_CODES.values()), dtype=np.int8)

@@ -88,7 +88,7 @@ def test_style_leaves_the_callers_settings_alone(analysis: CampaignAnalysis) -> 
 
 def test_range_shows_the_means(analysis: CampaignAnalysis) -> None:
     """The line of the range figure runs through the means of the measured samples."""
-    figure = draw_range(analysis.vs, analysis.distributions)
+    figure = draw_range(analysis.cells, analysis.distributions)
     line = next(line for line in figure.axes[0].lines if line.get_label() == "mean")
     means = analysis.vs.mean("seed").dropna("content")
     assert np.allclose(line.get_xdata(), means["content"])
@@ -97,7 +97,7 @@ def test_range_shows_the_means(analysis: CampaignAnalysis) -> None:
 
 def test_the_legend_of_the_range_covers_no_band(analysis: CampaignAnalysis) -> None:
     """It stands below the axes, and these have no velocity below zero."""
-    figure = draw_range(analysis.vs, analysis.distributions)
+    figure = draw_range(analysis.cells, analysis.distributions)
     figure.draw_without_rendering()
     assert figure.legends[0].get_window_extent().y1 < figure.axes[0].get_window_extent().y0
     assert figure.axes[0].get_ylim()[0] >= 0.0

@@ -224,9 +224,13 @@ def test_a_cell_without_velocity_says_why(page: Chromium) -> None:
 def test_colours_show_another_quantity(page: Chromium) -> None:
     """The map takes the colours of any quantity, says which, and has a scale with its unit."""
     before = page.evaluate("document.getElementById('map').toDataURL()")
-    choose(page, "colour", "error_bound")
-    assert "bound of the relative numerical error" in page.evaluate("document.getElementById('map').ariaLabel")
-    assert "bound of the relative numerical error" in page.evaluate("document.getElementById('scale').textContent")
+    choose(page, "colour", "vs_error")
+    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+        "document.getElementById('map').ariaLabel"
+    )
+    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+        "document.getElementById('scale').textContent"
+    )
     assert page.evaluate("document.getElementById('map').toDataURL()") != before
     choose(page, "colour", "status")
     assert set(page.evaluate("[...document.querySelectorAll('#scale > span')].map(e => e.textContent)")) >= {
@@ -249,7 +253,8 @@ def test_a_hundred_thousand_cells_make_a_page(browser: Chromium, tmp_path: Path)
                     CellKey(seed, content),
                     CellStatus.DONE,
                     vs=1000 + content + draw(0, 0.01),
-                    error_bound=draw(0, 0.05),
+                    expected_error=draw(0, 0.05),
+                    reading_error=draw(0, 0.05),
                     seconds=draw(0, 1),
                     **numerics,
                 )

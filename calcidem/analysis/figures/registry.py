@@ -158,7 +158,7 @@ def _plot_signals(analysis: CampaignAnalysis) -> Figure:
 
 def _plot_range(analysis: CampaignAnalysis) -> Figure:
     _measured_contents(analysis)  # refuses a campaign without
-    return draw_range(analysis.vs, analysis.distributions, published_velocities(analysis))
+    return draw_range(analysis.cells, analysis.distributions, published_velocities(analysis))
 
 
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
@@ -204,8 +204,10 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
-        "Dots are samples, the line joins their means. The dark band is the 95 % confidence interval of the mean, "
-        "the pale one the interval in which 95 % of new samples fall if Vs is normal at each content.",
+        "Dots are samples, bars the 95 % intervals of their velocities (reading and simulation); in rings vs and "
+        "path_vs differ by more than their errors. The line joins the means. The dark band is the 95 % confidence "
+        "interval of the mean, the pale one the interval in which 95 % of new samples fall if Vs is normal at each "
+        "content.",
         _plot_range,
     ),
     CampaignFigure(

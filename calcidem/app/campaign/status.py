@@ -4,10 +4,12 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.app.campaign.packing import content_hash_of
 from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
@@ -43,6 +45,8 @@ class ContentStatus:
         Of Vs over the done cells, m/s; NaN where there are too few.
     interval
         Of the mean at 95 %, m/s (Student's t).
+    budget
+        Errors of its velocities.
     seconds_per_cell
         Computing time of a cell so far; NaN before any.
     seconds_left
@@ -55,6 +59,7 @@ class ContentStatus:
     mean: float
     deviation: float
     interval: Interval
+    budget: ErrorBudget
     seconds_per_cell: float
     seconds_left: float
 
@@ -97,6 +102,8 @@ class CampaignStatus:
         One for each content, ascending.
     counts
         Number of cells by status.
+    budget
+        Errors of all velocities.
     troubles
         Cells that went wrong, were tried more than once, or needed half the step.
     last_run, run_number
@@ -115,6 +122,7 @@ class CampaignStatus:
     seeds: tuple[int, ...]
     contents: tuple[ContentStatus, ...]
     counts: Mapping[CellStatus, int]
+    budget: ErrorBudget
     troubles: tuple[Trouble, ...]
     last_run: RunRecord | None
     run_number: int | None
@@ -150,7 +158,7 @@ def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
     running
         Whether a process writes it (`_is_being_written`).
     """
-    columns = store.table(("seed", "content", "status", "vs", "seconds"))
+    columns = store.table(("seed", "content", "status", "seconds", *BUDGET_QUANTITIES))
     contents = np.unique(columns["content"])
     rows = [columns["content"] == content for content in contents]
     seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
@@ -174,6 +182,7 @@ def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
         seeds=store.record.seeds,
         contents=statuses,
         counts=counts,
+        budget=error_budget(columns),
         troubles=_troubles_of(store),
         last_run=last,
         run_number=number,
@@ -184,7 +193,7 @@ def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
 
 
 def _content_status(
-    content: float, columns: Mapping[str, NDArray[np.generic]], measured: float, expected: float
+    content: float, columns: Mapping[str, NDArray[Any]], measured: float, expected: float
 ) -> ContentStatus:
     """How far one content is, from the columns of its cells and the measured and expected seconds of a cell."""
     found = dict(zip(columns["seed"].astype(int).tolist(), map(CellStatus, columns["status"].tolist()), strict=True))
@@ -199,6 +208,7 @@ def _content_status(
         mean=_mean_or_nan(vs),
         deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
         interval=mean_interval(vs),
+        budget=error_budget(columns),
         seconds_per_cell=measured,
         seconds_left=pending * expected if pending else 0.0,
     )

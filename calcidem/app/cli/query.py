@@ -24,7 +24,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 
-_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_bound", "seconds")
+_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""

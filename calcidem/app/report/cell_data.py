@@ -17,10 +17,11 @@ from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.wording import readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
+from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
 from calcidem.storage.store import ALL_CELLS
 
 _MOST_FULL_RECORDS = 10_000
-_SHORT_RECORD = ("status", "reason", "vs", "error_bound", "path_normalized_connectivity", "seconds")
+_SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
 """Quantities of a cell where the campaign has more cells than that."""
 
 _ROOM_FOR_SAMPLES = 3_500_000
@@ -100,6 +101,8 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
             )
         ],
         "columns": columns,
+        "normal95": NORMAL_95,
+        "mostDeparture": MOST_DEPARTURE,
     }
 
 

@@ -9,6 +9,7 @@ from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
 from calcidem.app.report.results import (
     cost_table,
+    departure_table,
     feature_table,
     growth_table,
     law_table,
@@ -28,6 +29,7 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "features": feature_table,
     "laws": law_table,
     "errors_and_cost": cost_table,
+    "two_velocities": departure_table,
     "published": published_table,
     "published_disagreements": disagreement_table,
     "parameters": lambda analysis: parameter_table(analysis.config),
@@ -71,7 +73,7 @@ PAGE_SECTIONS = (
         ("paths", "correlations", "weight_scan", "laws"),
         ("features", "laws"),
     ),
-    SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost",)),
+    SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost", "two_velocities")),
     SectionPlan("published", "The published study", (), ("published",), ("published_disagreements",)),
     SectionPlan("provenance", "What was run", (), ("parameters", "packing", "runs"), ("configuration",)),
 )

@@ -42,7 +42,9 @@ from calcidem.storage.records.quantity import quantities_of
 from calcidem.storage.sql.store import Store
 
 _SEEDS_IN_MEMORY = 500
-_VALUE_NAMES = tuple(name for name in QUANTITY_BY_NAME if name not in {"seed", "content", "status"})
+_VALUE_NAMES = tuple(
+    name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in {"seed", "content", "status"}
+)
 _OWN_QUANTITIES = tuple(quantity for quantity in quantities_of(CellResult) if quantity.name != "status")
 _P = TypeVar("_P", PathFeatures, GraphSummary)
 _STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}

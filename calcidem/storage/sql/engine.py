@@ -1,5 +1,6 @@
 """Connections to a store: address, pragmas of SQLite, real transactions, errors of databases as errors of the store."""
 
+import math
 import os
 import sqlite3
 import time
@@ -176,6 +177,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the driver must not begin or commit: the listener below does
         connection.text_factory = lambda content: content.decode("utf-8", "replace")  # a checksum finds the damage
+        connection.create_function("sqrt", 1, _root_or_none, deterministic=True)  # not every SQLite has it
         connection.execute("PRAGMA foreign_keys=ON")
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
@@ -191,6 +193,11 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def _root_or_none(value: float | None) -> float | None:
+    """Square root as databases have it."""
+    return math.sqrt(value) if isinstance(value, int | float) and value >= 0.0 else None
 
 
 def may_be_damage(error: BaseException) -> bool:

@@ -240,7 +240,7 @@ CELL, ATTEMPT, PACKING, RUN = (
 _TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
 """Quantities that are in the rows of the cell and of its attempt."""
 
-STORED_QUANTITIES = tuple(q for q in QUANTITY_BY_NAME.values() if q.name not in _TABLES_ELSEWHERE)
+STORED_QUANTITIES = tuple(q for q in QUANTITY_BY_NAME.values() if q.formula is None and q.name not in _TABLES_ELSEWHERE)
 """Quantities that are columns of the table `result`."""
 
 RESULT = Table(
@@ -281,9 +281,20 @@ and refuses to group by this.
 """
 
 EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
-    name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name] for name in QUANTITY_BY_NAME
+    name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name]
+    for name, quantity in QUANTITY_BY_NAME.items()
+    if quantity.formula is None
 }
-"""What each quantity is in a query over `join_results`."""
+"""What each stored quantity is in a query over `join_results`."""
+
+
+def expression_of(name: str) -> SQLColumnExpression[Any]:
+    """What a quantity, stored or derived, is in a query over `join_results`."""
+    quantity = QUANTITY_BY_NAME[name]
+    if quantity.formula is None:
+        return EXPRESSIONS[name]
+    found: SQLColumnExpression[Any] = quantity.formula(func.sqrt, *(EXPRESSIONS[needed] for needed in quantity.needs))
+    return found
 
 
 def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:

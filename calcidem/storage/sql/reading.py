@@ -1,7 +1,7 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -37,13 +37,13 @@ from calcidem.storage.sql import rows
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     ARRAYS,
-    EXPRESSIONS,
     LOST,
     RESULT,
     STATUS,
     AttemptRow,
     CampaignRow,
     CellRow,
+    expression_of,
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
@@ -136,21 +136,34 @@ def table(
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
-    outcome = rows.OutcomeColumns(names)
+    fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
+    outcome = rows.OutcomeColumns(fetched)
     statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
-    columns = [(EXPRESSIONS[name.removeprefix("-")], name.startswith("-")) for name in sort]
+    columns = [(expression_of(name.removeprefix("-")), name.startswith("-")) for name in sort]
     order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
     ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
         found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
-        return _listed_columns(found, outcome, names, selection)
+        return _with_derived(_listed_columns(found, outcome, fetched, selection), names)
     except UNREADABLE as error:
         if sort or limit is not None or not may_be_damage(error):
             raise  # where a value can't be read there is no order
     cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id).order_by(*_BY_KEY)).all()
     one_by_one = (row for chunk in chunks(cells) for row in _outcome_rows(session, statement, chunk))
-    return _listed_columns(one_by_one, outcome, names, selection)
+    return _with_derived(_listed_columns(one_by_one, outcome, fetched, selection), names)
+
+
+def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Columns of these names, of which some are derived from those that were fetched."""
+    table = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        if quantity.formula is None:
+            table[name] = columns[name]
+        else:
+            table[name] = quantity.formula(np.sqrt, *(columns[needed] for needed in quantity.needs))
+    return table
 
 
 def _listed_columns(

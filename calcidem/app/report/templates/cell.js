@@ -36,7 +36,7 @@ function showCell(place) {
     .filter(([, text]) => text !== MISSING);
   byId("cell").innerHTML = `
     <h3>S${labelOf(place).slice(1)}: ${vs === null ? escape(number(statusOf(place))) : `Vs = ${number(vs)} m/s`}</h3>
-    ${reason ? `<p>${escape(reason)}</p>` : ""}
+    ${worthOf(place)}${reason ? `<p>${escape(reason)}</p>` : ""}
     <nav aria-label="Neighbours"><ul>${around.map(([at]) => `<li><a href="${link(at)}">${labelOf(at)}</a></li>`).join("")}
       <li><a href="#explore">map</a></li></ul></nav>
     <div class="columns">
@@ -49,6 +49,16 @@ function showCell(place) {
   byId("cell").hidden = false;
   drawDetails();
   drawMap();
+}
+/** What the velocity of a cell is worth, in sentences. */
+function worthOf(place) {
+  const [vs, error] = [columns.vs[place], columns.vs_error?.[place]];
+  if (vs === null || error === null || error === undefined) return "";
+  const ends = [-1, 1].map((side) => number(vs * (1 + side * normal95 * error)));
+  const parts = ["reading", "numerical"].map((name) => columns[`${name}_error`]?.[place]).map((part) => (part ?? null) && `${number(100 * part, 2)} %`);
+  const made = parts.every(Boolean) ? ` (reading ${parts[0]}, simulation ${parts[1]})` : "";
+  const other = departs(place) ? ` ~ path_vs, ${withUnit(columns.path_vs?.[place], "m/s")}, differs from it by more than their errors.` : "";
+  return `<p>95 % interval ${ends[0]} to ${ends[1]} m/s; standard error ${number(100 * error, 2)} %${made}.${other}</p>`;
 }
 function drawDetails() {
   if (details?.signal && byId("signal")) drawSignal(details.signal);
