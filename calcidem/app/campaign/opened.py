@@ -193,12 +193,6 @@ class Campaign(Closable):
 
         Each is made of the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`), and
         1.96 of them on either side of a velocity hold 95 %.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> bool((campaign.vs_error().sel(content=5.0) < 0.1).all())
-        True
         """
         return cell_matrices(self.store, ("vs_error",))["vs_error"]
 
@@ -209,12 +203,6 @@ class Campaign(Closable):
         ----------
         columns : sequence of str, optional
             Quantities, by default all.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> bool(campaign.to_xarray()["steps"].sel(seed=1, content=5.0) > 1000)
-        True
         """
         return campaign_dataset(self.store, columns)
 
@@ -625,12 +613,6 @@ class Campaign(Closable):
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
 
         All cells of a campaign that have this packing were computed on these very disks and forces.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> campaign.content_hash() == campaign.experiment().packing.content_hash
-        True
         """
         return content_hash_of(self.packing(packing_index))
 
