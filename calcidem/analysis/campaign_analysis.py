@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
+from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, error_budget
+from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
@@ -26,6 +27,7 @@ from calcidem.analysis.weights import RatioScan, scan_ratio
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import (
     CellResult,
+    CellStatus,
     CementPattern,
     PackingRecord,
     PathFeatures,
@@ -271,6 +273,21 @@ class CampaignAnalysis:
         with _translate_refusals():
             return self._sample(cell, cell.cement)
 
+    @cached_property
+    def dispersions(self) -> tuple[ContentDispersion, ...]:
+        """Dispersion of each content of which three and more cells have a velocity and a stored section."""
+        found = []
+        for row in self.distributions:
+            column = self.cells.sel(content=row.content)
+            with suppress(ValueError):  # too few sections
+                done = Selection(contents=row.content, statuses=CellStatus.DONE)
+                spectrum = dispersion_of_cells(self.store.results(done, with_arrays=True))
+                medians = (median_known(column[name]) for name in ("vs", "static_speed"))
+                found.append(ContentDispersion(row.content, spectrum, *medians))
+        if not found:
+            raise UnavailableError("fewer than three cells of each content have a velocity and a stored section")
+        return tuple(found)
+
     def measured_samples(self, content: float) -> list[MeasuredSample]:
         """Give the samples of one content that have a velocity, from the slowest to the fastest."""
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
@@ -311,6 +328,26 @@ class CampaignAnalysis:
             path=path,
             features=graph.features(path),
         )
+
+
+def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
+    """Find the dispersion from the stored sections of cells of one content that have a velocity.
+
+    Phase velocities from a third to three times the median Vs are looked for.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three of the cells have a velocity and a section.
+    """
+    read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
+    if len(read) < FEWEST_SECTIONS:
+        raise ValueError(
+            f"{len(read)} cells have a velocity and a stored section; a dispersion needs {FEWEST_SECTIONS} and more"
+        )
+    median = float(np.median([vs for vs, _ in read]))
+    motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
+    return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))
 
 
 @contextmanager

@@ -149,6 +149,37 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     assert vs == pytest.approx(cell.vs, rel=1e-5)
 
 
+def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) -> None:
+    """Traces come back to a step of the drawing, and the marked peak has the travel time of the stored velocity."""
+    with open_campaign(small_database) as campaign:
+        analysis = campaign.analyse()
+        blocks = gather_cell_data(analysis).blocks
+        cell = next(cell for cell in campaign.select(status="done", with_arrays=True) if cell.section is not None)
+    assert cell.section is not None
+    sections = json.loads(zlib.decompress(b64decode(blocks[f"sections-{cell.key.seed}"])))
+    found = next(one for one in sections if one["content"] == cell.key.content)
+    (chosen,) = [peak for peak in found["peaks"] if peak[2]]
+    assert chosen[0] / 1e3 == pytest.approx(cell.distance / cell.vs_peak, rel=1e-4)
+    assert chosen[1] >= found["least"]
+    trace = np.cumsum(found["traces"][-1])
+    at = 1e-3 * (found["start"] + found["interval"] * np.arange(len(trace)))
+    received = np.interp(at, cell.section.time, cell.section.received)
+    assert np.abs(trace).max() == found["levels"]
+    assert np.corrcoef(trace, received)[0, 1] > 0.95  # smoothed, and without the P wave
+    assert max(len(text) for name, text in blocks.items() if name.startswith("sections-")) < 6 * 3000
+
+
+def test_sections_end_where_the_page_is_full(small_database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond the room for sections later seeds have none, and the page says where they are drawn."""
+    monkeypatch.setattr(cell_data, "_ROOM_FOR_SECTIONS", 12_000)
+    with open_campaign(small_database) as campaign:
+        found = gather_cell_data(campaign.analyse())
+    kept = [text for name, text in found.blocks.items() if name.startswith("sections-")]
+    assert sum(map(len, kept)) <= 12_000
+    assert f"Space-time sections of the first {len(kept)} seeds" in found.remarks[-1]
+    assert 0 < len(kept) < 6
+
+
 def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
+from calcidem.analysis.figures.dispersion import draw_dispersion
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
@@ -20,6 +21,7 @@ from calcidem.storage.records import CellResult
 _FIRST_ARRIVAL_LEVEL = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
+_SHOWN_DISPERSIONS = 6
 _SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
@@ -172,6 +174,11 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
     return draw_methods(analysis.cells)
 
 
+def _plot_dispersion(analysis: CampaignAnalysis) -> Figure:
+    known = {one.content: one for one in analysis.dispersions}
+    return draw_dispersion([known[content] for content in _pick_evenly(list(known), _SHOWN_DISPERSIONS)])
+
+
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     varied = _varied_contents(analysis)
     ordered = analysis.measured_samples(min(varied, key=lambda content: abs(content - _PATHS_CONTENT)))
@@ -247,6 +254,14 @@ CAMPAIGN_FIGURES = (
         "Three ways to read the arrival",
         "Median and central 80 % of the samples for each way to read the travel time.",
         _plot_methods,
+    ),
+    CampaignFigure(
+        "dispersion",
+        "Phase velocity against frequency",
+        "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, the "
+        "diamond is the limit of long waves.",
+        _plot_dispersion,
     ),
     CampaignFigure(
         "paths",

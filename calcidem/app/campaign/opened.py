@@ -20,8 +20,8 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.dispersion import Dispersion, SectionMotion, dispersion
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
+from calcidem.analysis.dispersion import Dispersion
 from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_dataset
 from calcidem.analysis.outcomes import name_outcomes
@@ -451,25 +451,15 @@ class Campaign(Closable):
     def dispersion(self, *, content: float) -> Dispersion:
         """Find phase velocity against frequency, and the speed of long waves, from the sections of a content.
 
-        Phase velocities from a third to three times the median Vs are looked for.
-
         Raises
         ------
         UnknownCellError
             If fewer than three of its cells have a velocity and a stored section.
         """
-        cells = [
-            cell for cell in self.select(content=content, status="done", with_arrays=True) if cell.section is not None
-        ]
-        if len(cells) < 3:  # noqa: PLR2004 - fewer have no jackknife
-            raise UnknownCellError(
-                f"{len(cells)} cells of content {content:g} % have a velocity and a stored section.",
-                "A dispersion needs three and more, computed with run.store_sections.",
-            )
-        sections = [cell.section for cell in cells if cell.section is not None]
-        median = float(np.median([cell.vs for cell in cells if cell.vs is not None]))
-        motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for found in sections]
-        return dispersion(motions, sections[0].pulse_frequency, (median / 3.0, 3.0 * median))
+        try:
+            return dispersion_of_cells(self.select(content=content, status="done", with_arrays=True))
+        except ValueError as error:
+            raise UnknownCellError(f"Content {content:g} %: {error}.", "Compute with run.store_sections.") from error
 
     def cemented(self, *, seed: int, content: float) -> tuple[Experiment, Flags]:
         """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented.

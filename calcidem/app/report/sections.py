@@ -66,7 +66,7 @@ PAGE_SECTIONS = (
         ("vs_range", "histograms"),
         ("velocities", "meaning", "outcomes", "growth"),
     ),
-    SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods")),
+    SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods", "dispersion")),
     SectionPlan(
         "paths",
         "Preferential paths and connectivity",
