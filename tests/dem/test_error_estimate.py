@@ -91,7 +91,6 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
         ("slip", EXPERIMENT, slipping(slipped=0.01), False),
         ("precision", waves(EXPERIMENT, precision="float32"), RECORD, False),
         ("noise", EXPERIMENT, RECORD, True),
-        ("chatter", waves(EXPERIMENT, damping=0.5), RECORD, False),
         ("chatter", EXPERIMENT, replace(RECORD, stability_limit=1.1e-7), False),
         ("unbalanced", EXPERIMENT, replace(RECORD, unbalanced_speed=1e-4), False),
         ("breaking", EXPERIMENT, replace(RECORD, broken_bonds=3, bonds=560), False),
@@ -134,7 +133,26 @@ def test_the_step_has_the_dispersion_of_leapfrog() -> None:
     """Beyond the half step of damping it is the exact shift of a frequency three times that of the pulse."""
     angle = 3.0 * 2.0 * np.pi * FREQUENCY * RECORD.time_step
     shift = 2.0 / angle * np.arcsin(angle / 2.0) - 1.0
-    assert parts().step - 0.5 * RECORD.time_step / TRAVEL_TIME == pytest.approx(shift, rel=1e-3)
+    assert parts(EXACT).step - 0.5 * RECORD.time_step / TRAVEL_TIME == pytest.approx(shift, rel=1e-3)
+
+
+def test_a_damped_step_counts_more() -> None:
+    """Half a step of the travel time, over the part of a force that local damping leaves."""
+    first = [parts(waves(EXACT, damping=damping)).step - parts(EXACT).step for damping in (0.5, 0.6)]
+    half = 0.5 * RECORD.time_step / TRAVEL_TIME
+    assert first == pytest.approx([half, 1.5 * half])
+
+
+def test_single_precision_rounds_the_forces_of_the_packing() -> None:
+    """Five times 2^-24 of the mean overlap over the received stroke, times the shift by a change of the signal."""
+    single, usual = waves(EXACT, precision="float32"), 1e-3
+    quiet = waves(single, amplitude=1e-3 * AMPLITUDE)
+    added = [parts(each).precision - usual for each in (single, quiet)]
+    stroke = AMPLITUDE / FREQUENCY * 2.0  # the received peak is 2 v0
+    # A pulse has amplitude over curvature 1 / (2 (pi f)^2), see `_shift_by_change`.
+    shift = 1.0 / (np.pi * FREQUENCY * TRAVEL_TIME)
+    assert added[0] == pytest.approx(shift * 5.0 * 2.0**-24 * PACKING.report.mean_overlap / stroke, rel=0.03)
+    assert added[1] == pytest.approx(1e3 * added[0])
 
 
 def test_noise_moves_a_peak_as_far_as_it_is_said() -> None:
@@ -158,8 +176,8 @@ def test_regimes_count_what_they_leave_out() -> None:
 def test_changes_of_shape_weigh_more_on_a_short_way() -> None:
     """On half a period of way precision counts twice; on more than one it is what it is."""
     single = waves(EXACT, precision="float32")
-    assert parts(single, travel_time=0.5 / FREQUENCY).precision == pytest.approx(2e-3)
-    assert parts(single, travel_time=3.0 / FREQUENCY).precision == pytest.approx(1e-3)
+    assert parts(single, travel_time=0.5 / FREQUENCY).precision == pytest.approx(2e-3, rel=1e-3)
+    assert parts(single, travel_time=3.0 / FREQUENCY).precision == pytest.approx(1e-3, rel=1e-3)
 
 
 @given(st.floats(0.01, 0.7), st.floats(0.1, 1.0))

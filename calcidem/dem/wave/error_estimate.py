@@ -10,6 +10,7 @@ import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity
+from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.reading import ONSET, ShearArrival
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 from calcidem.dem.wave.section import Section
@@ -20,6 +21,7 @@ _STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
 _RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: a velocity goes with the root of the stiffness
 _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
+_ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
 _CHATTER = 7.5e-3  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _BREAKING = 2.0  # see `_breaking_error`
@@ -39,8 +41,9 @@ class ErrorParts(NamedTuple):
     Attributes
     ----------
     step
-        Local damping looks at velocities half a step old: an error of first order, ``dt / 2`` of the travel time
-        (docs/accuracy.md, "Order of convergence in the step"). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``:
+        Local damping a looks at velocities half a step old: an error of first order, ``dt / 2`` of the travel time
+        (docs/accuracy.md, "Order of convergence in the step"), and more by 1 / (1 - a), to which it slows a wave that
+        loads contacts (benchmarks/accuracy/drawn.py). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``:
         it shifts frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
     sampling
         The smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by a part
@@ -52,7 +55,9 @@ class ErrorParts(NamedTuple):
     slip
         See `_slip_error`.
     precision
-        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob").
+        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob"). It also adds the part
+        2^-24 of the forces that the packing carries, which go with its overlap, to those of the wave, which go with
+        the stroke of the pulse and the part of its amplitude that is received.
     noise
         A pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the pulse's own frequency adds
         a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the first
@@ -140,7 +145,7 @@ def estimate_error(experiment: Experiment, record: WaveRecord, arrival: ShearArr
     """
     frequency, travel_time = record.section.frequency, arrival.travel_time
     shift = _shift_by_change(record.section, arrival)
-    parts = _error_parts(experiment, record, frequency, travel_time, shift, noisy=arrival.roughness > ONSET)
+    parts = _error_parts(experiment, record, arrival, shift)
     share = _largest_nonlinearity(record, frequency * travel_time).share
     change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced + parts.breaking
@@ -176,28 +181,34 @@ def _shift_by_change(section: Section, arrival: ShearArrival) -> float:
     return float(over_width * (min(period * period, amplitude / bend) if bend > 0.0 else period * period))
 
 
-def _error_parts(
-    experiment: Experiment, record: WaveRecord, frequency: float, travel_time: float, shift: float, *, noisy: bool
-) -> ErrorParts:
+def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArrival, shift: float) -> ErrorParts:
     """Bounds of the parts of the error of a velocity; ``shift`` is that of `_shift_by_change`."""
+    frequency, travel_time = record.section.frequency, arrival.travel_time
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
     # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
     periods = frequency * travel_time
     shape = max(1.0, 1.0 / periods)
     found = _largest_nonlinearity(record, periods)
+    single = experiment.wave.precision == "float32"
     geometry = _geometry_error(experiment, frequency) + _CLOSING * record.closing_gaps
     geometry += _RESCALING * float(found.rescaling)
     return ErrorParts(
-        step=0.5 * record.time_step / travel_time + coarse * coarse / 24.0,
+        step=0.5 * record.time_step / (travel_time * (1.0 - experiment.wave.damping)) + coarse * coarse / 24.0,
         sampling=_SAMPLING * record.section.sampling_interval / travel_time,
         regime=shape * geometry,
         slip=_slip_error(record, shift, periods),
-        precision=shape * (_SINGLE_PRECISION if experiment.wave.precision == "float32" else 0.0),
-        noise=ONSET / (np.pi * periods) if noisy else 0.0,
+        precision=shape * _SINGLE_PRECISION + shift * _rounding(experiment, frequency, arrival) if single else 0.0,
+        noise=ONSET / (np.pi * periods) if arrival.roughness > ONSET else 0.0,
         chatter=_chatter_error(experiment, record),
         unbalanced=_UNBALANCED * record.unbalanced_speed,
         breaking=shape * _breaking_error(record),
     )
+
+
+def _rounding(experiment: Experiment, frequency: float, arrival: ShearArrival) -> float:
+    """Change of the received signal by the rounding of contact forces in single precision, over its amplitude."""
+    stroke = Pulse(experiment.wave.amplitude, frequency).stroke * float(arrival.clean[arrival.index, -1])
+    return _ROUNDING * float(np.finfo(np.float32).eps) / 2.0 * experiment.packing.report.mean_overlap / stroke
 
 
 def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
