@@ -26,7 +26,7 @@ def largest(packing: Packing) -> float:
 
 @pytest.mark.slow
 def test_a_crushed_packing_is_refused_with_a_stress_that_would_do() -> None:
-    """Up to 7 % of a radius nothing is said, up to 10 % a warning; the stress that the refusal names gives about 5 %."""
+    """Nothing is said up to 7 % of a radius, a warning is given up to 10 %; the stress that is named gives about 5 %."""
     packing, sand = squash(5e4)
     assert not [fault for fault in judge_packing(packing, sand) if fault.key == "stress"]
     crushed, _ = squash(3e6)
