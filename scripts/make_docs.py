@@ -165,6 +165,8 @@ _QUANTITIES = """# Stored quantities
 Every cell has these quantities, or lacks them. They have the same names in `calcidem query`, in filters, in the view
 `cells` of the database, in the NetCDF file, in pandas and xarray, and in the records of Python. A quantity marked as
 exact is equal, to the last bit, wherever the same campaign is computed. `since` is the first physics version with it.
+Those of the error budget are not stored, and not in that view: they follow from others when they are read
+([reading](reading.md)).
 
 """
 
@@ -189,7 +191,7 @@ def quantities_page() -> str:
     for name, kind in ARRAY_RECORDS.items():
         lines += [f"| `{name}` | `{q.name}` | cell | {q.unit} | {_cell(q.meaning)} |" for q in quantities_of(kind)]
         lines += [
-            f"| `{name}` | `{array}` | {along.dimension} | {along.unit} | {_cell(along.meaning)} |"
+            f"| `{name}` | `{array}` | {along.elements} | {along.unit} | {_cell(along.meaning)} |"
             for array, along in array_fields(kind).items()
         ]
     return _QUANTITIES + "\n".join([*lines, ""])

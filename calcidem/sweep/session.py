@@ -5,14 +5,15 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
+from calcidem.launch.channel import command_listens, tell_command
+from calcidem.launch.starter import die_with_parent
 from calcidem.sweep.backoff import wait_until
-from calcidem.sweep.channel import command_listens, tell_command
 from calcidem.sweep.environment import NO_DEVICE_SEARCH, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
-from calcidem.sweep.starter import die_with_parent
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
 
 if TYPE_CHECKING:
@@ -101,8 +102,13 @@ class Session:
             sys.stderr.write(f"rank {self.rank}: another rank is lost ({error}); the same command continues\n")
             self._flush(EXIT_RESUMABLE)
             os._exit(EXIT_RESUMABLE)
-        sys.stderr.write(f"rank {self.rank}: {''.join(traceback.format_exception(error))}")
-        self.abort(EXIT_ERROR)
+        try:
+            told = (
+                "no memory is left\n" if isinstance(error, MemoryError) else "".join(traceback.format_exception(error))
+            )
+            sys.stderr.write(f"rank {self.rank}: {told}")
+        finally:  # whatever can't be told for lack of memory, the others don't wait
+            self.abort(EXIT_ERROR)
 
     def broadcast(self, value: ValueT | None) -> ValueT:
         """Return on all ranks the value that rank 0 gives, without keeping a core busy while waiting."""
@@ -162,7 +168,8 @@ class Session:
 
     def abort(self, exit_code: int) -> NoReturn:
         """End all ranks at once, wherever they are: for errors that only one rank has met."""
-        self._flush(exit_code)
+        with suppress(MemoryError):  # the others don't wait, whatever can't be told
+            self._flush(exit_code)
         self._abort_mpi(exit_code)
         os._exit(exit_code)
 

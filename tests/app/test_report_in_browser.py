@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from chromium import Chromium, find_chromium, open_chromium
 
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import write_report
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
@@ -60,7 +60,7 @@ def point_of(page: Chromium, seed: int, content: float) -> tuple[float, float]:
 
 def measured_cell(database: Path) -> CellResult:
     """Give a cell with cement that has a velocity: neither the first nor the last seed."""
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         return next(campaign.select(seed=(2, 3, 4, 5), content=(0.66, 2.55), status="done"))
 
 
@@ -200,7 +200,7 @@ def test_filters_choose_and_headings_sort(page: Chromium, small_database: Path) 
     assert [row[:3] for row in rows(page)] == [["6", "9", "failed"]]
     page.click_on("#filters button")
     page.wait_for("document.getElementById('count').textContent.startsWith('36 of 36')")
-    with open_stored_campaign(small_database) as campaign:
+    with open_campaign(small_database) as campaign:
         known = sorted(float(vs) for vs in campaign.vs().to_numpy().ravel() if math.isfinite(vs))
     for order, wanted in (("ascending", known), ("descending", known[::-1])):
         page.click_on("[data-sort=vs]")
@@ -224,9 +224,13 @@ def test_a_cell_without_velocity_says_why(page: Chromium) -> None:
 def test_colours_show_another_quantity(page: Chromium) -> None:
     """The map takes the colours of any quantity, says which, and has a scale with its unit."""
     before = page.evaluate("document.getElementById('map').toDataURL()")
-    choose(page, "colour", "error_bound")
-    assert "bound of the relative numerical error" in page.evaluate("document.getElementById('map').ariaLabel")
-    assert "bound of the relative numerical error" in page.evaluate("document.getElementById('scale').textContent")
+    choose(page, "colour", "vs_error")
+    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+        "document.getElementById('map').ariaLabel"
+    )
+    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+        "document.getElementById('scale').textContent"
+    )
     assert page.evaluate("document.getElementById('map').toDataURL()") != before
     choose(page, "colour", "status")
     assert set(page.evaluate("[...document.querySelectorAll('#scale > span')].map(e => e.textContent)")) >= {
@@ -249,7 +253,8 @@ def test_a_hundred_thousand_cells_make_a_page(browser: Chromium, tmp_path: Path)
                     CellKey(seed, content),
                     CellStatus.DONE,
                     vs=1000 + content + draw(0, 0.01),
-                    error_bound=draw(0, 0.05),
+                    expected_error=draw(0, 0.05),
+                    reading_error=draw(0, 0.05),
                     seconds=draw(0, 1),
                     **numerics,
                 )

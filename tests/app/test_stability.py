@@ -131,7 +131,7 @@ def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
 @pytest.mark.parametrize("damping", [0.0, 0.6])
-@pytest.mark.parametrize("content", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("content", [pytest.param(0.0, marks=pytest.mark.full), 0.3, 1.0])
 def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, content: float) -> None:
     """The per-particle bound lies between half and the whole of the limit that eigenvalues give."""
     scene = Extreme(contrast=contrast, damping=damping, content=content, size_ratio=5.0)
@@ -173,6 +173,7 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
 
 
+@pytest.mark.full
 def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
     experiment = experiment_of_scene(Extreme(regime="finite"))
@@ -182,6 +183,7 @@ def test_a_scene_at_rest_stays_at_rest() -> None:
     assert np.abs(state.motion.displacement).max() < 1e-6 * overlap
 
 
+@pytest.mark.full
 def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
     """Twice 500 steps from a moving state are 1000 steps, bit by bit."""
     experiment = experiment_of_scene(Extreme(regime="finite", confinement=1e6))

@@ -45,7 +45,7 @@ def kernel_bytes(state: State) -> list[bytes]:
 @pytest.mark.parametrize(
     ("features", "precision"),
     [
-        (HERTZ, "float64"),
+        pytest.param(HERTZ, "float64", marks=pytest.mark.full),
         (BONDED, "float64"),
         pytest.param(GROUPED, "float64", marks=pytest.mark.full),
         pytest.param(BONDED, "float32", marks=pytest.mark.full),
@@ -75,6 +75,7 @@ def test_eight_pairs_at_once_give_the_bits_of_one_after_the_other(
         assert 0 < pairs.intact.sum() < pairs.cemented.sum()
 
 
+@pytest.mark.full
 def test_an_account_is_summed_up_pair_by_pair() -> None:
     """Where energies are counted, bundles are not made, and nothing that moves differs."""
     counted = flown(replace(ACCOUNT, bundles=True))

@@ -62,6 +62,7 @@ def row_of_disks(along_y: bool, *, rotation: bool) -> Scene:
     return Scene(x, y, np.full(COUNT, RADIUS), SOFT, (wall,), held=np.arange(COUNT) == 0, rotation=rotation)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("heard", [0, 1, 20])
 def test_a_driven_end_of_a_chain_sends_its_pulse_one_disk_further_each_step(heard: int) -> None:
     """At dt = sqrt(m / k) leapfrog solves the wave equation of a chain exactly: disk n is n steps late."""
@@ -123,7 +124,7 @@ def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int)
 )
 def test_a_driven_sample_gives_the_same_bits_alone_and_beside_others(regime: Regime, precision: Precision) -> None:
     """One lane alone and the same lane of eight give the same bits."""
-    scene = row_of_disks(along_y=True, rotation=False)
+    scene = row_of_disks(along_y=False, rotation=True)
     drive = 100.0 * pulses(8)
     eight, one = (start(scene, features=features_for(scene, regime, lanes), precision=precision) for lanes in (8, 1))
     together, heard_together = send(eight, drive, [0], 9)
@@ -148,7 +149,7 @@ def supplied_and_gained(step: float, duration: float) -> tuple[float, float]:
     return last.wall_work - first.wall_work, last.imbalance - first.imbalance
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_power_put_in_by_driven_disks_is_the_energy_gained_and_lost() -> None:
     """Work of the drive is what becomes kinetic, elastic, friction and damping, the better the smaller the step."""
     step, duration = 4e-7, 2e-4

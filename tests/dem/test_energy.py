@@ -66,6 +66,7 @@ def cycle(rescaling: bool) -> tuple[State, float]:
     return state, 0.5 * float(stiffness[0] - stiffness[1]) * slid**2
 
 
+@pytest.mark.full
 def test_shear_rescaling_keeps_a_cycle_of_loading_and_sliding_from_creating_energy() -> None:
     """Mode 1 loses (k_deep - k_shallow) s^2 / 2 in the cycle; mode 0 creates just as much."""
     state, expected = cycle(rescaling=True)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from sqlalchemy import text
 
@@ -194,8 +195,9 @@ def test_packing_round_trip(store: Store, records: "Records") -> None:
     for index in (1, 0, 0):
         store.save_packing(records.packing(index))
     assert store.packing_indices() == (0, 1)
-    assert store.load_packing(1) == records.packing(1)
-    assert store.load_packing(2) is None
+    assert store.packing(1) == records.packing(1)
+    with pytest.raises(UnknownCellError, match="Packing 2"):
+        store.packing(2)
     with pytest.raises(CampaignMismatchError, match="hash"):
         store.save_packing(records.packing(0, hash="another"))
 
@@ -208,7 +210,7 @@ def test_another_packing_of_the_same_origin_is_refused(store: Store, records: "R
         other = dataclasses.replace(packing, **changes)
         with pytest.raises(CampaignMismatchError, match=f"content hash mine .* and {other.content_hash} "):
             store.save_packing(other)
-    assert store.load_packing() == packing
+    assert store.packing() == packing
     assert store.content_hashes() == {0: "mine"}
 
 
@@ -217,9 +219,9 @@ def test_a_packing_gets_what_it_lacks(store: Store, records: "Records") -> None:
     store.save_packing(records.packing(state=b"damaged"))
     assert store.content_hashes() == {0: None}
     store.save_packing(records.packing(content_hash="mine"))
-    assert store.load_packing() == records.packing(content_hash="mine", state=b"damaged")
+    assert store.packing() == records.packing(content_hash="mine", state=b"damaged")
     store.save_packing(records.packing(), replace_state=True)
-    assert store.load_packing() == records.packing(content_hash="mine")
+    assert store.packing() == records.packing(content_hash="mine")
 
 
 def test_status_counts(store: Store, records: "Records") -> None:
@@ -251,6 +253,30 @@ def test_selection(store: Store, records: "Records", selection: Selection, count
     store.retry(keys=())
     store.record_results([records.failed(3, 0.3)])
     assert len(list(store.results(selection))) == count
+
+
+def test_derived_quantities_are_those_of_the_records(store: Store, records: "Records") -> None:
+    """Total error and departure can be selected, sorted by and fetched as in the records; old cells lack them."""
+    numbers = {"reading_error": 0.03, "expected_error": 0.04, "path_error": 0.04}
+    store.record_results(
+        [
+            records.done(0, 5.0, **numbers, path_vs=1.08 * 1150.0),
+            records.done(1, 5.0, **numbers, path_vs=0.86 * 1151.0),
+            records.done(2, 5.0, reading_error=None),
+        ]
+    )
+    found = store.table(("seed", "vs_error", "path_departure"), Selection(contents=(5.0,)), sort=("-path_departure",))
+    assert found["seed"].tolist() == [1, 0, 2, 3]
+    assert found["path_departure"][:2] == pytest.approx([0.14 / 0.05, 0.08 / 0.05])
+    assert found["vs_error"][:2] == pytest.approx(2 * [(0.03**2 + (1.5 / 1.96 * 0.04) ** 2) ** 0.5])
+    assert np.isnan(found["vs_error"][2:]).all()
+    (marked,) = store.results(Selection(where="path_departure > 2"))
+    assert marked.key.seed == 1
+    assert marked.vs_error == found["vs_error"][0]
+    assert marked.path_departure == found["path_departure"][0]
+    half = 1.96 * 1151.0 * marked.vs_error
+    assert marked.vs_interval == pytest.approx((1151.0 - half, 1151.0 + half))
+    assert len(list(store.results(Selection(where="vs_error is None", statuses=(CellStatus.DONE,))))) == 1
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,15 @@ def test_an_exception_on_one_rank_ends_all(campaign: "Campaign", ulfm: bool) -> 
     assert campaign.leaves_no_process()
 
 
+@pytest.mark.full
+@pytest.mark.mpi
+def test_a_rank_without_memory_ends_all(campaign: "Campaign") -> None:
+    """A rank that has no memory even to tell of its error keeps no other one waiting."""
+    launch = campaign.start("no memory", ranks=3, program="session_program.py").wait()
+    assert launch.exit_code != 0
+    assert campaign.leaves_no_process()
+
+
 @pytest.mark.mpi
 def test_ranks_sleep_while_they_wait_for_rank_0(campaign: "Campaign") -> None:
     """Waiting 2 s for a broadcast costs less than 0.2 s of CPU time; a blocking one would cost all of it."""

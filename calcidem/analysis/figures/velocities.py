@@ -19,6 +19,7 @@ from calcidem.analysis.figures.style import (
     CONTENT_LABEL,
     CONTENT_MAP,
     GREY,
+    ORANGE,
     SKY,
     VERMILION,
     VS_LABEL,
@@ -27,19 +28,22 @@ from calcidem.analysis.figures.style import (
     new_figure,
 )
 from calcidem.analysis.published import PublishedVelocity
+from calcidem.storage.records.error_budget import NORMAL_95, departs
 
 _LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""
 _HISTOGRAM_COLUMNS = 4
 _MANY = 30
 """Marks of more samples than this are pixels in vector files, which keeps these small."""
+_SIDE_BY_SIDE = 0.006
+"""How far the first and last sample of a content stand beside it, as a part of the range of contents."""
 _PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
 
 
 @apply_style
 def draw_range(
-    vs: xr.DataArray,
+    cells: xr.Dataset,
     distributions: Sequence[ContentDistribution],
     published: Sequence[tuple[float, PublishedVelocity]] = (),
 ) -> Figure:
@@ -47,8 +51,8 @@ def draw_range(
 
     Parameters
     ----------
-    vs
-        m/s along (seed, content).
+    cells
+        vs (m/s), vs_error and path_departure along (seed, content), NaN where missing.
     distributions
         Of each content.
     published
@@ -59,13 +63,13 @@ def draw_range(
     axes = figure.subplots()
     low = [row for row in rows if row.content <= _LOW_CONTENT]
     enlarged = len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
-    _draw_range(axes, vs, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
+    _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
-        _draw_range(inset, vs, low, [row for row in published if row[0] <= _LOW_CONTENT])
+        _draw_range(inset, cells, low, [row for row in published if row[0] <= _LOW_CONTENT])
         inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
         inset.tick_params(labelsize=7)
     return figure
@@ -73,7 +77,7 @@ def draw_range(
 
 def _draw_range(
     axes: Axes,
-    vs: xr.DataArray,
+    cells: xr.Dataset,
     rows: Sequence[ContentDistribution],
     published: Sequence[tuple[float, PublishedVelocity]],
 ) -> None:
@@ -91,11 +95,30 @@ def _draw_range(
     axes.fill_between(
         content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
     )
+    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
+    apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for row in rows:
-        values = vs.sel(content=row.content).to_numpy()
-        label = "one sample" if row is rows[0] else None
-        at = np.full(values.shape, row.content)
-        axes.plot(at, values, "o", color=BLACK, alpha=0.45, ms=2.6, mew=0, label=label, rasterized=values.size > _MANY)
+        of_content = cells.sel(content=row.content)
+        values, error = (of_content[name].to_numpy() for name in ("vs", "vs_error"))
+        at = row.content + abreast * np.linspace(-1.0, 1.0, values.size)
+        axes.errorbar(
+            *(at, values),
+            yerr=NORMAL_95 * error * values,
+            fmt="o",
+            color=BLACK,
+            alpha=0.4,
+            markersize=2.4,
+            markeredgewidth=0,
+            elinewidth=0.4,
+            label="one sample and its\n95 % interval" if row is rows[0] else None,
+            rasterized=values.size > _MANY,
+        )
+        differ = departs(of_content["path_departure"].to_numpy())
+        apart.append((at[differ], values[differ]))
+    marked, speeds = (np.concatenate(parts) for parts in zip(*apart, strict=True))
+    if marked.size:
+        label = "vs and path_vs differ"
+        axes.plot(marked, speeds, "o", markersize=5.5, markerfacecolor="none", color=ORANGE, label=label)
     axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
     if published:
         aside = _PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other

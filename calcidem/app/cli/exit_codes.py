@@ -34,6 +34,9 @@ _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError,
 _NO_THREAD = "can't start new thread"
 """What Python says, as a RuntimeError, where there is no memory for the stack of a thread."""
 
+_NO_EXCEPTION = "without setting an exception"
+"""What Python says, as a SystemError, where a function had no memory even for its MemoryError."""
+
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _CURE_OF_ERRNO = {
@@ -48,7 +51,7 @@ _CURE_OF_ERRNO = {
 } | dict.fromkeys(_FULL, "free some space, or give a place that has some")
 
 
-def exit_code_of(error: BaseException) -> int:
+def _exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
     if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
@@ -60,7 +63,7 @@ def exit_code_of(error: BaseException) -> int:
 
 def tell_error(error: Exception) -> int:
     """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
-    if isinstance(error, MemoryError) or str(error) == _NO_THREAD:
+    if isinstance(error, MemoryError) or str(error) == _NO_THREAD or str(error).endswith(_NO_EXCEPTION):
         text = (
             f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
@@ -69,14 +72,17 @@ def tell_error(error: Exception) -> int:
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
         text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"
-        path = log_error(error)
+        try:
+            path = log_error(error)
+        except MemoryError as lack:
+            return tell_error(lack)
         text += (
             f"\nPlease report it with the log {path}; what was stored before is safe."
             if path
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
     sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
-    return exit_code_of(error)
+    return _exit_code_of(error)
 
 
 def _sentence(error: OSError) -> str:

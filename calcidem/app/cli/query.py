@@ -24,7 +24,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 
-_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "error_bound", "seconds")
+_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
@@ -73,11 +73,10 @@ def find(
     campaign_name: str | None = None,
 ) -> Columns:
     """Columns of the selected cells, and what is refused: see `calcidem.storage.store.Store.table`."""
-    from calcidem.storage.campaign import open_stored_campaign
+    from calcidem.storage.sql.store import read_campaign
 
-    with open_stored_campaign(database, campaign_name) as campaign:
-        campaign.refuse_unknown_contents(selection.contents or ())
-        return campaign.store.table(columns, selection, sort=sort, limit=limit)
+    with read_campaign(database, campaign_name) as store:
+        return store.table(columns, selection, sort=sort, limit=limit)
 
 
 def _split_list(text: str) -> list[str]:

@@ -9,8 +9,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from calcidem.analysis.error_budget import budget_text
 from calcidem.app.campaign.status import UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
-from calcidem.app.cli.tables import MEAN_IN_DOUBT, doubt_mark, format_number
+from calcidem.app.cli.tables import MEAN_IN_DOUBT, departure_mark, departure_remark, doubt_mark, format_number
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
@@ -48,6 +49,10 @@ def status_view(status: CampaignStatus, width: int) -> RenderableType:
     parts += [_matrix_table(status, columns), _legend(status, columns)]
     if any(doubt_mark(content.counts) for content in status.contents):
         parts.append(Text(f"  ! {MEAN_IN_DOUBT}"))
+    if status.budget.departing:
+        parts.append(Text(f"  {departure_remark(status.budget.departing)}"))
+    if status.counts.get(CellStatus.DONE):
+        parts.append(Text(f"  standard error of Vs: {budget_text(status.budget)}"))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
     return Group(*parts)
 
@@ -89,7 +94,8 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
         table.add_row(
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
-            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}{doubt_mark(content.counts)}",
+            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}{doubt_mark(content.counts)}"
+            f"{departure_mark(content.budget.departing)}",
             format_number(content.mean),
             format_number(content.interval.half_width, "+- {:.1f}"),
             format_number(content.deviation),
@@ -174,6 +180,9 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
         "running": status.running,
         "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": dict(sorted(status.counts.items())),
+        "vs_error": _finite_or_none(status.budget.total),
+        "reading_error": _finite_or_none(status.budget.reading),
+        "numerical_error": _finite_or_none(status.budget.numerical),
         "seconds_left": _finite_or_none(status.seconds_left),
         "workers": status.workers,
         "seeds": list(status.seeds),
@@ -184,6 +193,8 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
                 "cells": dict(sorted(content.counts.items())),
                 "mean": _finite_or_none(content.mean),
                 "sd": _finite_or_none(content.deviation),
+                "reading_scatter": _finite_or_none(content.budget.scatter),
+                "departing": content.budget.departing,
                 "interval_95": [_finite_or_none(content.interval.low), _finite_or_none(content.interval.high)],
                 "seconds_per_cell": _finite_or_none(content.seconds_per_cell),
                 "core_seconds_left": _finite_or_none(content.seconds_left),

@@ -17,6 +17,7 @@ from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulu
 from calcidem.app.campaign.launch import TERMINAL_VARIABLE
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
+from calcidem.storage.records.error_budget import MOST_DEPARTURE
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.environment import launcher
@@ -69,44 +70,63 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 def vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
+    from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget  # loads xarray
     from calcidem.app.campaign.status import UNREAD  # loads pandas, which no cell waits for
 
-    columns = store.table(("content", "status", "vs", "wavelengths_on_path", "seconds", "broken_bonds"), selection)
+    others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
+    columns = store.table((*BUDGET_QUANTITIES, *others), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
-    for name in ("content %", "done", "mean m/s", "sd m/s", "min m/s", "max m/s", "G0 MPa", "L/lambda", "seconds"):
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
+    for name in ("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
     table.add_column("other cells")
     doubtful = False
     for content in np.unique(columns["content"]):
         here = columns["content"] == content
         vs = columns["vs"][here].astype(float)
-        mark = doubt_mark(Counter(map(CellStatus, columns["status"][here])))
-        doubtful = doubtful or bool(mark)
+        budget = error_budget({name: columns[name][here] for name in BUDGET_QUANTITIES})
+        doubt = doubt_mark(Counter(map(CellStatus, columns["status"][here])))
+        doubtful = doubtful or bool(doubt)
         seconds = np.nansum(columns["seconds"][here].astype(float))
         moments = _moments(vs[np.isfinite(vs)])
         table.add_row(
             f"{content:g}",
-            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{mark}",
-            *map(format_number, moments),
+            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{doubt}{departure_mark(budget.departing)}",
+            *map(format_number, (*moments[:2], budget.scatter, *moments[2:])),
             format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
             _wavelengths_text(columns["wavelengths_on_path"][here]),
             f"{seconds:.1f}",
             _other_outcomes(columns["status"][here]),
         )
-    remarks = []
+    whole = error_budget(columns)
+    remarks = [f"standard error of Vs: {budget_text(whole)}; reading m/s: part of sd that is error of the readings"]
     if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
-        remarks = [f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field"]
+        remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
     if doubtful:
         remarks.append(f"! {MEAN_IN_DOUBT}")
+    if whole.departing:
+        remarks.append(departure_remark(whole.departing))
     if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
         remarks.append(
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
         )
     if any(status in UNREAD for status in columns["status"]):
         remarks.append("'calcidem diagnose DB' says why cells can't be read, and what to try")
-    if remarks:
-        table.caption, table.caption_justify = "\n".join(remarks), "left"
+    table.caption, table.caption_justify = "\n".join(remarks), "left"
     return table
+
+
+def departure_mark(departing: int) -> str:
+    """Mark beside the number of cells where the two velocities of some differ."""
+    return " ~" if departing else ""
+
+
+def departure_remark(departing: int) -> str:
+    """What that mark means, and how to find the cells."""
+    return (
+        f"~ vs and path_vs differ by more than their errors in {pluralize(departing, 'cell')}: "
+        f"'calcidem query DB --where \"path_departure > {MOST_DEPARTURE:g}\"'"
+    )
 
 
 MEAN_IN_DOUBT = "mean off by more than its standard error if the cells without velocity are the slowest or the fastest"

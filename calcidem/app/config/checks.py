@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.judgement import judge_packing, judge_stress
+from calcidem.dem.sample.judgement import judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
@@ -242,9 +242,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     ConfigurationError
         With everything that is wrong.
     """
-    problems = [
-        Problem(f"packing.{fault.text}") for fault in judge_packing(packing, configuration.sand) if fault.refused
-    ]
+    problems = [Problem(f"packing.{fault.text}") for fault in judge_disks(packing, configuration.sand) if fault.refused]
     if problems:
         raise ConfigurationError("configuration", problems)
     experiment, plan = configuration.experiment(packing), configuration.campaign
@@ -270,7 +268,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
 
 def packing_warnings(configuration: Configuration, packing: Packing) -> Iterator[str]:
     """What is doubtful about a packing that is not refused, and about waves through it; a sentence each."""
-    for fault in judge_packing(packing, configuration.sand):
+    for fault in judge_disks(packing, configuration.sand):
         yield f"packing.{fault.text}"
     limit = _cutoff_estimate(configuration, cemented=False)
     table = configuration.excitation.table

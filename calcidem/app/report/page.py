@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
@@ -21,7 +22,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import Table, decimal, significant, time_span
+from calcidem.app.report.wording import Table, decimal, time_span
 from calcidem.storage.files import write_text_atomically
 from calcidem.sweep.progress import pluralize
 
@@ -119,7 +120,7 @@ def write_report(
     """
     target = Path(out)
     with open_campaign(database, campaign_name) as campaign:
-        text = _render_page(CampaignAnalysis(campaign, _MOST_SAMPLES), studies or {})
+        text = _render_page(campaign.analyse(_MOST_SAMPLES), studies or {})
     write_text_atomically(target, text)
     return target
 
@@ -135,7 +136,7 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    record = analysis.campaign.record
+    record = analysis.store.record
     return environment.get_template("report.html").render(
         name=record.name,
         hash=record.hash,
@@ -148,13 +149,11 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
 
 def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     """Give the numbers that say at a glance what the campaign is."""
-    outcomes, cells = analysis.outcomes, analysis.cells
+    outcomes, (error, parts) = analysis.outcomes, budget_texts(analysis.budget)
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
     means = [row.vs.mean for row in analysis.distributions if row.vs.n]
-    errors = cells["error_bound"].to_numpy()
-    seconds = float(np.nansum(cells["seconds"].to_numpy()))
-    error = f"{significant(100 * float(np.nanmax(errors)), 2)} %" if np.isfinite(errors).any() else "unknown"
+    seconds = float(np.nansum(analysis.cells["seconds"].to_numpy()))
     span = f"{decimal(min(means))} to {decimal(max(means))} m/s" if means else "none"
     return (
         ("samples measured", f"{done} of {done + failed + missing}"),
@@ -162,7 +161,8 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("not computed yet", str(missing)),
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
         ("mean Vs", span),
-        ("bound of numerical error", error),
+        (f"standard error of Vs ({parts})", error),
+        ("two velocities differ", f"{analysis.budget.departing} of {analysis.budget.compared}"),
         ("computing time", time_span(seconds)),
     )
 

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import is_published_sand, published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
@@ -20,8 +21,10 @@ from calcidem.app.report.wording import (
     time_span,
     with_bounds,
 )
+from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
 
 _MOST_REASONS = 20
+_MOST_NAMED_SEEDS = 10
 _MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
@@ -33,6 +36,7 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
             str(row.vs.n),
             with_bounds(row.vs.mean, row.vs.mean_interval),
             with_bounds(row.vs.standard_deviation, row.vs.standard_deviation_interval, 1),
+            decimal(budget.scatter, 1),
             bounds(row.vs.prediction_interval),
             decimal(row.vs.skewness, 2),
             decimal(row.vs.kurtosis, 2),
@@ -40,12 +44,13 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
             str(row.missing),
             str(row.failed),
         )
-        for row in analysis.distributions
+        for row, budget in zip(analysis.distributions, analysis.budgets, strict=True)
     ]
     return Table(
         "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
         "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for "
-        "kurtosis. The range of new samples holds for normal velocities. p is that of "
+        "kurtosis. Reading error is the part of the standard deviation that the errors of the readings make, their "
+        "root mean square. The range of new samples holds for normal velocities. p is that of "
         "the Jarque-Bera test simulated for this number of samples. Cells not computed yet and cells that gave "
         "no velocity are counted apart; neither is in the other columns. Marked rows have one or the other.",
         (
@@ -53,6 +58,7 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
             "n",
             "mean (m/s)",
             "standard deviation (m/s)",
+            "reading error (m/s)",
             "95 % of new samples (m/s)",
             "skewness",
             "kurtosis",
@@ -71,7 +77,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row in analysis.distributions:
         column = cells.sel(content=row.content)
-        known = {name: _median_known(column[name]) for name in _MEANING}
+        known = {name: median_known(column[name]) for name in _MEANING}
         rows.append(
             (
                 f"{row.content:g}",
@@ -81,13 +87,13 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
                 decimal(known["wavelength_over_d50"], 1),
                 decimal(known["content_of_contacts"], 2),
                 *(
-                    (decimal(known["static_speed"]), decimal(_median_known(column["vs"] / column["static_speed"]), 2))
+                    (decimal(known["static_speed"]), decimal(median_known(column["vs"] / column["static_speed"]), 2))
                     if static
                     else ()
                 ),
             )
         )
-    alpha = analysis.campaign.config.get("wave", {}).get("damping", math.nan)
+    alpha = analysis.config.get("wave", {}).get("damping", math.nan)
     header = (
         "content (%)",
         "mean Vs (m/s)",
@@ -112,7 +118,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
 def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
     """Contents, by their place, where half of the cells or more have too few wavelengths on the path."""
     found = (
-        _median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
+        median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
     )
     return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
@@ -139,7 +145,7 @@ def outcome_table(analysis: CampaignAnalysis) -> Table | None:
 
 def growth_table(analysis: CampaignAnalysis) -> Table | None:
     """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
-    if not is_published_sand(analysis.campaign.config):
+    if not is_published_sand(analysis.config):
         return None
     published = {stage.name: stage.rate for stage in published_study().stages}
     rows = tuple(
@@ -196,7 +202,7 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
 def law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
     published = {law.name: law for law in published_study().laws}
-    compared = is_published_sand(analysis.campaign.config)
+    compared = is_published_sand(analysis.config)
     rows = []
     for law in (analysis.physical_law, analysis.scanned_law):
         fit, check, other = law.fit, law.check, published[law.name]
@@ -245,43 +251,68 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
     """Numerical error beside statistical error, and what the cells cost."""
     cells = analysis.cells
     rows = []
-    for row in analysis.distributions:
+    for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
         column = cells.sel(content=row.content)
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
             (
                 f"{row.content:g}",
-                decimal(_median_known(column["frequency"]) / 1e3, 1),
-                significant(1e9 * _median_known(column["time_step"])),
-                decimal(_median_known(column["time_step"] / column["stability_limit"]), 2),
-                decimal(_median_known(column["steps"])),
-                significant(100 * _median_known(column["expected_error"]), 2),
+                decimal(median_known(column["frequency"]) / 1e3, 1),
+                significant(1e9 * median_known(column["time_step"])),
+                decimal(median_known(column["time_step"] / column["stability_limit"]), 2),
+                decimal(median_known(column["steps"])),
+                *(significant(100 * part, 2) for part in (budget.total, budget.reading, budget.numerical)),
                 significant(100 * float(column["error_bound"].max()), 2),
                 decimal(relative, 2),
-                time_span(_median_known(column["seconds"])),
+                time_span(median_known(column["seconds"])),
             )
         )
     return Table(
-        "Numerical error, statistical error and cost at each content (medians; largest bounds). The numerical error "
-        "covers time step, sampling, regime, precision and noise; the statistical error is the standard error of the "
-        "mean.",
+        "Standard errors and cost at each content (medians; largest bounds). The standard error of Vs of one cell is "
+        "the root of the sum of squares of two parts: that of the reading, and that of the simulation, which covers "
+        f"time step, sampling, regime, precision and noise. In 95 % of cells Vs is off by less than {NORMAL_95:g} "
+        "standard errors. The error of the simulation exceeds its bound in at most one of a hundred cells.",
         (
             "content (%)",
             "frequency (kHz)",
             "time step (ns)",
             "step / limit",
             "steps",
-            "expected numerical error of Vs (%)",
-            "its bound (%)",
-            "statistical error of the mean (%)",
+            "standard error of Vs (%)",
+            "of it reading (%)",
+            "of it simulation (%)",
+            "bound of the simulation's error (%)",
+            "standard error of the mean (%)",
             "time for a cell",
         ),
         tuple(rows),
     )
 
 
-def _median_known(values: xr.DataArray) -> float:
-    """Median of the finite values, NaN without any."""
-    found = values.to_numpy()
-    known = found[np.isfinite(found)]
-    return float(np.median(known)) if known.size else math.nan
+def departure_table(analysis: CampaignAnalysis) -> Table | None:
+    """How far path_vs and vs agree at each content, and where they do not; None where no cell has both."""
+    if not analysis.budget.compared:
+        return None
+    rows = []
+    for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
+        column = analysis.cells.sel(content=row.content)
+        apart = column["seed"].to_numpy()[departs(column["path_departure"].to_numpy())].tolist()
+        more = f" and {len(apart) - _MOST_NAMED_SEEDS} more" if len(apart) > _MOST_NAMED_SEEDS else ""
+        rows.append(
+            (
+                f"{row.content:g}",
+                str(budget.compared),
+                decimal(median_known(column["path_vs"] / column["vs"]), 2),
+                str(budget.departing),
+                (", ".join(str(seed) for seed in apart[:_MOST_NAMED_SEEDS]) or ABSENT) + more,
+            )
+        )
+    return Table(
+        "The two velocities of a cell: vs is the distance over the travel time to the receiver, path_vs the slope of "
+        "the crest from station to station. Marked: contents with cells whose two velocities differ by more than "
+        f"{MOST_DEPARTURE:g} standard errors of the difference (path_departure above {MOST_DEPARTURE:g}). There the "
+        "grains at one end delay or advance the wave, or one of the two is read wrong.",
+        ("content (%)", "cells with both", "median of path_vs / vs", "they differ", "seeds where they differ"),
+        tuple(rows),
+        frozenset(i for i, budget in enumerate(analysis.budgets) if budget.departing),
+    )

@@ -9,6 +9,7 @@ from calcidem.app.report.comparison import disagreement_table, published_table
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
 from calcidem.app.report.results import (
     cost_table,
+    departure_table,
     feature_table,
     growth_table,
     law_table,
@@ -28,12 +29,13 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "features": feature_table,
     "laws": law_table,
     "errors_and_cost": cost_table,
+    "two_velocities": departure_table,
     "published": published_table,
     "published_disagreements": disagreement_table,
-    "parameters": lambda analysis: parameter_table(analysis.campaign.config),
+    "parameters": lambda analysis: parameter_table(analysis.config),
     "packing": packing_table,
-    "runs": lambda analysis: run_table(analysis.campaign.runs()),
-    "configuration": lambda analysis: configuration_table(analysis.campaign.config),
+    "runs": lambda analysis: run_table(analysis.store.runs()),
+    "configuration": lambda analysis: configuration_table(analysis.config),
 }
 """Makers of tables by their names in files; None where a campaign has nothing to show."""
 
@@ -64,14 +66,14 @@ PAGE_SECTIONS = (
         ("vs_range", "histograms"),
         ("velocities", "meaning", "outcomes", "growth"),
     ),
-    SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods")),
+    SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods", "dispersion")),
     SectionPlan(
         "paths",
         "Preferential paths and connectivity",
         ("paths", "correlations", "weight_scan", "laws"),
         ("features", "laws"),
     ),
-    SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost",)),
+    SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost", "two_velocities")),
     SectionPlan("published", "The published study", (), ("published",), ("published_disagreements",)),
     SectionPlan("provenance", "What was run", (), ("parameters", "packing", "runs"), ("configuration",)),
 )

@@ -18,12 +18,14 @@ LARGEST_OVERLAP = 0.1
 DEEP_OVERLAP = 0.07
 """Of the smaller radius: above it, a packing is warned of."""
 _WANTED = 0.05  # largest overlap over radius that a proposed value aims at
-_CRUSHED = 0.05  # expected overlap of a mean contact over the radius, above which the largest one is surely too deep
+_MOST_EXPECTED = (
+    0.05  # expected overlap of a mean contact over the radius, above which the largest one is surely too deep
+)
 _LARGEST_OVER_EXPECTED = 3.0  # 1.9 to 3.9 in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius
 ISOSTATIC = 3.0
 """Contacts per disk, rattlers left out, below which a packing with friction has no stiffness against shear."""
 _PLANAR = 6.0  # contacts per disk that a planar graph stays below (Euler)
-_LOOSE = 0.3  # porosity of packings that hardly carry load
+_LOOSEST = 0.3  # porosity of packings that hardly carry load
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class Fault:
     refused: bool
 
 
-def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
+def _expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
     """Return the overlap over the radius of a contact that bears ``stress diameter``, N/m, between equal disks.
 
     Hertz's law, ``F = h d^1.5``. The mean overlap of packings is 0.7 to 1.2 of it.
@@ -67,8 +69,8 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
     sand
         Their material.
     """
-    expected = expected_overlap(stress, diameter, sand)
-    if expected <= _CRUSHED:
+    expected = _expected_overlap(stress, diameter, sand)
+    if expected <= _MOST_EXPECTED:
         return None
     cure = _softer(_LARGEST_OVER_EXPECTED * expected, stress, sand)
     text = (
@@ -78,7 +80,7 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
     return Fault("stress", text, refused=True)
 
 
-def judge_packing(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
+def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
     """Return what is wrong with a packing at rest, the worst first.
 
     Parameters
@@ -110,20 +112,22 @@ def judge_packing(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
 
 def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
     """Return what is wrong with the porosity of disks with these radii (N,)."""
-    densest = 1.0 - densest_cover(float(radius.min() / radius.max()))
+    densest = 1.0 - _densest_cover(float(radius.min() / radius.max()))
     if porosity < densest:
         text = (
             f"porosity: {porosity:.3f} is below {densest:.3f}, the least of disks of these sizes that do not overlap; "
             "lower the stress, raise sand.shear_modulus, or check the sizes"
         )
         return (Fault("porosity", text, refused=True),)
-    if porosity > _LOOSE:
-        text = f"porosity: {porosity:.3f} is above {_LOOSE:g}; disks so loose hardly carry load; lower packing.porosity"
+    if porosity > _LOOSEST:
+        text = (
+            f"porosity: {porosity:.3f} is above {_LOOSEST:g}; so loose they hardly carry load; lower packing.porosity"
+        )
         return (Fault("porosity", text, refused=False),)
     return ()
 
 
-def densest_cover(ratio: float) -> float:
+def _densest_cover(ratio: float) -> float:
     """Return the largest part of a plane that disks cover without overlap, radii from ``ratio`` to 1.
 
     Florian (1960), Ausfuellung der Ebene durch Kreise, Rend. Circ. Mat. Palermo 9, 300, doi:10.1007/BF02851249: an

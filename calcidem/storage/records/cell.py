@@ -13,7 +13,9 @@ from typing import Annotated, Any
 
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records.arrays import normalize_numbers
+from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, vs_interval
 from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
+from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _CONTENT_DECIMALS = 9
@@ -127,6 +129,8 @@ class CellResult:
         wavelengths on the path, near field and shear wave arrive together (section 3.1.3).
     expected_error, error_bound : float or None
         Numerical error that `vs` is expected to have, and one that it hardly exceeds.
+    numerical_error, vs_error, path_departure : float or None
+        Derived, see `calcidem.storage.records.error_budget`.
     retry : str or None
         Problem for which the sample was computed a second time; None if the first time was good.
     attempt : int
@@ -261,6 +265,33 @@ class CellResult:
         check_bounds(self)
         self._check_status()
 
+    @property
+    def numerical_error(self) -> float | None:
+        """Relative standard error of vs by the simulation."""
+        return self._derived("numerical_error")
+
+    @property
+    def vs_error(self) -> float | None:
+        """Relative standard error of vs by simulation and reading; 1.96 of them on either side hold 95 %."""
+        return self._derived("vs_error")
+
+    @property
+    def vs_interval(self) -> tuple[float, float] | None:
+        """Interval that holds Vs with 95 %, m/s; None where `vs_error` is not known."""
+        return None if self.vs_error is None else vs_interval(self.vs, self.vs_error)
+
+    @property
+    def path_departure(self) -> float | None:
+        """Difference of path_vs and vs over its standard error; above `MOST_DEPARTURE` the cell is marked."""
+        return self._derived("path_departure")
+
+    def _derived(self, name: str) -> float | None:
+        quantity = QUANTITY_BY_NAME[name]
+        values = [getattr(self, needed) for needed in quantity.needs]
+        if quantity.formula is None or None in values:
+            return None
+        return float(quantity.formula(math.sqrt, *values))
+
     def refuse_damage(self) -> None:
         """Raise `DamagedStoreError` if the outcome is not what was stored."""
         if self.status is CellStatus.DAMAGED:
@@ -301,6 +332,8 @@ class PackedResult:
         Quantities by name, except those that name the cell.
     arrays : dict of str to bytes
         Compressed arrays by the name of their field.
+    worker : WorkerRecord or None
+        What the process that computed it is, if it says so; its rank is the master's to fill in.
     """
 
     key: CellKey
@@ -310,6 +343,7 @@ class PackedResult:
     host: str | None
     columns: dict[str, Any]
     arrays: dict[str, bytes]
+    worker: WorkerRecord | None = None
 
 
 ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
@@ -323,6 +357,7 @@ ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
 def _catalogue() -> Iterator[Quantity]:
     yield from quantities_of(CellKey)
     yield from quantities_of(CellResult)
+    yield from DERIVED_QUANTITIES
     for part in (PathFeatures, GraphSummary):  # which a cell may lack as a whole
         yield from (replace(quantity, is_optional=True) for quantity in quantities_of(part))
 

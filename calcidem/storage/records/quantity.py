@@ -5,6 +5,7 @@ A field of a record that is one number or text of a cell is annotated with a `Qu
 added by a field here, and by a value where the record is made.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -41,6 +42,10 @@ class Quantity:
         Physics version that it is known from on.
     name, kind, is_optional
         Of the field and its type; filled in by `quantities_of`.
+    needs : tuple of str
+        Stored quantities that it is derived from; empty for a stored one.
+    formula : callable or None
+        Gives its value from a square root and the values of these, be they numbers, arrays or columns of a database.
     """
 
     unit: str
@@ -53,6 +58,8 @@ class Quantity:
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False
+    needs: tuple[str, ...] = ()
+    formula: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +73,19 @@ class Along:
         UDUNITS string.
     meaning : str
         Long name in files.
+    columns : str
+        Dimension of its columns, if their number differs from cell to cell, too; empty if it does not.
     """
 
     dimension: str
     unit: str
     meaning: str
+    columns: str = ""
+
+    @property
+    def elements(self) -> str:
+        """Dimension along which files have it: row after row where its columns have a dimension."""
+        return f"{self.dimension}_{self.columns}" if self.columns else self.dimension
 
 
 def quantities_of(record: type) -> tuple[Quantity, ...]:

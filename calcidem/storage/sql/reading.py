@@ -1,7 +1,7 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -9,18 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
     ColumnElement,
+    Integer,
     Select,
     SQLColumnExpression,
-    UnaryExpression,
     and_,
     case,
+    cast,
     func,
     select,
     tuple_,
 )
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from calcidem.storage.errors import DamagedStoreError, QueryError
+from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
     QUANTITY_BY_NAME,
     AttemptCount,
@@ -36,13 +37,13 @@ from calcidem.storage.sql import rows
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     ARRAYS,
-    EXPRESSIONS,
     LOST,
     RESULT,
     STATUS,
     AttemptRow,
     CampaignRow,
     CellRow,
+    expression_of,
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
@@ -58,6 +59,9 @@ _KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
 _LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
 
+_MOST_ATTEMPTS = 2**31 - 1
+"""Largest number of an attempt, that of a 32-bit column."""
+
 _BY_KEY = (CellRow.seed, CellRow.content)
 
 KEYS_PER_QUERY = 500
@@ -71,7 +75,7 @@ def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
         yield chunk
 
 
-def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
+def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
     found = [CellRow.campaign_id == campaign_id]
     if selection.seeds is not None:
@@ -95,9 +99,25 @@ def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
     return CellRow.seed.in_(listed)
 
 
+def refuse_unknown_contents(session: Session, campaign_id: int, selection: Selection) -> None:
+    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
+    unknown = []
+    for content in selection.contents or ():
+        statement = select(CellRow.id).where(CellRow.campaign_id == campaign_id, CellRow.content == content)
+        if session.scalar(statement.limit(1)) is None:
+            unknown.append(f"{content:g} %")
+    if unknown:
+        contents = session.scalars(select(CellRow.content).where(CellRow.campaign_id == campaign_id).distinct())
+        there_are = ", ".join(f"{content:g}" for content in sorted(contents))
+        name = session.scalar(select(CampaignRow.name).where(CampaignRow.id == campaign_id))
+        raise UnknownCellError(
+            f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
+        )
+
+
 def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
     """Ids of the selected cells, by seed, then content."""
-    statement = join_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
+    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
     return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
 
 
@@ -110,24 +130,40 @@ def table(
     limit: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """See `Store.table`."""
-    _check_names([*names, *(name.removeprefix("-") for name in sort)])
+    if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
+        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
     if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
-    outcome = rows.OutcomeColumns(names)
-    statement = join_results(select(*outcome.columns)).where(*conditions(campaign_id, selection))
-    ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
+    fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
+    outcome = rows.OutcomeColumns(fetched)
+    statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
+    columns = [(expression_of(name.removeprefix("-")), name.startswith("-")) for name in sort]
+    order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
+    ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
         found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
-        return _listed_columns(found, outcome, names, selection)
+        return _with_derived(_listed_columns(found, outcome, fetched, selection), names)
     except UNREADABLE as error:
         if sort or limit is not None or not may_be_damage(error):
             raise  # where a value can't be read there is no order
     cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id).order_by(*_BY_KEY)).all()
     one_by_one = (row for chunk in chunks(cells) for row in _outcome_rows(session, statement, chunk))
-    return _listed_columns(one_by_one, outcome, names, selection)
+    return _with_derived(_listed_columns(one_by_one, outcome, fetched, selection), names)
+
+
+def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Columns of these names, of which some are derived from those that were fetched."""
+    table = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        if quantity.formula is None:
+            table[name] = columns[name]
+        else:
+            table[name] = quantity.formula(np.sqrt, *(columns[needed] for needed in quantity.needs))
+    return table
 
 
 def _listed_columns(
@@ -203,24 +239,6 @@ def _readable_rows(
     yield from found
 
 
-def _check_names(names: Iterable[str]) -> None:
-    """Refuse names that are not in the catalogue of quantities.
-
-    Raises
-    ------
-    QueryError
-        Naming them.
-    """
-    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
-    if unknown:
-        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
-
-
-def _order_of(name: str) -> UnaryExpression[Any]:
-    expression = EXPRESSIONS[name.removeprefix("-")]
-    return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
-
-
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one), by seed, then content."""
     outcome = rows.OutcomeColumns()
@@ -277,8 +295,10 @@ def other_damage(session: Session, campaign_id: int) -> list[str]:
 def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
     """See `Store.attempt_counts`."""
     losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
+    # SQLite lets damage put a text, a fraction or a number beyond all attempts there, and the next attempt counts on.
+    number = case((AttemptRow.number.between(1, _MOST_ATTEMPTS), cast(AttemptRow.number, Integer)), else_=0)
     statement = (
-        select(CellRow.seed, CellRow.content, func.max(AttemptRow.number), losses)
+        select(CellRow.seed, CellRow.content, func.max(number), losses)
         .join(AttemptRow, AttemptRow.cell_id == CellRow.id)
         .where(CellRow.campaign_id == campaign_id)
         .group_by(CellRow.id, CellRow.seed, CellRow.content)

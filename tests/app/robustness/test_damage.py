@@ -86,6 +86,20 @@ def test_a_cell_without_its_attempts_is_shown(troubled: Path, invoke: Invoke) ->
     assert "cells that are quarantined pending again" in invoke("status", troubled)
 
 
+@pytest.mark.parametrize("number", ["'text'", "1.0000000001", "4611686018427387904", "x'ff'"])
+def test_a_damaged_number_of_an_attempt_is_not_counted_on(troubled: Path, invoke: Invoke, number: str) -> None:
+    """Status and the next attempt do not count on what no attempt has as its number; verify names it."""
+    with sqlite3.connect(troubled, isolation_level=None) as connection:
+        connection.execute("PRAGMA ignore_check_constraints=ON")
+        connection.execute(f"UPDATE attempt SET number = {number} WHERE number = 1")  # noqa: S608 - a test's own
+    connection.close()
+    assert "cells that are quarantined pending again" in invoke("status", troubled)
+    with open_store(troubled, read_only=True) as store:
+        store.use_campaign()
+        assert {count.attempts for count in store.attempt_counts().values()} <= {0, 1, 2, 3}
+    assert "An attempt at seed" in invoke("verify", troubled, "--integrity", exit_code=1)
+
+
 def test_damaged_stands_alone(complete: Path, invoke: Invoke) -> None:
     """Retry --damaged goes with no other choice of cells."""
     assert "stands alone" in invoke("retry", complete, "--damaged", "--seed", 1, exit_code=2)

@@ -1,9 +1,23 @@
 """Does one thing that concerns all ranks, as told by the first argument."""
 
+import io
 import sys
 import time
+from typing import NoReturn
 
 from calcidem.sweep import Session
+
+
+class NoMemory(io.StringIO):
+    """Output of a process that has no memory left."""
+
+    def write(self, _text: str) -> NoReturn:
+        """Fail."""
+        raise MemoryError
+
+    def flush(self) -> NoReturn:
+        """Fail."""
+        raise MemoryError
 
 
 def main() -> None:
@@ -20,7 +34,10 @@ def main() -> None:
             session.share_on_node([lambda: sys.stdout.write("once\n")])
         elif what == "raise" and session.rank == 1:
             raise RuntimeError("on order")
-        elif what == "raise":
+        elif what == "no memory" and session.rank == 1:
+            sys.stderr = NoMemory()
+            raise MemoryError
+        elif what in {"raise", "no memory"}:
             session.broadcast(None)
             time.sleep(60)
         elif what == "wait":

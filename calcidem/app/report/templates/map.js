@@ -1,7 +1,7 @@
 // The map and the table of cells, and what listens to keys, pointer and address.
 // Cells: their place in the columns is seed * contents + content -------------------------------------------------
 
-let seeds, contents, columns, quantities, cellCount; // seeds are texts: a number of 63 bits would not be exact here
+let seeds, contents, columns, quantities, normal95, mostDeparture, cellCount; // seeds are texts: a number of 63 bits would not be exact here
 let chosen = []; // places that the filters let through
 let isChosen = new Uint8Array(0);
 let cursor = 0; // place that arrow keys move
@@ -15,6 +15,7 @@ const contentOf = (place) => contents[place % contents.length];
 const statusOf = (place) => columns.status[place] || "not computed";
 const outcomes = () => [...new Set(Array.from({ length: cellCount }, (_, place) => statusOf(place)))].sort();
 const link = (place) => `#seed=${seedOf(place)}&content=${contentOf(place)}`;
+const departs = (place) => columns.path_departure?.[place] > mostDeparture;
 const labelOf = (place) => `seed ${seedOf(place)} at ${contentOf(place)} %`;
 function valueOf(name, place) {
   if (name === "seed") return Number(seedOf(place)); // to sort by; equal ones stay in their order
@@ -50,7 +51,7 @@ function readFilters() {
 // Table --------------------------------------------------------------------------------------------------------
 
 const SHOWN = ["seed", "content", "status", "vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"];
-const SHOWN_LATER = ["error_bound", "path_normalized_connectivity", "seconds", "reason"];
+const SHOWN_LATER = ["vs_error", "path_departure", "path_normalized_connectivity", "seconds", "reason"];
 const HEADINGS = {
   seed: "seed",
   content: "content (%)",
@@ -59,7 +60,8 @@ const HEADINGS = {
   vs_peak: "by peak",
   vs_first_arrival: "by first arrival",
   vs_cross_correlation: "by correlation",
-  error_bound: "relative error bound",
+  vs_error: "relative standard error",
+  path_departure: "departure of path_vs",
   path_normalized_connectivity: "C_d,n",
   seconds: "time (s)",
   reason: "reason",
@@ -88,7 +90,8 @@ function showRows() {
   if (focused) byId("cells").querySelector(`[data-sort="${focused}"]`).focus();
   const rows = chosen.slice(page * ROWS, (page + 1) * ROWS).map((place) => {
     const values = shownColumns.map((name) => {
-      const text = name === "seed" ? seedOf(place) : escape(number(valueOf(name, place)));
+      const mark = name === "path_departure" && departs(place) ? " ~" : "";
+      const text = name === "seed" ? seedOf(place) : escape(number(valueOf(name, place))) + mark;
       return name === "seed" ? `<td><a href="${link(place)}" aria-label="${labelOf(place)}">${text}</a></td>` : `<td>${text}</td>`;
     });
     return `<tr>${values.join("")}</tr>`;
@@ -248,7 +251,7 @@ function showTip(place) {
     tip.textContent = "";
     return;
   }
-  const lines = [labelOf(place), `Vs ${withUnit(columns.vs[place], "m/s")}`];
+  const lines = [labelOf(place), `Vs ${withUnit(columns.vs[place], "m/s")}${departs(place) ? " ~" : ""}`];
   if (columns.vs[place] === null) lines[1] = `${number(statusOf(place))}${columns.reason[place] ? `: ${columns.reason[place]}` : ""}`;
   if (shades.values && byId("colour").value !== "vs") lines.push(`${shades.label}: ${withUnit(shades.values[place], shades.unit)}`);
   tip.textContent = lines.join("\n");
@@ -298,7 +301,7 @@ function option(value, text) {
   return `<option value="${escape(value)}">${escape(text)}</option>`;
 }
 async function start() {
-  ({ seeds, contents, columns, quantities } = await load("records"));
+  ({ seeds, contents, columns, quantities, normal95, mostDeparture } = await load("records"));
   cellCount = seeds.length * contents.length;
   const there = (name) => name in HEADINGS && ["seed", "content", "status", "vs"].concat(quantities.map((one) => one.name)).includes(name);
   shownColumns = [...SHOWN, ...SHOWN_LATER].filter(there);

@@ -1,0 +1,96 @@
+"""What the velocities of some cells are worth: their standard errors, and where the two velocities differ."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from calcidem.storage.records.error_budget import departs
+
+BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "vs_error", "path_departure")
+"""What `error_budget` needs of each cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBudget:
+    """Errors of the velocities of some cells.
+
+    Attributes
+    ----------
+    total, reading, numerical
+        Medians of the relative standard error of Vs and of its two parts; NaN where it is not known.
+    scatter
+        Root mean square of the reading errors, m/s: the part of the standard deviation of Vs that is reading error.
+    compared, departing
+        Number of cells with both velocities, and of those whose velocities differ by more than their errors allow.
+    """
+
+    total: float
+    reading: float
+    numerical: float
+    scatter: float
+    compared: int
+    departing: int
+
+
+def error_budget(cells: Mapping[Any, ArrayLike | xr.DataArray]) -> ErrorBudget:
+    """Sum up the errors of some cells.
+
+    Parameters
+    ----------
+    cells
+        `BUDGET_QUANTITIES` by name, arrays of one shape with NaN where missing: a table of a store, or a dataset.
+    """
+    vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
+    absolute = (vs * reading)[np.isfinite(vs * reading)]
+    return ErrorBudget(
+        total=median_known(total),
+        reading=median_known(reading),
+        numerical=median_known(numerical),
+        scatter=float(np.sqrt(np.mean(absolute**2))) if absolute.size else np.nan,
+        compared=int(np.isfinite(departure).sum()),
+        departing=int(departs(departure).sum()),
+    )
+
+
+def median_known(given: ArrayLike | xr.DataArray) -> float:
+    """Median of the finite values, NaN without any."""
+    values = np.asarray(given, dtype=float)
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
+    """Arrange the error budgets of the contents of a campaign along content."""
+    budgets = [error_budget({name: cells[name].sel(content=c) for name in BUDGET_QUANTITIES}) for c in cells["content"]]
+    named = {
+        "vs_error": ("1", "median relative standard error of vs", [one.total for one in budgets]),
+        "reading_error": ("1", "median relative standard error of vs by the reading", [one.reading for one in budgets]),
+        "numerical_error": (
+            *("1", "median relative standard error of vs by the simulation"),
+            [one.numerical for one in budgets],
+        ),
+        "reading_scatter": ("m/s", "root mean square of the reading errors", [one.scatter for one in budgets]),
+        "departing": ("1", "cells whose path_vs departs from vs", [one.departing for one in budgets]),
+    }
+    return xr.Dataset(
+        {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},
+        coords={"content": cells["content"]},
+    )
+
+
+def budget_text(budget: ErrorBudget) -> str:
+    """Say the standard error of a velocity and what makes it."""
+    total, parts = budget_texts(budget)
+    return f"{total} ({parts})"
+
+
+def budget_texts(budget: ErrorBudget) -> tuple[str, str]:
+    """Say the standard error of a velocity, and what makes it."""
+    if not np.isfinite(budget.total):
+        return "unknown", "no error of the reading is stored"
+    total, reading, numerical = (f"{100 * part:.2g} %" for part in (budget.total, budget.reading, budget.numerical))
+    return total, f"median; reading {reading}, simulation {numerical}"

@@ -1,0 +1,77 @@
+"""The error of a velocity, made of two parts, and how far the two velocities of a cell differ.
+
+Each formula is written once, for numbers, arrays and columns of a database: it takes what draws the root, too.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from calcidem.storage.records.quantity import Quantity
+
+NORMAL_95 = 1.96
+"""Standard errors on either side of a normal value that hold 95 %."""
+
+_COVERED_95 = 1.5
+"""Multiple of the expected numerical error within which 95.3 % of 253 random cells lay (docs/reading.md)."""
+
+MOST_DEPARTURE = 2.0
+"""Departure of the path's velocity above which a cell is marked."""
+
+_NO_ERROR = 1e-30
+"""Keeps the quotient of two exact velocities finite."""
+
+Root = Callable[[Any], Any]
+
+
+def _numerical_error(_root: Root, expected_error: Any) -> Any:  # noqa: ANN401 - number, array or column
+    """Standard error whose 95 % interval is that of the numerical errors."""
+    return (_COVERED_95 / NORMAL_95) * expected_error
+
+
+def _vs_error(root: Root, expected_error: Any, reading_error: Any) -> Any:  # noqa: ANN401 - as above
+    """Total of two independent parts."""
+    numerical = _numerical_error(root, expected_error)
+    return root(numerical * numerical + reading_error * reading_error)
+
+
+def _path_departure(root: Root, vs: Any, path_vs: Any, reading_error: Any, path_error: Any) -> Any:  # noqa: ANN401
+    """Difference of two velocities over their standard errors."""
+    difference = (path_vs - vs) / vs
+    return root(difference * difference / (reading_error * reading_error + path_error * path_error + _NO_ERROR))
+
+
+DERIVED_QUANTITIES = (
+    Quantity(
+        *("1", "relative standard error of vs by the simulation", "error budget"),
+        name="numerical_error",
+        is_optional=True,
+        needs=("expected_error",),
+        formula=_numerical_error,
+    ),
+    Quantity(
+        *("1", "relative standard error of vs by simulation and reading", "error budget"),
+        name="vs_error",
+        is_optional=True,
+        needs=("expected_error", "reading_error"),
+        formula=_vs_error,
+    ),
+    Quantity(
+        *("1", "difference of path_vs and vs over its standard error", "error budget"),
+        name="path_departure",
+        is_optional=True,
+        needs=("vs", "path_vs", "reading_error", "path_error"),
+        formula=_path_departure,
+    ),
+)
+"""Quantities that are not stored: each follows from stored ones, and lacks a value where one of these does."""
+
+
+def vs_interval(vs: Any, vs_error: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or arrays
+    """Ends of the interval that holds Vs with 95 %, m/s, from its relative standard error."""
+    half = NORMAL_95 * vs_error * vs
+    return vs - half, vs + half
+
+
+def departs(path_departure: Any) -> Any:  # noqa: ANN401 - number or array
+    """Whether path_vs differs from vs by more than their errors allow; what has no path_vs (NaN) does not."""
+    return path_departure > MOST_DEPARTURE

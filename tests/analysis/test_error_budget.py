@@ -1,0 +1,29 @@
+"""The errors of the velocities of some cells in a few numbers."""
+
+import numpy as np
+import pytest
+
+from calcidem.analysis.error_budget import budget_text, error_budget
+
+CELLS = {
+    "vs": np.array([100.0, 200.0, 300.0, np.nan]),
+    "reading_error": np.array([0.03, 0.04, np.nan, np.nan]),
+    "numerical_error": np.array([0.004, 0.003, 0.001, np.nan]),
+    "vs_error": np.array([0.0303, 0.0401, np.nan, np.nan]),
+    "path_departure": np.array([2.0, 2.1, np.nan, np.nan]),
+}
+
+
+def test_budget_sums_up_the_cells_that_have_errors() -> None:
+    """Medians, the scatter by readings and marked cells are those of the cells that have the numbers."""
+    budget = error_budget(CELLS)
+    assert (budget.reading, budget.numerical, budget.total) == pytest.approx((0.035, 0.003, 0.0352))
+    assert budget.scatter == pytest.approx(np.sqrt((3.0**2 + 8.0**2) / 2))
+    assert (budget.compared, budget.departing) == (2, 1)  # a departure of two standard errors is none
+    assert budget_text(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %)"
+
+
+def test_a_budget_without_errors_is_unknown() -> None:
+    """Cells of an old campaign have no error of the reading, and the text says so instead of showing a part."""
+    old = {name: values[2:] for name, values in CELLS.items()}
+    assert budget_text(error_budget(old)).startswith("unknown")
