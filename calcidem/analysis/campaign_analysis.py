@@ -1,10 +1,11 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate
+from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, error_budget
+from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
@@ -22,13 +24,16 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
-from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import (
     CellResult,
+    CellStatus,
     CementPattern,
     PackingRecord,
     PathFeatures,
 )
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 
 
 class UnavailableError(Exception):
@@ -94,19 +99,27 @@ class CampaignAnalysis:
 
     Attributes
     ----------
-    campaign
-        An open campaign.
+    store
+        With a campaign chosen.
     most_samples
         If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
+    with_cement
+        Adds cement that is not stored to outcomes of the store, where somebody can.
     """
 
-    campaign: StoredCampaign
+    store: Store
     most_samples: int | None = None
+    with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The physical configuration."""
+        return self.store.record.parameters
 
     @cached_property
     def cells(self) -> xr.Dataset:
         """All scalar quantities along (seed, content)."""
-        return self.campaign.to_xarray()
+        return campaign_dataset(self.store)
 
     @cached_property
     def vs(self) -> xr.DataArray:
@@ -147,7 +160,7 @@ class CampaignAnalysis:
     @cached_property
     def graphs(self) -> tuple[PackingGraph, ...]:
         """Contact graph of each packing of the campaign, by its index."""
-        wave = self.campaign.config.get("wave", {})
+        wave = self.config.get("wave", {})
         names = ("transmitter_half_width", "receiver_half_width")
         missing = [name for name in names if name not in wave]
         if missing:
@@ -236,6 +249,14 @@ class CampaignAnalysis:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
 
+    def outcomes_of(self, selection: Selection) -> Iterator[CellResult]:
+        """Give the outcomes of the selected cells with their arrays and, where it can be known, their cement."""
+        return self.with_cement(self.store, self.store.results(selection, with_arrays=True))
+
+    def cell(self, seed: int, content: float) -> CellResult:
+        """Give one of these; raises `UnknownCellError` if the cell has no outcome."""
+        return next(self.with_cement(self.store, [self.store.cell(seed=seed, content=content)]))
+
     def sample(self, seed: int, content: float) -> MeasuredSample:
         """Give one sample without reading the others.
 
@@ -246,11 +267,26 @@ class CampaignAnalysis:
         UnknownCellError
             If the cell has no outcome.
         """
-        cell = self.campaign.cell(seed=seed, content=content)
+        cell = self.cell(seed, content)
         if cell.cement is None:
             raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
         with _translate_refusals():
             return self._sample(cell, cell.cement)
+
+    @cached_property
+    def dispersions(self) -> tuple[ContentDispersion, ...]:
+        """Dispersion of each content of which three and more cells have a velocity and a stored section."""
+        found = []
+        for row in self.distributions:
+            column = self.cells.sel(content=row.content)
+            with suppress(ValueError):  # too few sections
+                done = Selection(contents=row.content, statuses=CellStatus.DONE)
+                spectrum = dispersion_of_cells(self.store.results(done, with_arrays=True))
+                medians = (median_known(column[name]) for name in ("vs", "static_speed"))
+                found.append(ContentDispersion(row.content, spectrum, *medians))
+        if not found:
+            raise UnavailableError("fewer than three cells of each content have a velocity and a stored section")
+        return tuple(found)
 
     def measured_samples(self, content: float) -> list[MeasuredSample]:
         """Give the samples of one content that have a velocity, from the slowest to the fastest."""
@@ -268,14 +304,14 @@ class CampaignAnalysis:
             )
 
     def _packings(self) -> list[PackingRecord]:
-        indices = self.campaign.packing_indices()
+        indices = self.store.packing_indices()
         if list(indices) != list(range(len(indices))) or not indices:
             raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
-        return [self.campaign.packing(index) for index in indices]
+        return [self.store.packing(index) for index in indices]
 
     def _read_samples(self) -> Iterator[MeasuredSample]:
         with _translate_refusals():
-            for cell in self.campaign.select(seed=self.analysed_seeds, with_arrays=True):
+            for cell in self.outcomes_of(Selection(self.analysed_seeds)):
                 if cell.cement is not None:
                     yield self._sample(cell, cell.cement)
 
@@ -292,6 +328,26 @@ class CampaignAnalysis:
             path=path,
             features=graph.features(path),
         )
+
+
+def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
+    """Find the dispersion from the stored sections of cells of one content that have a velocity.
+
+    Phase velocities from a third to three times the median Vs are looked for.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three of the cells have a velocity and a section.
+    """
+    read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
+    if len(read) < FEWEST_SECTIONS:
+        raise ValueError(
+            f"{len(read)} cells have a velocity and a stored section; a dispersion needs {FEWEST_SECTIONS} and more"
+        )
+    median = float(np.median([vs for vs, _ in read]))
+    motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
+    return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))
 
 
 @contextmanager

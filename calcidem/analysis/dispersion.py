@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VELOCITIES = 400  # of the grid, evenly spaced by their logarithm
+FEWEST_SECTIONS = 3
+"""Samples that a jackknife needs."""
+
 _RESOLVED = 1e-3  # of a velocity, which a parabola over that grid resolves
 
 
@@ -63,6 +66,26 @@ class Dispersion:
     samples: int
 
 
+@dataclass(frozen=True, slots=True)
+class ContentDispersion:
+    """Dispersion at one content.
+
+    Attributes
+    ----------
+    content
+        Percent.
+    found
+        What the sections say.
+    vs, static
+        Medians of Vs and of the static speed of the samples, m/s; NaN where the latter is not known.
+    """
+
+    content: float
+    found: Dispersion
+    vs: float
+    static: float
+
+
 def dispersion(
     sections: Sequence[SectionMotion],
     frequency: float,
@@ -95,7 +118,7 @@ def dispersion(
     sum is averaged over the samples. The long-wave limit is the intercept of the phase velocity over the square of the
     frequency, each weighted by its standard error: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
     """
-    if len(sections) < 3:  # noqa: PLR2004 - fewer have no jackknife
+    if len(sections) < FEWEST_SECTIONS:
         raise ValueError(f"sections: {len(sections)} given; give those of three samples and more")
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")

@@ -84,7 +84,13 @@ def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
 
 def budget_text(budget: ErrorBudget) -> str:
     """Say the standard error of a velocity and what makes it."""
+    total, parts = budget_texts(budget)
+    return f"{total} ({parts})"
+
+
+def budget_texts(budget: ErrorBudget) -> tuple[str, str]:
+    """Say the standard error of a velocity, and what makes it."""
     if not np.isfinite(budget.total):
-        return "unknown: no error of the reading is stored"
+        return "unknown", "no error of the reading is stored"
     total, reading, numerical = (f"{100 * part:.2g} %" for part in (budget.total, budget.reading, budget.numerical))
-    return f"{total} (median; reading {reading}, simulation {numerical})"
+    return total, f"median; reading {reading}, simulation {numerical}"

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
+from calcidem.analysis.figures.dispersion import draw_dispersion
 from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
@@ -20,6 +21,7 @@ from calcidem.storage.records import CellResult
 _FIRST_ARRIVAL_LEVEL = 0.1
 _SHOWN_SIGNALS = 5
 _SHOWN_NARROWINGS = 4
+_SHOWN_DISPERSIONS = 6
 _SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
@@ -55,7 +57,7 @@ class CampaignFigure:
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
     """Give the published rows at the contents of a campaign on the published sand, empty unless two or more match."""
-    if not is_published_sand(analysis.campaign.config):
+    if not is_published_sand(analysis.config):
         return []
     contents = analysis.vs["content"].to_numpy()
     rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
@@ -65,7 +67,7 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
 def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
     """Give the signals of a sample and what was read from them; errors as `read_arrival`."""
     try:
-        return read_arrival(analysis, analysis.campaign.cell(seed=seed, content=content))
+        return read_arrival(analysis, analysis.cell(seed, content))
     except UnknownCellError as error:
         raise UnavailableError(str(error)) from error
 
@@ -89,7 +91,7 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         sent=section.transmitted,
         received=section.received,
         # A cell that took the whole width for the way of the wave has no distance.
-        distance=cell.distance or analysis.campaign.packing(cell.packing_index).width,
+        distance=cell.distance or analysis.store.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
         onset=_FIRST_ARRIVAL_LEVEL,
     )
@@ -137,7 +139,7 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
-    wave = analysis.campaign.config.get("wave", {})
+    wave = analysis.config.get("wave", {})
     arrival: Arrival | None = None
     with suppress(UnavailableError):  # then without signals
         contents = _measured_contents(analysis)
@@ -170,6 +172,11 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
     if not bool(np.isfinite(analysis.cells["vs_peak"]).any()):
         raise UnavailableError("no sample has a velocity from peak to peak")
     return draw_methods(analysis.cells)
+
+
+def _plot_dispersion(analysis: CampaignAnalysis) -> Figure:
+    known = {one.content: one for one in analysis.dispersions}
+    return draw_dispersion([known[content] for content in _pick_evenly(list(known), _SHOWN_DISPERSIONS)])
 
 
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
@@ -247,6 +254,14 @@ CAMPAIGN_FIGURES = (
         "Three ways to read the arrival",
         "Median and central 80 % of the samples for each way to read the travel time.",
         _plot_methods,
+    ),
+    CampaignFigure(
+        "dispersion",
+        "Phase velocity against frequency",
+        "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, the "
+        "diamond is the limit of long waves.",
+        _plot_dispersion,
     ),
     CampaignFigure(
         "paths",

@@ -15,7 +15,16 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.error_estimate import NumericalError, cure_of, largest_part, turning_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import LARGEST_BOUND
-from calcidem.dem.wave.reading import LEAST_COHERENCE, P_TO_S, SILENCE, Candidate, Reading, Verdict, reading_error_parts
+from calcidem.dem.wave.reading import (
+    LEAST_COHERENCE,
+    P_TO_S,
+    SILENCE,
+    Candidate,
+    Reading,
+    Verdict,
+    reading_error_parts,
+    slowest_in_record,
+)
 from calcidem.dem.wave.section import RESOLUTION, Section
 
 _CUT_OFF = 0.8  # part of the cut-off frequency up to which grains transmit a wave
@@ -243,10 +252,10 @@ def _uncertainty(case: Case) -> tuple[str, Iterator[Remedy]]:
 def _longer_record(case: Case, needed: float) -> Iterator[Remedy]:
     """A record of this length, s, or of that which the slowest expected wave needs."""
     section, slowest = case.section, case.experiment.wave.slowest
-    tail = (0.5 + 2.0 * case.experiment.pick.smoothing) / section.frequency
+    smoothing = case.experiment.pick.smoothing
     velocities = [
         _MARGIN * slowest,
-        P_TO_S * section.distance / max(needed / _MARGIN - tail, section.sampling_interval),
+        slowest_in_record(needed / _MARGIN, section.distance, section.frequency, smoothing),
     ]
     if case.expected is not None:
         velocities.append(_MARGIN * case.expected[0])

@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.app.report.cell_section import describe_section
 from calcidem.app.report.wording import readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
+from calcidem.storage.store import ALL_CELLS
 
 _MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -25,6 +27,9 @@ _SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connecti
 
 _ROOM_FOR_SAMPLES = 3_500_000
 """Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
+
+_ROOM_FOR_SECTIONS = 3_000_000
+"""Of all space-time sections, some 1.5 kB each."""
 
 _MOST_POINTS = 300
 _LEVELS = 2000
@@ -62,14 +67,22 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         graphs = ()
         remarks.append(f"No samples are drawn: {error}.")
     shown: list[int] = []
-    room = _ROOM_FOR_SAMPLES
-    for seed, cells in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
+    room, room_for_sections = _ROOM_FOR_SAMPLES, _ROOM_FOR_SECTIONS
+    drawn = 0  # seeds with sections
+    for seed, grouped in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
+        cells = list(grouped)
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
         if room < 0:
             break
         blocks[f"seed-{seed}"] = text
         shown.append(seed)
+        if room_for_sections > 0 and (sections := _describe_sections(analysis, cells)):
+            text = _compress(sections)
+            room_for_sections -= len(text)
+            if room_for_sections >= 0:
+                blocks[f"sections-{seed}"] = text
+                drawn += 1
     for graph in graphs:
         blocks[f"packing-{graph.packing.index}"] = _compress(_packing_block(analysis, graph))
     names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
@@ -80,6 +93,11 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
         remarks.append(
             f"Signals and samples of {len(shown)} of {analysis.vs.sizes['seed']:,} seeds are in this page; "
             "“calcidem show DB --seed S --content C --out DIR” draws every one."
+        )
+    if room_for_sections < 0:
+        remarks.append(
+            f"Space-time sections of the first {drawn} seeds are in this page; "
+            "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
         )
     blocks["records"] = _compress(_describe_records(analysis, names))
     return _CellData(blocks, tuple(remarks))
@@ -114,7 +132,7 @@ def _numbers_or_none(values: NDArray[Any]) -> list[Any]:
 
 def _packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
     """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
-    packing, wave = graph.packing, analysis.campaign.config["wave"]
+    packing, wave = graph.packing, analysis.config["wave"]
     return {
         **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
         **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},
@@ -144,6 +162,15 @@ def _describe_cells(
                     graph.path(kinds > 0, tuple(cell.path.grains.tolist()) if cell.path else ()).grains
                 )
         yield described
+
+
+def _describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -> list[dict[str, Any]]:
+    """Give the sections of the cells of one seed that have one."""
+    return [
+        {"content": cell.key.content} | describe_section(analysis, cell, cell.section)
+        for cell in cells
+        if cell.section is not None
+    ]
 
 
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:

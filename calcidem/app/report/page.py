@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.error_budget import budget_text
+from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
@@ -120,7 +120,7 @@ def write_report(
     """
     target = Path(out)
     with open_campaign(database, campaign_name) as campaign:
-        text = _render_page(CampaignAnalysis(campaign, _MOST_SAMPLES), studies or {})
+        text = _render_page(campaign.analyse(_MOST_SAMPLES), studies or {})
     write_text_atomically(target, text)
     return target
 
@@ -136,7 +136,7 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    record = analysis.campaign.record
+    record = analysis.store.record
     return environment.get_template("report.html").render(
         name=record.name,
         hash=record.hash,
@@ -149,7 +149,7 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
 
 def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     """Give the numbers that say at a glance what the campaign is."""
-    outcomes = analysis.outcomes
+    outcomes, (error, parts) = analysis.outcomes, budget_texts(analysis.budget)
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
     means = [row.vs.mean for row in analysis.distributions if row.vs.n]
@@ -161,7 +161,7 @@ def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("not computed yet", str(missing)),
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
         ("mean Vs", span),
-        ("standard error of Vs", budget_text(analysis.budget)),
+        (f"standard error of Vs ({parts})", error),
         ("two velocities differ", f"{analysis.budget.departing} of {analysis.budget.compared}"),
         ("computing time", time_span(seconds)),
     )

@@ -341,6 +341,17 @@ def record_duration(distance: float, velocity: float, frequency: float, smoothin
     return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
 
 
+def slowest_in_record(duration: float, distance: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
+    """Velocity of the slowest pulse that is read in a record of this length, m/s: the inverse of `record_duration`.
+
+    It is infinite where no pulse is.
+    """
+    period = 1.0 / frequency
+    left = duration - (0.5 + 2.0 * smoothing) * period
+    travel = min(left / P_TO_S, left - period)
+    return distance / travel if travel > 0.0 else float("inf")
+
+
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
     """Return whether a longer record changes no reading.
 

@@ -7,7 +7,9 @@ async function openCell(place) {
   const id = `seed-${seedOf(place)}`;
   const cells = byId(id) ? await load(id) : [];
   const cell = cells.find((one) => one.content === contentOf(place));
-  details = { signal: cell?.signal, packing: null };
+  const sections = `sections-${seedOf(place)}`;
+  const ofSeed = byId(sections) ? await load(sections) : [];
+  details = { signal: cell?.signal, section: ofSeed.find((one) => one.content === contentOf(place)), packing: null };
   if (cell?.cement) {
     const packing = await load(`packing-${cell.packing}`);
     const kinds = new Uint8Array(packing.second.length);
@@ -40,7 +42,8 @@ function showCell(place) {
     <nav aria-label="Neighbours"><ul>${around.map(([at]) => `<li><a href="${link(at)}">${labelOf(at)}</a></li>`).join("")}
       <li><a href="#explore">map</a></li></ul></nav>
     <div class="columns">
-      <div class="signals"><h4>Signals</h4>${details.signal ? `<div id="signal"></div>` : absent("signal")}</div>
+      <div class="signals"><h4>Signals</h4>${details.signal ? `<div id="signal"></div>` : absent("signal")}
+        ${details.section ? `<h4>Section</h4><div id="section"></div>` : ""}</div>
       <div class="sample"><h4>Sample</h4>${details.packing ? `<div id="sample-keys"></div><div id="sample" tabindex="0" role="region" aria-label="Sample"><canvas role="img"></canvas></div>` : absent("cement pattern")}</div>
       <div class="record"><h4>Record</h4><div class="scroll"><table id="record"><tbody>
         ${rows.map(([meaning, text]) => `<tr><th scope="row">${escape(meaning)}</th><td>${escape(text)}</td></tr>`).join("")}
@@ -62,6 +65,7 @@ function worthOf(place) {
 }
 function drawDetails() {
   if (details?.signal && byId("signal")) drawSignal(details.signal);
+  if (details?.section && byId("section")) drawSection(details.section);
   if (details?.packing && byId("sample")) drawSample();
 }
 
@@ -126,6 +130,38 @@ function drawSignal({ start, interval, sent, received, unit, arrivals }) {
     event.preventDefault();
     read(at + step);
   });
+}
+
+/** Motion at each station, without the P wave, with the lines along which the section was stacked. */
+function drawSection({ start, interval, levels, places, traces, begin, least, peaks }) {
+  const host = byId("section");
+  const [width, height, left, bottom, top] = [host.clientWidth, 340, 62, 44, 22];
+  const end = start + interval * (traces[0].length - 1);
+  const distance = places.at(-1);
+  const reach = (1.15 * distance) / places.length; // of the largest value of a trace
+  const x = (time) => left + (time / end) * (width - left - 10);
+  const y = (place) => top + ((distance + reach - place) / (distance + 2 * reach)) * (height - top - bottom);
+  const across = ticks(0, end, width / 90).map((time) => `<line x1="${x(time)}" x2="${x(time)}" y1="${top}" y2="${height - bottom}" stroke="var(--line)"/><text x="${x(time)}" y="${height - bottom + 16}" text-anchor="middle">${number(time)}</text>`);
+  const upward = ticks(0, distance, 5).map((place) => `<text x="${left - 6}" y="${y(place) + 4}" text-anchor="end">${number(place)}</text>`);
+  const wiggles = traces.map((steps, station) => {
+    const points = sums(steps).map((value, at) => `${x(start + interval * at).toFixed(1)},${y(places[station] + (reach * value) / levels).toFixed(1)}`);
+    return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${station === traces.length - 1 ? "ink" : "received"})" stroke-width="1.4"/>`;
+  });
+  const shown = peaks.filter(([travel]) => begin + travel <= end);
+  const lines = shown.map(([travel, coherence, isChosen]) => {
+    const colour = isChosen ? "peak" : "quiet";
+    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${x(begin + travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${coherence.toFixed(2)}</text>`;
+  });
+  const chosen = shown.find(([, , isChosen]) => isChosen);
+  const said = chosen ? `The S wave is the peak at ${number(chosen[0])} ms of travel, with a coherence of ${chosen[1].toFixed(2)}` : "No peak is the S wave";
+  host.innerHTML = `
+    <svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Section of ${escape(labelOf(opened))}: ${places.length - 1} stations and the receiver. ${said}.">
+      ${across.join("")}${upward.join("")}${wiggles.join("")}${lines.join("")}
+      <text x="${(left + width) / 2}" y="${height - 8}" text-anchor="middle">time (ms)</text>
+      <text transform="translate(14 ${(height - bottom) / 2}) rotate(-90)" text-anchor="middle">path (mm), receiver last</text>
+    </svg>
+    <div class="keys">${key("received", "station, without the P wave")}${key("ink", "receiver")}${chosen ? key("peak", "line of the S wave") : ""}${shown.length > (chosen ? 1 : 0) ? key("quiet", "other peaks") : ""}</div>
+    <p class="quiet">Each trace over its largest value. Numbers above: coherence of the stack along the line of a peak, ${number(least)} and more for an S wave. ${said}.</p>`;
 }
 
 function drawSample() {
