@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     __version__: str
     from calcidem import dem
-    from calcidem.app.campaign.opened import OpenedCampaign, load_paper_campaign, open_campaign
+    from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.packing_import import import_packing
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PRESETS",
+    "Campaign",
     "Configuration",
     "ConfigurationError",
     "LaunchError",
-    "OpenedCampaign",
     "PackingError",
     "RunProgress",
     "RunStage",
@@ -52,11 +52,11 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Campaign": "calcidem.app.campaign.opened",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.errors",
     "LaunchError": "calcidem.sweep",
-    "OpenedCampaign": "calcidem.app.campaign.opened",
     "PackingError": "calcidem.dem.sample.packing",
     "RunProgress": "calcidem.app.campaign.progress",
     "RunStage": "calcidem.app.campaign.progress",

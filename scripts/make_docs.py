@@ -191,7 +191,7 @@ def quantities_page() -> str:
     for name, kind in ARRAY_RECORDS.items():
         lines += [f"| `{name}` | `{q.name}` | cell | {q.unit} | {_cell(q.meaning)} |" for q in quantities_of(kind)]
         lines += [
-            f"| `{name}` | `{array}` | {along.dimension} | {along.unit} | {_cell(along.meaning)} |"
+            f"| `{name}` | `{array}` | {along.elements} | {along.unit} | {_cell(along.meaning)} |"
             for array, along in array_fields(kind).items()
         ]
     return _QUANTITIES + "\n".join([*lines, ""])

@@ -40,7 +40,7 @@ def main() -> None:
         os.environ[CACHE_VARIABLE] = folder  # nothing that other code made
         with open_store(Path(folder) / "paper.db") as store:
             import_netcdf(PRESETS / PAPER_CAMPAIGN, store, identify_packing)
-            shipped = store.load_packing()
+            shipped = store.packing()
         for file, configuration in files.items():
             if file.exists():
                 continue

@@ -8,8 +8,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
-from calcidem.sweep.rank_watch import RankWatch
-from calcidem.sweep.starter import introduce
+from calcidem.launch.rank_watch import RankWatch
+from calcidem.launch.starter import _introduce
 
 
 class SpokenRank:
@@ -21,7 +21,7 @@ class SpokenRank:
         self._watch = watch
         self.connection = socket.create_connection((name, int(port)), 10.0)
         with ThreadPoolExecutor(1) as thread:
-            greeting = thread.submit(introduce, self.connection, key or right, str(number), host)
+            greeting = thread.submit(_introduce, self.connection, key or right, str(number), host)
             while not greeting.done():
                 watch.listen(0.0)
             self.welcome = greeting.exception() is None and greeting.result()

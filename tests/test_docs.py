@@ -173,4 +173,4 @@ def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "OpenedCampaign" in (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")
+    assert "Campaign" in (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")

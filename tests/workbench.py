@@ -15,9 +15,9 @@ import pytest
 from places import TUTORIAL
 from unchanged import digests
 
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
@@ -136,8 +136,8 @@ class Workbench:
 def make_databases(folder: Path) -> None:
     """Make a good database, its exported file, and a database whose texts try to control a terminal."""
     open_store(shutil.copy(TUTORIAL, folder / "quick.db")).close()
-    with open_stored_campaign(folder / "quick.db") as good, open_store(folder / "evil.db") as store:
-        export_netcdf(good.store, good.record, folder / "quick.nc")
+    with open_campaign(folder / "quick.db") as good, open_store(folder / "evil.db") as store:
+        export_netcdf(good.store, folder / "quick.nc")
         store.begin_campaign(replace(good.record, name=f"evil{EVIL_STORED}"))
         store.begin_run(replace(good.runs()[0][1], host=EVIL_STORED, exit_state=EVIL_STORED))
         store.save_packing(good.packing())

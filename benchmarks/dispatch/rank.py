@@ -53,6 +53,9 @@ class TimedSink:
             cpu, queue = (later - earlier for later, earlier in zip(thread_times(), before, strict=True))
             self.groups.append(Group(len(outcomes), cpu, queue, wall))
 
+    def keep_alive(self) -> None:
+        """Do nothing."""
+
     def store_loss(self, batch: Batch[Any], reason: str, /) -> None:  # noqa: ARG002 - as the sweep has it
         """Refuse: nobody is lost here."""
         raise RuntimeError(reason)

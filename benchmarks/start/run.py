@@ -141,7 +141,8 @@ def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
         values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}
         run.run(configuration, set=values, progress=False).close()
         with open_store(folder / "c.db", read_only=True) as store:
-            export.export_netcdf(store, store.use_campaign(None), folder / "c.nc")
+            store.use_campaign()
+            export.export_netcdf(store, folder / "c.nc")
     return dict(phases.seconds)
 
 

@@ -26,7 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from calcidem.analysis.distribution import tabulate
-from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import packing_record, provide_packing
 from calcidem.app.cli.query import find
 from calcidem.app.config.schema import Configuration
@@ -105,41 +105,41 @@ def make_database(path: Path, count: int) -> None:
             store.record_results(block)
 
 
-def ask_select(campaign: OpenedCampaign) -> None:
+def ask_select(campaign: Campaign) -> None:
     """Fetch the records of one content."""
     for _ in campaign.select(content=5.0, status="done"):
         pass
 
 
-def ask_export(campaign: OpenedCampaign) -> None:
+def ask_export(campaign: Campaign) -> None:
     """Export, beside the database."""
     path = campaign.store.address.path  # type: ignore[attr-defined]  # a SQLite store
-    export_netcdf(campaign.store, campaign.record, path.with_suffix(".nc"))
+    export_netcdf(campaign.store, path.with_suffix(".nc"))
 
 
-def ask_import(campaign: OpenedCampaign) -> None:
+def ask_import(campaign: Campaign) -> None:
     """Import the exported file into a new database."""
     path = campaign.store.address.path  # type: ignore[attr-defined]  # a SQLite store
     with open_store(path.with_suffix(".copy.db")) as store:
         import_netcdf(path.with_suffix(".nc"), store)
 
 
-def ask_query(campaign: OpenedCampaign) -> None:
+def ask_query(campaign: Campaign) -> None:
     """Find the ten fastest cells of one content, as `calcidem query` does."""
     path = str(campaign.store.address.path)  # type: ignore[attr-defined]  # a SQLite store
     find(path, Selection(contents=(5.0,), where="vs > 1300"), sort=("-vs",), limit=10)
 
 
-QUESTIONS: dict[str, tuple[str, Callable[[OpenedCampaign], object]]] = {
+QUESTIONS: dict[str, tuple[str, Callable[[Campaign], object]]] = {
     "open": ("`open_campaign(file)`", lambda _: None),
-    "vs": ("`vs()`", OpenedCampaign.vs),
+    "vs": ("`vs()`", Campaign.vs),
     "one": ("`cell(seed=3, content=5.0)`", lambda campaign: campaign.cell(seed=3, content=5.0)),
     "select": ('`select(content=5.0, status="done")`', ask_select),
     "query": ('`query --content 5 --where "vs > 1300" --sort=-vs --limit 10`', ask_query),
-    "counts": ("`status_counts()`", OpenedCampaign.status_counts),
-    "summary": ("`summary()`", OpenedCampaign.summary),
-    "dataset": ("`to_xarray()`", OpenedCampaign.to_xarray),
-    "frame": ("`to_dataframe()`", OpenedCampaign.to_dataframe),
+    "counts": ("`status_counts()`", Campaign.status_counts),
+    "summary": ("`summary()`", Campaign.summary),
+    "dataset": ("`to_xarray()`", Campaign.to_xarray),
+    "frame": ("`to_dataframe()`", Campaign.to_dataframe),
     "export": ("`export` to NetCDF", ask_export),
     "import": ("`import` of that file", ask_import),
 }

@@ -1,10 +1,11 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -23,13 +24,16 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
 from calcidem.analysis.stages import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import RatioScan, scan_ratio
-from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import (
     CellResult,
+    CellStatus,
     CementPattern,
     PackingRecord,
     PathFeatures,
 )
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 
 
 class UnavailableError(Exception):
@@ -95,19 +99,27 @@ class CampaignAnalysis:
 
     Attributes
     ----------
-    campaign
-        An open campaign.
+    store
+        With a campaign chosen.
     most_samples
         If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
+    with_cement
+        Adds cement that is not stored to outcomes of the store, where somebody can.
     """
 
-    campaign: StoredCampaign
+    store: Store
     most_samples: int | None = None
+    with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The physical configuration."""
+        return self.store.record.parameters
 
     @cached_property
     def cells(self) -> xr.Dataset:
         """All scalar quantities along (seed, content)."""
-        return self.campaign.to_xarray()
+        return campaign_dataset(self.store)
 
     @cached_property
     def vs(self) -> xr.DataArray:
@@ -148,7 +160,7 @@ class CampaignAnalysis:
     @cached_property
     def graphs(self) -> tuple[PackingGraph, ...]:
         """Contact graph of each packing of the campaign, by its index."""
-        wave = self.campaign.config.get("wave", {})
+        wave = self.config.get("wave", {})
         names = ("transmitter_half_width", "receiver_half_width")
         missing = [name for name in names if name not in wave]
         if missing:
@@ -237,6 +249,14 @@ class CampaignAnalysis:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
 
+    def outcomes_of(self, selection: Selection) -> Iterator[CellResult]:
+        """Give the outcomes of the selected cells with their arrays and, where it can be known, their cement."""
+        return self.with_cement(self.store, self.store.results(selection, with_arrays=True))
+
+    def cell(self, seed: int, content: float) -> CellResult:
+        """Give one of these; raises `UnknownCellError` if the cell has no outcome."""
+        return next(self.with_cement(self.store, [self.store.cell(seed=seed, content=content)]))
+
     def sample(self, seed: int, content: float) -> MeasuredSample:
         """Give one sample without reading the others.
 
@@ -247,7 +267,7 @@ class CampaignAnalysis:
         UnknownCellError
             If the cell has no outcome.
         """
-        cell = self.campaign.cell(seed=seed, content=content)
+        cell = self.cell(seed, content)
         if cell.cement is None:
             raise UnavailableError(f"no cement pattern of seed {seed} at {content:g} % is stored")
         with _translate_refusals():
@@ -260,9 +280,8 @@ class CampaignAnalysis:
         for row in self.distributions:
             column = self.cells.sel(content=row.content)
             with suppress(ValueError):  # too few sections
-                spectrum = dispersion_of_cells(
-                    self.campaign.select(content=row.content, status="done", with_arrays=True)
-                )
+                done = Selection(contents=row.content, statuses=CellStatus.DONE)
+                spectrum = dispersion_of_cells(self.store.results(done, with_arrays=True))
                 medians = (median_known(column[name]) for name in ("vs", "static_speed"))
                 found.append(ContentDispersion(row.content, spectrum, *medians))
         if not found:
@@ -285,14 +304,14 @@ class CampaignAnalysis:
             )
 
     def _packings(self) -> list[PackingRecord]:
-        indices = self.campaign.packing_indices()
+        indices = self.store.packing_indices()
         if list(indices) != list(range(len(indices))) or not indices:
             raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
-        return [self.campaign.packing(index) for index in indices]
+        return [self.store.packing(index) for index in indices]
 
     def _read_samples(self) -> Iterator[MeasuredSample]:
         with _translate_refusals():
-            for cell in self.campaign.select(seed=self.analysed_seeds, with_arrays=True):
+            for cell in self.outcomes_of(Selection(self.analysed_seeds)):
                 if cell.cement is not None:
                     yield self._sample(cell, cell.cement)
 

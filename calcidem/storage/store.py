@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from types import TracebackType
 from typing import Self
 
+from calcidem.storage.errors import QueryError
 from calcidem.storage.records import (
     CellKey,
     CellStatus,
@@ -28,28 +29,46 @@ class Selection:
 
     Attributes
     ----------
-    seeds : collection of int, optional
-    contents : collection of float, optional
+    seeds : tuple of int, optional
+        Given as one or a collection, as are the others.
+    contents : tuple of float, optional
         Percent; compared as `canonical_content`.
-    statuses : collection of CellStatus, optional
+    statuses : tuple of CellStatus, optional
         May include `CellStatus.PENDING` for planned cells without an outcome.
     where : str, optional
         Filter expression (`calcidem.storage.sql.where.parse_where`).
+
+    Raises
+    ------
+    QueryError
+        For an unknown status.
     """
 
-    seeds: Collection[int] | None = None
-    contents: Collection[float] | None = None
-    statuses: Collection[CellStatus] | None = None
-    where: str | None = None
+    seeds: tuple[int, ...] | None
+    contents: tuple[float, ...] | None
+    statuses: tuple[CellStatus, ...] | None
+    where: str | None
 
-    def __post_init__(self) -> None:
-        """Check and normalise the fields."""
-        if self.seeds is not None:
-            object.__setattr__(self, "seeds", tuple(sorted({checked_seed(seed) for seed in self.seeds})))
-        if self.contents is not None:
-            object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
-        if self.statuses is not None:
-            object.__setattr__(self, "statuses", tuple(CellStatus(status) for status in self.statuses))
+    def __init__(
+        self,
+        seeds: int | Collection[int] | None = None,
+        contents: float | Collection[float] | None = None,
+        statuses: str | Collection[str] | None = None,
+        where: str | None = None,
+    ) -> None:
+        seeds = seeds if isinstance(seeds, Collection) or seeds is None else (seeds,)
+        contents = contents if isinstance(contents, Collection) or contents is None else (contents,)
+        statuses = (statuses,) if isinstance(statuses, str) else statuses
+        if unknown := set(statuses or ()) - set(CellStatus):
+            raise QueryError(f"status = '{min(unknown)}' is none.", f"Give one of {', '.join(CellStatus)}.")
+        normal: dict[str, object] = {
+            "seeds": None if seeds is None else tuple(sorted(set(map(checked_seed, seeds)))),
+            "contents": None if contents is None else tuple(sorted(set(map(canonical_content, contents)))),
+            "statuses": None if statuses is None else tuple(map(CellStatus, statuses)),
+            "where": where,
+        }
+        for name, value in normal.items():
+            object.__setattr__(self, name, value)
 
 
 ALL_CELLS = Selection()

@@ -103,11 +103,14 @@ def plan_batches(
     losses = losses or {}
     cells = sorted(set(pending))
     suspects = [cell for cell in cells if losses.get(cell, 0) > 0]
-    groups = _group_by_content(cell for cell in cells if losses.get(cell, 0) == 0)
+    groups: dict[float, list[Cell]] = defaultdict(list)
+    for cell in cells:
+        if losses.get(cell, 0) == 0:
+            groups[cell[1]].append(cell)  # by seed, as the cells are
     wave_of_seed = {seed: rank // lanes for rank, seed in enumerate(sorted({seed for seed, _ in cells}))}
     cost = {content: cost_of_content(content) for content in {content for _, content in cells}}
 
-    chunks = [tuple(group[start : start + lanes]) for group in groups for start in range(0, len(group), lanes)]
+    chunks = [tuple(group[start : start + lanes]) for group in groups.values() for start in range(0, len(group), lanes)]
     # The wave of a batch is that of its first seed: that is the seed which waits for it the longest.
     chunks.sort(key=lambda chunk: (wave_of_seed[chunk[0][0]], -cost[chunk[0][1]], chunk[0]))
     chunks.extend((cell,) for cell in sorted(suspects, key=lambda cell: (losses[cell], cell)))
@@ -121,11 +124,3 @@ def plan_batches(
         )
         for identifier, chunk in enumerate(chunks)
     )
-
-
-def _group_by_content(cells: Iterable[Cell]) -> list[list[Cell]]:
-    """Return the cells of each content, sorted by seed because `cells` are."""
-    groups: dict[float, list[Cell]] = defaultdict(list)
-    for cell in cells:
-        groups[cell[1]].append(cell)
-    return list(groups.values())

@@ -228,7 +228,12 @@ class ExecutorWorkers(Generic[CellT]):
             if self._under_way and now - self._start > limit:
                 self._end(f"no worker of the executor has answered within {limit:.3g} s")
             return []
-        late = [future for future, flight in self._under_way.items() if now - flight.since > self._patience(flight)]
+        late = [
+            future
+            for future, flight in self._under_way.items()
+            # Others of the queue may have come before it.
+            if now - flight.since > (1 + _BEFORE_IN_QUEUE) * self._options.patience(flight.batch.cost, self._slowest)
+        ]
         losses = []
         for future in late:
             flight = self._under_way.pop(future)
@@ -239,10 +244,6 @@ class ExecutorWorkers(Generic[CellT]):
         if self._given_up and len(self._given_up) >= self.count:
             self._end("the workers of the executor do not answer any more")
         return losses
-
-    def _patience(self, flight: _Flight[CellT]) -> float:
-        """Seconds after which a batch counts as lost; others of the queue may have come before it."""
-        return (1 + _BEFORE_IN_QUEUE) * self._options.patience(flight.batch.cost, self._slowest)
 
     def _end(self, reason: str) -> None:
         self.exhausted = self.exhausted or reason

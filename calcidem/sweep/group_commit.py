@@ -20,7 +20,7 @@ _MOST_WAITING = 512
 
 
 class Sink(Protocol):
-    """What the caller of a sweep gives to have its outcomes kept; used by one thread at a time, not the main one.
+    """What the caller of a sweep gives to have its outcomes kept; what stores is used by one thread, not the main one.
 
     An outcome is acknowledged once `store` has returned, so it must be on disk by then. A sweep that was
     killed may have stored a batch that it computes again later: storing twice must equal storing once.
@@ -35,6 +35,9 @@ class Sink(Protocol):
 
         To be given back as `losses` when the same cells are planned again after a restart.
         """
+
+    def keep_alive(self) -> None:
+        """Take note, on the main thread and twice a second, that the sweep goes on; to return at once."""
 
 
 class GroupCommit(Generic[CellT]):

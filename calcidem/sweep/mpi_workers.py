@@ -7,9 +7,9 @@ from typing import Any, Generic
 
 from mpi4py import MPI
 
+from calcidem.launch.channel import command_listens, lost_according_to_command
 from calcidem.sweep.backoff import wait_until
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.channel import command_listens, lost_according_to_command
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch

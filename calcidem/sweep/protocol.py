@@ -142,11 +142,6 @@ def acknowledge_failures(comm: MPI.Comm) -> None:
     group.Free()
 
 
-def _barrier(comm: MPI.Comm) -> None:
-    """Return once all ranks have called this."""
-    wait_until(comm.Ibarrier().Test)
-
-
 def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:
     """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
     payload = bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if comm.Get_rank() == MASTER else bytearray()
@@ -180,4 +175,4 @@ def share_on_node(comm: MPI.Comm, actions: Sequence[Callable[[], object]]) -> No
     for action in actions[node.Get_rank() :: node.Get_size()]:
         action()
     node.Free()
-    _barrier(comm)
+    wait_until(comm.Ibarrier().Test)

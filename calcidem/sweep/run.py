@@ -7,10 +7,10 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from calcidem.launch.channel import tell_command
 from calcidem.sweep.attempt import Compute
 from calcidem.sweep.backoff import Backoff
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.channel import tell_command
 from calcidem.sweep.environment import fault_tolerance_enabled
 from calcidem.sweep.executor_workers import ExecutorWorkers
 from calcidem.sweep.group_commit import GroupCommit, Sink
@@ -183,6 +183,7 @@ class _Master:
         if time.monotonic() > self._next_heartbeat:
             self._next_heartbeat = time.monotonic() + _HEARTBEAT_INTERVAL
             tell_command("beat")
+            self._sink.keep_alive()
             self._progress.on_heartbeat(workers=workers, running=running)
 
     def _hand_out(self, workers: Workers[CellT]) -> bool:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Self, TypeVar
 
+from calcidem.launch.channel import command_listens, tell_command
+from calcidem.launch.starter import die_with_parent
 from calcidem.sweep.backoff import wait_until
-from calcidem.sweep.channel import command_listens, tell_command
 from calcidem.sweep.environment import NO_DEVICE_SEARCH, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.processes import ProcessIdentity, end_after
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
-from calcidem.sweep.starter import die_with_parent
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
 
 if TYPE_CHECKING:

@@ -5,15 +5,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import write_report
 from calcidem.app.report.page import key_facts
 from calcidem.app.report.provenance import CHOSEN, value_text
 from calcidem.app.studies.frequency_and_damping import run_studies
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records.canonical import flat_parameters
 
 FOLDER = Path(__file__).parent
@@ -35,8 +34,8 @@ def main() -> None:
     parser.add_argument("database")
     database = parser.parse_args().database
     studies = run_studies(database)
-    with open_stored_campaign(database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(database) as campaign:
+        analysis = campaign.analyse()
         shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
         facts, config = key_facts(analysis), flat_parameters(campaign.config)
     shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
@@ -68,7 +67,7 @@ def photograph(database: str, studies: dict) -> None:  # type: ignore[type-arg] 
     program = find_chromium()
     if program is None:
         return
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         key = next(campaign.select(status="done", content=5.0)).key
     part = f"#seed={key.seed}&content={key.content:g}"
     with tempfile.TemporaryDirectory() as folder, open_chromium(program, Path(folder)) as browser:

@@ -12,8 +12,8 @@ import xarray as xr
 
 from calcidem.analysis.fits import PowerLawFit, fit_power_law
 from calcidem.analysis.sensitivity import variance_parts
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant, load_plan
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("beyond.toml")
@@ -27,7 +27,7 @@ def main() -> None:
     cells = {}
     for variant in load_plan(PLAN, database):
         try:
-            with open_stored_campaign(database, variant.name) as campaign:
+            with open_campaign(database, variant.name) as campaign:
                 cells[variant] = campaign.to_xarray()
         except UnknownCampaignError:
             print(f"not computed: {variant.name}")

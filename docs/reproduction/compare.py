@@ -23,7 +23,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("database")
     with open_campaign(parser.parse_args().database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+        analysis = campaign.analyse()
         here = {round(row.content, 6): row.vs for row in analysis.distributions}
         printed = [row for row in published_study().velocities if round(row[0], 6) in here]
         rows = [(content, here[round(content, 6)], row) for content, row in printed]

@@ -24,7 +24,7 @@ from calcidem.analysis.figures.style import (
 )
 from calcidem.analysis.normality import skewness
 from calcidem.analysis.published import published_study
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 HERE = Path(__file__).parent
 BANDS = "receiver of 10 mm half-width"
@@ -44,13 +44,13 @@ def draw(database: str, whole: str) -> Figure:
     contents = [content for content, _ in rows]
     left.plot(contents, [row.standard_deviation / row.mean for _, row in rows], "o-", color=BLACK, ms=4, label="paper")
     right.plot(contents, [row.skewness for _, row in rows], "o-", color=BLACK, ms=4)
-    with open_stored_campaign(whole) as stored:
+    with open_campaign(whole) as stored:
         campaign = stored.vs().sel(content=slice(0.1, None))
     scatter, asymmetry = shape(campaign)
     left.plot(campaign["content"], scatter, color=BLUE, label="campaign, 116 seeds")
     right.plot(campaign["content"], asymmetry, color=BLUE)
     for name, (label, colour) in CURVES.items():
-        with open_stored_campaign(database, name) as variant:
+        with open_campaign(database, name) as variant:
             vs = variant.vs()
         scatter, asymmetry = shape(vs)
         left.plot(vs["content"], scatter, "s--", color=colour, ms=4, lw=1.0, label=f"{label}, {vs.sizes['seed']} seeds")

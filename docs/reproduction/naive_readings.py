@@ -15,7 +15,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from calcidem.analysis.normality import jarque_bera, kurtosis, skewness
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import RecordedSection
 
 SHARES = {"first half": 0.5, "first fifth": 0.2}
@@ -25,7 +25,7 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("database")
-    with open_stored_campaign(parser.parse_args().database) as campaign:
+    with open_campaign(parser.parse_args().database) as campaign:
         velocities: defaultdict[tuple[float, str], list[float]] = defaultdict(list)
         for cell in campaign.select(status="done", with_arrays=True):
             if cell.section is None or cell.vs is None or cell.key.content == 0.0:

@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 
 from calcidem.analysis.published import published_study
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 
 def main() -> None:
@@ -17,7 +17,7 @@ def main() -> None:
     }
     columns = []
     for database in parser.parse_args().databases:
-        with open_stored_campaign(database) as campaign:
+        with open_campaign(database) as campaign:
             columns.append((campaign.record.name, campaign.vs()))
     print(f"| content % | paper | {' | '.join(name for name, _ in columns)} |")
     print(f"|{'---|' * (len(columns) + 2)}")

@@ -10,8 +10,8 @@ import numpy as np
 
 from calcidem.analysis.normality import kurtosis, skewness
 from calcidem.analysis.published import published_study
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.studies.sensitivity.plan import load_plan
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCampaignError
 
 
@@ -26,7 +26,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     for variant in load_plan(options.plan, options.database):
         try:
-            with open_stored_campaign(options.database, variant.name) as campaign:
+            with open_campaign(options.database, variant.name) as campaign:
                 cells = campaign.to_xarray()
         except UnknownCampaignError:
             continue

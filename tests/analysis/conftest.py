@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.contact_graph import ContactGraph
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 
@@ -21,8 +21,8 @@ Sample = tuple[ContactGraph, NDArray[np.bool_]]
 @pytest.fixture(scope="session")
 def analysis(small_database: Path) -> Iterator[CampaignAnalysis]:
     """Analysis of the small campaign."""
-    with open_stored_campaign(small_database) as campaign:
-        yield CampaignAnalysis(campaign)
+    with open_campaign(small_database) as campaign:
+        yield campaign.analyse()
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from calcidem.analysis.figures.relations import _law_text, _symbol
 from calcidem.analysis.figures.samples import draw_preferential_paths
 from calcidem.analysis.figures.signals import _received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 pytestmark = pytest.mark.slow
 
@@ -118,7 +118,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     axes = draw_preferential_paths(analysis.graphs[0], [sample]).axes[0]
     line = next(line for line in axes.lines if line.get_color() == style.BLACK and len(line.get_xdata()) > 2)
     grains = list(sample.path.grains)
-    assert np.allclose(line.get_xdata(), 1e3 * analysis.campaign.packing().x[grains])
+    assert np.allclose(line.get_xdata(), 1e3 * analysis.store.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
     assert len(rings.get_xdata()) == sample.features.path_hertz_contacts
 
@@ -129,7 +129,7 @@ def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: Campaig
     (label,) = [text.get_text() for text in figure.axes[0].texts if text.get_text().startswith("L = ")]
     distance = float(analysis.cells["distance"].max())
     assert label == f"L = {1e3 * distance:.3g} mm"
-    assert distance < analysis.campaign.packing().width
+    assert distance < analysis.store.packing().width
     arrows = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
     lengths = [abs(arrow.xy[0] - arrow.xyann[0]) for arrow in arrows if arrow.xy[1] == arrow.xyann[1]]
     assert lengths == [pytest.approx(1e3 * distance)]
@@ -154,8 +154,8 @@ def test_sample_without_section_is_unavailable(analysis: CampaignAnalysis) -> No
 def test_published_means_are_shown_for_the_published_sand_where_contents_match(analysis: CampaignAnalysis) -> None:
     """Only contents of the published table are set beside it, and only of its sand in its box."""
     assert published_velocities(analysis) == []
-    with open_stored_campaign(TUTORIAL) as campaign:
-        assert [content for content, _ in published_velocities(CampaignAnalysis(campaign))] == [0.66, 2.55, 5.0, 9.0]
+    with open_campaign(TUTORIAL) as campaign:
+        assert [content for content, _ in published_velocities(campaign.analyse())] == [0.66, 2.55, 5.0, 9.0]
 
 
 def test_symbols_are_upright_where_they_are_names() -> None:

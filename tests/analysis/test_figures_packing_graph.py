@@ -7,20 +7,20 @@ import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.packing import stored_packing
+from calcidem.app.campaign.packing import _stored_packing
 from calcidem.storage.records import CementPattern
 
 
 def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalysis) -> None:
     """Found again from positions and radii, the contacts are those that the packing was made with."""
-    made = np.sort(stored_packing(analysis.campaign.packing()).pairs, axis=1)
+    made = np.sort(_stored_packing(analysis.store.packing()).pairs, axis=1)
     found = analysis.graphs[0].graph.pairs
     assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
 
 
 def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) -> None:
     """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
-    packing = analysis.campaign.packing()
+    packing = analysis.store.packing()
     for sample in analysis.samples:
         first, last = sample.path.grains[0], sample.path.grains[-1]
         assert packing.x[first] < packing.radius[first]
@@ -67,7 +67,7 @@ def test_pattern_of_another_packing_is_refused(analysis: CampaignAnalysis) -> No
 def test_band_without_grains_is_refused(analysis: CampaignAnalysis) -> None:
     """A band too narrow for any grain has no transmitter."""
     with pytest.raises(ValueError, match="transmitter is empty"):
-        packing_graph(analysis.campaign.packing(), 1e-6, 0.012)
+        packing_graph(analysis.store.packing(), 1e-6, 0.012)
 
 
 def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> None:
@@ -81,7 +81,7 @@ def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> 
 
 def test_the_column_is_at_the_height_of_the_receiver(analysis: CampaignAnalysis) -> None:
     """Contact by contact: those whose middle is no further from mid-height than the receiver reaches."""
-    packing, half = analysis.campaign.packing(), 0.012
+    packing, half = analysis.store.packing(), 0.012
     graph = packing_graph(packing, 0.01, half)
     sample = analysis.samples[-2]
     cemented = sand = 0

@@ -8,12 +8,12 @@ import xarray as xr
 
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.app.campaign.packing import stored_packing
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import _stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.frequency_and_damping import _damping_study, _frequency_study, _pulse_frequency
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.storage.campaign import open_stored_campaign
 
 pytestmark = pytest.mark.slow
 
@@ -24,8 +24,8 @@ SEEDS = (1, 2, 3, 4, 5)
 @pytest.fixture(scope="module")
 def experiment(small_database: Path) -> Experiment:
     """Experiment of the small campaign."""
-    with open_stored_campaign(small_database) as campaign:
-        return Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
+    with open_campaign(small_database) as campaign:
+        return Configuration.from_physics(campaign.config).experiment(_stored_packing(campaign.packing()))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_study_at_the_campaigns_frequency_gives_the_campaigns_velocity(
 ) -> None:
     """With the frequency that the campaign sends, the study measures what the campaign measured."""
     study = studies["frequency"].sel(content=0.66).isel(frequency=0)
-    with open_stored_campaign(small_database) as campaign:
+    with open_campaign(small_database) as campaign:
         stored = campaign.to_xarray().sel(content=0.66, seed=list(SEEDS))
     assert np.array_equal(study["vs_peak"], stored["vs_peak"])
     assert float(studies["frequency"]["campaign_frequency"].sel(content=0.66)) == study["frequency"]
@@ -70,7 +70,7 @@ def test_damping_of_the_campaign_gives_the_campaigns_velocity(
 ) -> None:
     """With the campaign's damping factor, a longer record gives the same peak."""
     study = studies["damping"].sel(content=0.66, damping=experiment.wave.damping)
-    with open_stored_campaign(small_database) as campaign:
+    with open_campaign(small_database) as campaign:
         stored = float(campaign.vs().sel(content=0.66, seed=1))
     assert float(study["vs_peak"]) == pytest.approx(stored, rel=1e-6)  # recorded alone, its step is a little longer
 

@@ -17,10 +17,10 @@ from places import CHECKOUT, SMALL_PACKING
 from typer.testing import CliRunner
 from unchanged import unchanged_if_refused
 
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.cli.main import build_application
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.campaign import open_stored_campaign
 
 PATIENCE = 120.0
 """Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""
@@ -123,7 +123,7 @@ class Workshop(MarkedProcesses):
 
     def cells(self) -> Cells:
         """Everything about each settled cell that physics decides, sections and cement included."""
-        with open_stored_campaign(self.database) as campaign:
+        with open_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.reason, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.steps),
@@ -142,7 +142,7 @@ class Workshop(MarkedProcesses):
 
     def attempts(self) -> int:
         """How many cells were ever computed, repetitions counted."""
-        with open_stored_campaign(self.database) as campaign:
+        with open_campaign(self.database) as campaign:
             return sum(1 for _ in campaign.store.history())
 
     def wait_for_cells(self, count: int) -> None:
@@ -180,7 +180,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     configuration = folder / "c.toml"
     configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave=""), encoding="utf-8")
     packing_hash = load_configuration(configuration).packing_hash
-    shutil.copy(SMALL_PACKING, folder / cached_name(packing_hash))
+    shutil.copy(SMALL_PACKING, folder / _cached_name(packing_hash))
     return folder
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
@@ -215,7 +215,7 @@ def test_mistakes_in_a_file_of_targets_are_named(text: str, named: str, tmp_path
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigurationError, match=f"(?s){named}") as caught:
         read_targets(path)
-    assert exit_code_of(caught.value) == 2
+    assert _exit_code_of(caught.value) == 2
 
 
 def test_targets_are_read_with_what_they_have(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.outcomes import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import diagnose
 from calcidem.app.campaign.opened import open_campaign
@@ -42,6 +41,7 @@ from calcidem.dem.wave.section import Section
 from calcidem.storage.records import CampaignRecord, CellStatus
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import Selection
 
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
@@ -147,7 +147,7 @@ def test_sections_that_were_not_stored_are_computed_again(
     bare = store_campaign(tmp_path / "bare.db", slow_pulse, small_packing, store_sections=False)
     told: list[str] = []
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
-        (one,), (other,) = diagnose(full, seed=2, progress=told.append), campaign.diagnose(seed=2)
+        (one,), (other,) = diagnose(full.store, Selection(2), told.append), campaign.diagnose(seed=2)
     assert not told
     assert (other.finding, other.remedies) == (one.finding, one.remedies)
     assert np.array_equal(other.case.section.across, one.case.section.across)
@@ -271,7 +271,7 @@ def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke:
     assert "calcidem diagnose" in said
     assert "calcidem retry" not in said
     with open_campaign(unread) as campaign:
-        remarks = " ".join(_velocity_remarks(CampaignAnalysis(campaign)))
+        remarks = " ".join(_velocity_remarks(campaign.analyse()))
     assert f"{CONTENT:g} % ({len(SEEDS)} of {len(SEEDS)})" in remarks
 
 

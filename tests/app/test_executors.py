@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from places import CHECKOUT
 
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.sweep import SweepError
 
@@ -63,6 +64,9 @@ def test_a_process_pool_gives_the_same_bits(workshop: "Workshop", expected: "Cel
     done = workshop.wait(workshop.start(program=FROM_FILE))
     assert done.code == 0, done.errors
     assert workshop.cells() == expected
+    with open_campaign(workshop.database) as campaign:
+        noted = {rank for worker in campaign.runs()[-1][1].workers for rank in worker.ranks}
+        assert {cell.rank for cell in campaign.select()} <= noted
 
 
 @pytest.mark.full

@@ -74,9 +74,10 @@ def stored_version(small_database: Path, monkeypatch: pytest.MonkeyPatch) -> int
 def test_import_refuses_another_packing(small_database: Path, other_database: Path, both: str, tmp_path: Path) -> None:
     """A file on one packing is not imported into a database on the other, which stays as it was."""
     with open_campaign(small_database) as campaign:
-        file = export_netcdf(campaign.store, campaign.record, tmp_path / "small.nc")
+        file = export_netcdf(campaign.store, tmp_path / "small.nc")
     copy = Path(shutil.copy(other_database, tmp_path / "copy.db"))
     with open_store(copy) as store:
+        store.use_campaign()
         with pytest.raises(CampaignMismatchError, match=both):
             import_netcdf(file, store, identify_packing)
         assert [cell.key.seed for cell in store.results()] == [7]
@@ -95,7 +96,7 @@ def test_import_refuses_a_packing_that_was_changed(
 ) -> None:
     """A state that is damaged or contradicts the file's disks or content hash is refused before anything is written."""
     with open_campaign(small_database) as campaign:
-        file = export_netcdf(campaign.store, campaign.record, tmp_path / "small.nc")
+        file = export_netcdf(campaign.store, tmp_path / "small.nc")
     with netCDF4.Dataset(file, "a") as opened:
         values = opened[f"packings/{name}"]
         values[-1] = change if isinstance(change, str) else np.asarray(values[-1] + change, dtype=values.dtype)
@@ -112,7 +113,7 @@ def test_a_content_hash_that_is_missing_is_computed(
     with open_campaign(small_database) as campaign, open_store(tmp_path / "old.db") as old:
         old.begin_campaign(campaign.record)
         old.save_packing(replace(campaign.packing(), content_hash=None))
-        file = export_netcdf(old, campaign.record, tmp_path / "old.nc")
+        file = export_netcdf(old, tmp_path / "old.nc")
     known = small_packing.content_hash
     with open_campaign(tmp_path / "old.db") as old_campaign:
         assert old_campaign.packing().content_hash is None
@@ -138,7 +139,7 @@ def test_verify_refuses_another_physics_version(small_database: Path, stored_ver
     """Cells of an earlier physics version are not compared with what this one gives."""
     both = rf"version {stored_version}, .* has version {stored_version + 1}:"
     with open_campaign(small_database) as campaign, pytest.raises(CampaignMismatchError, match=both):
-        list(verify(campaign, random_cells(campaign, 1), campaign.experiment))
+        list(verify(campaign.store, random_cells(campaign.store, 1), campaign.experiment))
 
 
 @pytest.mark.usefixtures("stored_version")
@@ -146,7 +147,7 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
     """A campaign of an earlier physics version opens, is exported, imported and merged as before."""
     with open_campaign(small_database) as campaign:
         assert campaign.sample(seed=1, content=5.0).packing.radius.size == 280
-        file = export_netcdf(campaign.store, campaign.record, tmp_path / "small.nc")
+        file = export_netcdf(campaign.store, tmp_path / "small.nc")
         expected = list(campaign.select(with_arrays=True))
     with open_store(tmp_path / "again.db") as store:
         import_netcdf(file, store, identify_packing)
@@ -164,7 +165,7 @@ def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path:
         assert campaign.vs().notnull().all()
         assert len(campaign.sample(seed=1, content=5.0).packing.radius) == 4663
         expected = list(campaign.select(with_arrays=True))
-        file = export_netcdf(campaign.store, campaign.record, tmp_path / "former.nc")
+        file = export_netcdf(campaign.store, tmp_path / "former.nc")
     assert [cell.key.content for cell in expected] == [0.66, 5.0]
     assert write_report(former, tmp_path / "report.html").stat().st_size > 0
     assert former.read_bytes() == before

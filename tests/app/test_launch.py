@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import pytest
 from places import CHECKOUT
 
-from calcidem.sweep import starter
+from calcidem.launch import starter
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop
@@ -153,13 +153,13 @@ def test_a_launcher_that_is_killed_before_any_rank_began_is_started_twice(worksh
 RANK_THAT_ENDS = """#!{python} -IS
 import os, socket, sys
 sys.path.append("{folder}")
-from starter import introduce
+from starter import _introduce
 if "--version" not in sys.argv:
     print("start", file=open("starts", "a"))
     key, _, _, address, *_ = os.environ["CALCIDEM_COMMAND"].split()
     for number in 1, 0:
         rank = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
-        introduce(rank, key, str(number), "here")
+        _introduce(rank, key, str(number), "here")
         rank.sendall(b"joined\\nsweeping\\nexit 75 {why}\\nended 75\\n" if number == 0 else b"joined\\nended 0\\n")
 """
 """A launcher whose ranks only say that they have ended."""

@@ -14,7 +14,7 @@ import pytest
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing_import import ImportedPacking, import_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import PackingFileError, _read_disks
@@ -214,7 +214,7 @@ def test_what_is_wrong_names_the_place_and_the_cure(
     with pytest.raises(PackingFileError) as caught:
         bring(tmp_path, text, **choices)
     assert not [word for word in words if word not in str(caught.value)], caught.value
-    assert exit_code_of(caught.value) == 2
+    assert _exit_code_of(caught.value) == 2
     assert not (tmp_path / "disks.csv").exists()
 
 

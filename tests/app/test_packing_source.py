@@ -15,15 +15,15 @@ from calcidem.app.campaign import packing as packing_source
 from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import (
     DamagedPackingError,
+    _cached_name,
+    _stored_packing,
     cache_folder,
-    cached_name,
     identify_packing,
     packing_from_bytes,
     packing_record,
     packing_to_bytes,
     provide_packing,
     readable_packing,
-    stored_packing,
 )
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
@@ -75,7 +75,7 @@ def test_an_archive_gives_the_same_bits_back(packing: Packing) -> None:
 def test_a_record_gives_the_same_bits_back(packing: Packing) -> None:
     """What the database keeps of a packing is enough to restore it."""
     record = packing_record(packing, index=0, packing_hash="h")
-    assert same_bits(stored_packing(record), packing)
+    assert same_bits(_stored_packing(record), packing)
     assert record.wall_stress["lid"] == packing.report.wall_stress[3]
     # The store's overlaps are relative to the mean diameter.
     assert record.mean_relative_overlap == pytest.approx(packing.report.mean_overlap / (2.0 * packing.radius.mean()))
@@ -133,7 +133,7 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
     """Whoever computes the preset gets the shipped numbers: its packing is the one that they were computed on."""
     with open_store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
         import_netcdf(path, store, identify_packing)
-        record = store.load_packing()
+        record = store.packing()
     (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
     archive = preset_packing(load_configuration(tmp_path / "c.toml").packing_hash)
     assert record is not None
@@ -154,7 +154,7 @@ def store(packing: Packing, tmp_path: Path) -> Iterator[Store]:
 def put_into_cache(packing: Packing) -> None:
     """Put a packing where the tiny one would be."""
     cache_folder().mkdir()
-    (cache_folder() / cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing))
+    (cache_folder() / _cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing))
 
 
 def test_the_database_comes_before_the_cache(store: Store, told: list[str], packing: Packing) -> None:
@@ -166,7 +166,7 @@ def test_the_database_comes_before_the_cache(store: Store, told: list[str], pack
 
 def damage_state(store: Store) -> None:
     """Change a byte of the state."""
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
     store.save_packing(replace(record, state=record.state[:-1] + b"?"), replace_state=True)
 
@@ -178,9 +178,9 @@ def test_a_damaged_state_is_replaced_by_the_same_packing(store: Store, told: lis
     assert same_bits(provide_packing(TINY, store, told.append), packing)
     assert "can't be used: the checksum does not fit" in told[0]
     assert "the one in the database has been replaced" in told[-1]
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
-    assert same_bits(stored_packing(record), packing)
+    assert same_bits(_stored_packing(record), packing)
 
 
 @pytest.mark.parametrize("column", ["grains", "width", "state"])
@@ -196,9 +196,9 @@ def test_a_changed_row_is_replaced_by_the_same_packing(
     assert same_bits(readable_packing(store, 0), packing)
     assert same_bits(provide_packing(TINY, store, told.append), packing)
     assert "the one in the database has been replaced" in told[-1]
-    record = store.load_packing()
+    record = store.packing()
     assert record is not None
-    assert same_bits(stored_packing(record), packing)
+    assert same_bits(_stored_packing(record), packing)
 
 
 def test_a_damaged_state_is_not_replaced_by_another_packing(store: Store, told: list[str], packing: Packing) -> None:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.campaign.opened import Campaign, open_campaign
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.wave.domain import domain_of, listening_disks
 from calcidem.dem.wave.film import film_wave
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
@@ -20,13 +20,13 @@ CELL = {"seed": 1, "content": 5.0}
 
 
 @pytest.fixture
-def campaign(small_database: Path) -> Iterator[OpenedCampaign]:
+def campaign(small_database: Path) -> Iterator[Campaign]:
     """Open the small campaign."""
     with open_campaign(small_database) as opened:
         yield opened
 
 
-def test_plots_are_found_and_explained(campaign: OpenedCampaign) -> None:
+def test_plots_are_found_and_explained(campaign: Campaign) -> None:
     """`dir` lists every figure of a report, each has its caption, and other names say what there is."""
     assert {"movie", "signal", *(figure.name for figure in CAMPAIGN_FIGURES)} <= set(dir(campaign.plot))
     assert all(figure.caption in str(getattr(campaign.plot, figure.name).__doc__) for figure in CAMPAIGN_FIGURES)
@@ -36,7 +36,7 @@ def test_plots_are_found_and_explained(campaign: OpenedCampaign) -> None:
         campaign.plot.vs_rage()
 
 
-def test_a_film_is_the_stored_wave(campaign: OpenedCampaign) -> None:
+def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:
     """However often one looks, the section keeps its bits, and the disks that listen move as the receiver says."""
     cell = campaign.cell(**CELL)
     experiment, bonded = campaign.cemented(**CELL)
@@ -54,7 +54,7 @@ def test_a_film_is_the_stored_wave(campaign: OpenedCampaign) -> None:
     np.testing.assert_allclose(film.times, section.time[last] + 0.5 * film.record.time_step)
 
 
-def test_a_movie_has_the_frames_asked_for(campaign: OpenedCampaign, tmp_path: Path) -> None:
+def test_a_movie_has_the_frames_asked_for(campaign: Campaign, tmp_path: Path) -> None:
     """A GIF has so many different frames, and whoever waits is told of them all."""
     told = []
     file = campaign.plot.movie(tmp_path / "wave.gif", **CELL, frames=3, watch=lambda *done: told.append(done))
@@ -69,13 +69,13 @@ def test_a_movie_has_the_frames_asked_for(campaign: OpenedCampaign, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["wave.gif"]
 
 
-def test_a_movie_that_cannot_be_made_says_so_at_once(campaign: OpenedCampaign, tmp_path: Path) -> None:
+def test_a_movie_that_cannot_be_made_says_so_at_once(campaign: Campaign, tmp_path: Path) -> None:
     """Another ending, no ffmpeg, and a cell that was never computed are bad input; nothing is written."""
     with mpl.rc_context({"animation.ffmpeg_path": "/nowhere"}):
         for name, words in (("wave.mp4", "apt-get install ffmpeg.*gif"), ("wave.avi", "neither .gif nor .mp4")):
             with pytest.raises(OutputRefusedError, match=words) as caught:
                 campaign.plot.movie(tmp_path / name, **CELL)
-            assert exit_code_of(caught.value) == 2
+            assert _exit_code_of(caught.value) == 2
     with pytest.raises(UnknownCellError):
         campaign.plot.movie(tmp_path / "wave.gif", seed=6, content=0.34)
     assert not list(tmp_path.iterdir())

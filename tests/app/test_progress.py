@@ -22,12 +22,12 @@ from places import CHECKOUT
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.display import CallbackDisplay, LineDisplay, LiveDisplay
+from calcidem.app.campaign.display import LineDisplay, LiveDisplay, _CallbackDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 from calcidem.storage.records import CellStatus
 from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place, SweepEnd, SweepState, channel
-from calcidem.sweep.starter import DESCRIPTOR_VARIABLE
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -100,7 +100,7 @@ def test_the_picture_shows_counts_and_time_left() -> None:
 def test_a_function_is_told_the_whole_each_time() -> None:
     """Each picture says all; nobody has to add up differences."""
     told: list[RunProgress] = []
-    tell_a_story(CallbackDisplay(told.append))
+    tell_a_story(_CallbackDisplay(told.append))
     assert [found.stage for found in told][:2] == [RunStage.PACKING, RunStage.COMPILING]
     packing, last = told[0], told[-1]
     assert (packing.expansion_step, packing.expansion_steps, packing.time_steps) == (2, 5, 4000)

@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 from places import TUTORIAL
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import cell_data, show_cell, write_report
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
@@ -23,7 +23,6 @@ from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCellError
 
 pytestmark = pytest.mark.slow
@@ -85,8 +84,8 @@ def test_page_has_every_figure_or_says_why_not(page: str) -> None:
 
 def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: Path) -> None:
     """The cell that was not computed and the one that failed are in different columns, with the reason."""
-    with open_stored_campaign(small_database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(small_database) as campaign:
+        analysis = campaign.analyse()
         table, outcomes = velocity_table(analysis), outcome_table(analysis)
         failed = analysis.outcomes["failed"].sel(content=[0.34, 9.0]).values.tolist()
     rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
@@ -99,7 +98,7 @@ def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: P
 
 def test_calibrated_parameters_are_named() -> None:
     """What differs from the published or the literal value is marked, what agrees is not."""
-    with open_stored_campaign(TUTORIAL) as campaign:
+    with open_campaign(TUTORIAL) as campaign:
         table = parameter_table(campaign.config)
     assert table is not None
     marked = {table.rows[place][0] for place in table.marked}
@@ -110,8 +109,8 @@ def test_calibrated_parameters_are_named() -> None:
 def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:
     """A sand in a box of its own has no row, column or remark about what was published."""
     assert "published" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL).lower()
-    with open_stored_campaign(small_database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(small_database) as campaign:
+        analysis = campaign.analyse()
         assert parameter_table(campaign.config) is None
         assert published_table(analysis) is None
         assert disagreement_table(analysis) is None
@@ -120,8 +119,8 @@ def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Pa
 
 def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     """Signals to a step of the screen, arrivals, paths and every cemented contact come back from the page's blocks."""
-    with open_stored_campaign(small_database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(small_database) as campaign:
+        analysis = campaign.analyse()
         blocks = gather_cell_data(analysis).blocks
         done = list(campaign.select(status="done", with_arrays=True))
         cell = max(done, key=lambda cell: cell.key.content)
@@ -152,8 +151,8 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
 
 def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) -> None:
     """Traces come back to a step of the drawing, and the marked peak has the travel time of the stored velocity."""
-    with open_stored_campaign(small_database) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(small_database) as campaign:
+        analysis = campaign.analyse()
         blocks = gather_cell_data(analysis).blocks
         cell = next(cell for cell in campaign.select(status="done", with_arrays=True) if cell.section is not None)
     assert cell.section is not None
@@ -173,8 +172,8 @@ def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) 
 def test_sections_end_where_the_page_is_full(small_database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the room for sections later seeds have none, and the page says where they are drawn."""
     monkeypatch.setattr(cell_data, "_ROOM_FOR_SECTIONS", 12_000)
-    with open_stored_campaign(small_database) as campaign:
-        found = gather_cell_data(CampaignAnalysis(campaign))
+    with open_campaign(small_database) as campaign:
+        found = gather_cell_data(campaign.analyse())
     kept = [text for name, text in found.blocks.items() if name.startswith("sections-")]
     assert sum(map(len, kept)) <= 12_000
     assert f"Space-time sections of the first {len(kept)} seeds" in found.remarks[-1]
@@ -187,9 +186,9 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
     monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
     monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
-    with open_stored_campaign(small_database) as campaign:
-        found = gather_cell_data(CampaignAnalysis(campaign))
-        analysis = CampaignAnalysis(campaign, most_samples=12)
+    with open_campaign(small_database) as campaign:
+        found = gather_cell_data(campaign.analyse())
+        analysis = campaign.analyse(most_samples=12)
         assert {sample.seed for sample in analysis.samples} == set(analysis.analysed_seeds) == {1, 2}
     shown = [name for name in found.blocks if name.startswith("seed-")]
     assert 0 < len(shown) < 6
@@ -200,8 +199,8 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
 
 def test_published_table_stands_beside_the_published_sand() -> None:
     """The tutorial's contents have published rows, and what disagrees among these is listed."""
-    with open_stored_campaign(TUTORIAL) as campaign:
-        analysis = CampaignAnalysis(campaign)
+    with open_campaign(TUTORIAL) as campaign:
+        analysis = campaign.analyse()
         table, findings = published_table(analysis), disagreement_table(analysis)
     assert table is not None
     assert findings is not None
@@ -233,7 +232,7 @@ def test_analyse_writes_figures_tables_and_numbers(
     assert [row["content (%)"] for row in rows] == ["0", "0.34", "0.66", "2.55", "5", "9"]
     with (
         xr.open_dataset(folder / "distributions.nc") as numbers,
-        open_stored_campaign(small_database) as campaign,
+        open_campaign(small_database) as campaign,
     ):
         assert float(numbers["mean"].sel(content=0.66)) == pytest.approx(
             float(campaign.vs().sel(content=0.66).mean()), rel=1e-14

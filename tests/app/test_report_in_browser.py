@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from chromium import Chromium, find_chromium, open_chromium
 
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import write_report
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
@@ -60,7 +60,7 @@ def point_of(page: Chromium, seed: int, content: float) -> tuple[float, float]:
 
 def measured_cell(database: Path) -> CellResult:
     """Give a cell with cement that has a velocity: neither the first nor the last seed."""
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         return next(campaign.select(seed=(2, 3, 4, 5), content=(0.66, 2.55), status="done"))
 
 
@@ -200,7 +200,7 @@ def test_filters_choose_and_headings_sort(page: Chromium, small_database: Path) 
     assert [row[:3] for row in rows(page)] == [["6", "9", "failed"]]
     page.click_on("#filters button")
     page.wait_for("document.getElementById('count').textContent.startsWith('36 of 36')")
-    with open_stored_campaign(small_database) as campaign:
+    with open_campaign(small_database) as campaign:
         known = sorted(float(vs) for vs in campaign.vs().to_numpy().ravel() if math.isfinite(vs))
     for order, wanted in (("ascending", known), ("descending", known[::-1])):
         page.click_on("[data-sort=vs]")

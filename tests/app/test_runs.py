@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.app.campaign.launch import find_mpirun
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.sql.store import open_store
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def test_a_run_on_unlike_ranks_says_so(workshop: "Workshop") -> None:
     done = workshop.run("run", "c.toml", "--ranks", "3", "--report")
     assert done.code == 0, done.errors
     assert "The ranks are not alike, but no bit of a result depends on it" in done.output
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         ((_, run),) = campaign.runs()
     assert [worker.ranks for worker in run.workers] == [(0, 2), (1,)]
     core = run.workers[1].blas_core  # OpenBLAS has a name of its own for the oldest
@@ -145,7 +145,7 @@ def test_a_complete_campaign_is_not_computed_again(workshop: "Workshop") -> None
     assert workshop.attempts() == 2
     assert "Nothing to compute" in again.output
     assert netcdf.read_bytes() == OTHER_EXPORT.read_bytes()
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         assert netcdf.with_stem(f"small-{campaign.record.hash[:8]}").exists()
 
 
@@ -161,7 +161,7 @@ def test_another_physics_is_refused(workshop: "Workshop") -> None:
     assert "wave.damping: 0.3 -> 0.2" in refused.errors
     assert "Traceback" not in refused.errors
     assert workshop.cells() == before
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         assert campaign.record.contents == (0.0,)
 
 
@@ -186,7 +186,7 @@ def test_a_time_limit_is_an_outcome(workshop: "Workshop") -> None:
     done = workshop.run("run", "c.toml")
     assert done.code == 0, done.errors
     assert "1 timed out" in done.output
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         assert "time limit" in next(campaign.select()).reason
 
 
@@ -222,7 +222,7 @@ def test_a_launcher_that_fails_by_itself_is_started_once_more(workshop: "Worksho
     ended = workshop.run("run", "c.toml", "--ranks", "2")
     assert ended.code == 0, ended.errors
     assert "started once more" in ended.errors
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         assert len(list(campaign.select(status=("done", "no_arrival")))) == 1
 
 
@@ -231,7 +231,7 @@ def test_a_silent_master_is_reported(workshop: "Workshop") -> None:
     """A stopped rank 0 is reported with its process, nothing is killed, and the run completes once it goes on."""
     workshop.configure(contents=(0.66, 5.0))
     program = (
-        "from calcidem.sweep import rank_watch; from calcidem.app.cli.main import main;"
+        "from calcidem.launch import rank_watch; from calcidem.app.cli.main import main;"
         " rank_watch._HEARTBEAT_TIMEOUT = 1.0; main()"
     )
     process = workshop.start("run", "c.toml", "--ranks", "2", program=program)

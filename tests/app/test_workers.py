@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from places import CHECKOUT
 
-from calcidem.app.campaign.workers import describe_doubt, describe_unlike, describe_worker, group_workers
+from calcidem.app.campaign.workers import _describe_doubt, describe_unlike, describe_worker, group_workers
 from calcidem.storage.records import WorkerRecord
 
 DESCRIBE = """
@@ -89,7 +89,7 @@ def test_other_processors_and_libraries_change_no_bit() -> None:
 )
 def test_doubts_are_told(workers: list[WorkerRecord], reason: str) -> None:
     """Several versions of calcidem or its physics, and processors that nobody has compared, are a warning."""
-    assert reason in describe_doubt(workers)
+    assert reason in _describe_doubt(workers)
     assert describe_unlike(workers).startswith("Warning: the ranks are not alike, and ")
     assert reason in describe_unlike(workers)
 

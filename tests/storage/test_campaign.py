@@ -2,7 +2,6 @@
 
 import doctest
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -10,29 +9,29 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calcidem.storage import campaign as campaign_module
-from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
+from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.netcdf import groups
 from calcidem.storage.records import STATUS_CODES, CellStatus, canonical
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Records
 
 
 @pytest.fixture
-def campaign(store: Store, open_here: Callable[..., Store], records: "Records") -> StoredCampaign:
+def campaign(store: Store, open_here: Callable[..., Store], records: "Records") -> Campaign:
     """Open a campaign with outcomes of several kinds, one plan that isn't rectangular, and a packing."""
     store.extend((7,), (9.0,))
     store.save_packing(records.packing())
     store.record_results([records.with_arrays(0, 5.0), records.done(1, 5.0), records.done(7, 9.0)])
     store.record_results([records.failed(2, 5.0, status=CellStatus.NO_ARRIVAL)])
     reader = open_here(read_only=True)
-    return StoredCampaign(reader, reader.use_campaign())
+    reader.use_campaign()
+    return Campaign(reader)
 
 
-def test_vs_is_labelled(campaign: StoredCampaign) -> None:
+def test_vs_is_labelled(campaign: Campaign) -> None:
     """Velocities come with seeds, contents and unit, NaN where not done."""
     vs = campaign.vs()
     assert vs.dims == ("seed", "content")
@@ -43,7 +42,7 @@ def test_vs_is_labelled(campaign: StoredCampaign) -> None:
     assert int(vs.count()) == 3
 
 
-def test_dataset_tells_status_apart(campaign: StoredCampaign) -> None:
+def test_dataset_tells_status_apart(campaign: Campaign) -> None:
     """Done, no arrival, pending and not planned are four different flags."""
     dataset = campaign.to_xarray()
     status = dataset["status"]
@@ -57,7 +56,7 @@ def test_dataset_tells_status_apart(campaign: StoredCampaign) -> None:
     np.testing.assert_array_equal(dataset["vs"], campaign.vs())
 
 
-def test_select_gives_frozen_records(campaign: StoredCampaign, records: "Records") -> None:
+def test_select_gives_frozen_records(campaign: Campaign, records: "Records") -> None:
     """Selections give records with or without arrays, in order, for single values and lists."""
     assert [r.key.seed for r in campaign.select(content=5.0, status="done")] == [0, 1]
     assert [r.key.seed for r in campaign.select(seed=[0, 7], status=["done", "failed"])] == [0, 7]
@@ -67,7 +66,7 @@ def test_select_gives_frozen_records(campaign: StoredCampaign, records: "Records
         list(campaign.select(where="nonsense"))
 
 
-def test_a_section_is_labelled(campaign: StoredCampaign) -> None:
+def test_a_section_is_labelled(campaign: Campaign) -> None:
     """Times, places and both components of the motion come with their units."""
     stored = campaign.recorded_section(seed=0, content=5.0)
     found = campaign.section(seed=0, content=5.0)
@@ -77,7 +76,7 @@ def test_a_section_is_labelled(campaign: StoredCampaign) -> None:
     np.testing.assert_array_equal(found.sel(component="along"), stored.along * stored.resolution)
 
 
-def test_missing_things_say_so(campaign: StoredCampaign) -> None:
+def test_missing_things_say_so(campaign: Campaign) -> None:
     """What isn't stored is an error that names it, never an empty object."""
     with pytest.raises(UnknownCellError, match="seed 1 and content"):
         campaign.section(seed=1, content=5.0)
@@ -87,14 +86,14 @@ def test_missing_things_say_so(campaign: StoredCampaign) -> None:
         campaign.packing(1)
 
 
-def test_packing_config_and_runs(campaign: StoredCampaign, records: "Records") -> None:
+def test_packing_config_and_runs(campaign: Campaign, records: "Records") -> None:
     """Packing, configuration and provenance are at hand."""
     assert campaign.packing() == records.packing()
     assert campaign.config["packing"]["friction"] == 0.2
     assert campaign.runs() == ()
 
 
-def test_dataframe(campaign: StoredCampaign) -> None:
+def test_dataframe(campaign: Campaign) -> None:
     """The table has a row for each planned cell, whole numbers as such, and NA where nothing is known."""
     frame = campaign.to_dataframe()
     assert len(frame) == 13
@@ -106,7 +105,7 @@ def test_dataframe(campaign: StoredCampaign) -> None:
         campaign.to_dataframe(["vss"])
 
 
-def test_reader_sees_what_was_stored_since(campaign: StoredCampaign, store: Store, records: "Records") -> None:
+def test_reader_sees_what_was_stored_since(campaign: Campaign, store: Store, records: "Records") -> None:
     """An open reader sees cells stored after it was opened."""
     store.record_results([records.done(3, 5.0)])
     assert float(campaign.vs().sel(seed=3, content=5.0)) == 1153.0
@@ -115,21 +114,15 @@ def test_reader_sees_what_was_stored_since(campaign: StoredCampaign, store: Stor
 def test_campaign_is_chosen_by_name(store: Store, records: "Records", address: str) -> None:
     """Where there are several campaigns one is opened by name, and an unknown name lists them."""
     store.begin_campaign(records.campaign({"x": 1}, name="second"))
-    with open_stored_campaign(address, "second") as campaign:
+    with open_campaign(address, "second") as campaign:
         assert campaign.config == {"x": 1}
     with pytest.raises(UnknownCampaignError, match="'quick', 'second'"):
-        open_stored_campaign(address, "third")
+        open_campaign(address, "third")
 
 
-@pytest.mark.parametrize("module", [campaign_module, canonical, groups])
-def test_examples_of_the_documentation(
-    module: ModuleType, tmp_path: Path, records: "Records", monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("module", [canonical, groups])
+def test_examples_of_the_documentation(module: ModuleType) -> None:
     """The examples in the docstrings give what they show."""
-    monkeypatch.chdir(tmp_path)
-    with open_store("example.db") as store:
-        store.begin_campaign(records.campaign())
-        store.record_results([records.done(0), records.with_arrays(1)])
     result = doctest.testmod(module)
     assert result.attempted > 0
     assert result.failed == 0

@@ -195,8 +195,9 @@ def test_packing_round_trip(store: Store, records: "Records") -> None:
     for index in (1, 0, 0):
         store.save_packing(records.packing(index))
     assert store.packing_indices() == (0, 1)
-    assert store.load_packing(1) == records.packing(1)
-    assert store.load_packing(2) is None
+    assert store.packing(1) == records.packing(1)
+    with pytest.raises(UnknownCellError, match="Packing 2"):
+        store.packing(2)
     with pytest.raises(CampaignMismatchError, match="hash"):
         store.save_packing(records.packing(0, hash="another"))
 
@@ -209,7 +210,7 @@ def test_another_packing_of_the_same_origin_is_refused(store: Store, records: "R
         other = dataclasses.replace(packing, **changes)
         with pytest.raises(CampaignMismatchError, match=f"content hash mine .* and {other.content_hash} "):
             store.save_packing(other)
-    assert store.load_packing() == packing
+    assert store.packing() == packing
     assert store.content_hashes() == {0: "mine"}
 
 
@@ -218,9 +219,9 @@ def test_a_packing_gets_what_it_lacks(store: Store, records: "Records") -> None:
     store.save_packing(records.packing(state=b"damaged"))
     assert store.content_hashes() == {0: None}
     store.save_packing(records.packing(content_hash="mine"))
-    assert store.load_packing() == records.packing(content_hash="mine", state=b"damaged")
+    assert store.packing() == records.packing(content_hash="mine", state=b"damaged")
     store.save_packing(records.packing(), replace_state=True)
-    assert store.load_packing() == records.packing(content_hash="mine")
+    assert store.packing() == records.packing(content_hash="mine")
 
 
 def test_status_counts(store: Store, records: "Records") -> None:

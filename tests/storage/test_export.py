@@ -19,13 +19,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.app.cli.exit_codes import exit_code_of
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import (
     CampaignMismatchError,
     DamagedStoreError,
     DiskError,
     ForeignDatabaseError,
+    LeaseHeldError,
     NewerSchemaError,
     OlderSchemaError,
     StoreError,
@@ -33,10 +35,10 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
 )
 from calcidem.storage.netcdf import export, trial
-from calcidem.storage.netcdf.dataset import campaign_dataset
+from calcidem.storage.netcdf import import_netcdf as importing
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.records import CampaignRecord, CellKey, CellStatus
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import Store, open_store
 
 if TYPE_CHECKING:
@@ -47,8 +49,6 @@ ASSETS = Path(__file__).parent / "assets"
 ENDLESS = ((2121, 2381), (204, 912), (970, 2409))
 """Blocks of 64 bytes of calcidem_0.1.0.nc; with two of them swapped the library loops for ever when it opens it."""
 
-Filled = tuple[Store, CampaignRecord]
-
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.full)])
 def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
@@ -58,7 +58,7 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def filled(store: Store, records: "Records") -> Filled:
+def filled(store: Store, records: "Records") -> Store:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
     store.begin_run(records.run(workers=records.workers()))
@@ -72,23 +72,24 @@ def filled(store: Store, records: "Records") -> Filled:
     store.end_run("stopped", records.run().started + timedelta(hours=1))
     store.begin_run(records.run(mpi_library=None, git_commit=None, git_dirty=None, slurm_job_id=None))
     store.record_results([records.done(7, 9.0, seconds=None, rank=None, host=None)])
-    return store, store.use_campaign()
+    store.use_campaign()
+    return store
 
 
 @pytest.fixture
-def exported(filled: Filled, tmp_path: Path) -> Path:
+def exported(filled: Store, tmp_path: Path) -> Path:
     """Export it."""
-    return export_netcdf(*filled, tmp_path / "campaign.nc")
+    return export_netcdf(filled, tmp_path / "campaign.nc")
 
 
 @pytest.mark.parametrize("address", ["sqlite", "postgresql"], indirect=True)
-def test_round_trip_gives_an_equal_database(filled: Filled, exported: Path, tmp_path: Path) -> None:
+def test_round_trip_gives_an_equal_database(filled: Store, exported: Path, tmp_path: Path) -> None:
     """Database to NetCDF to database keeps plan, runs, packings, attempts and outcomes, bit for bit."""
-    original, campaign = filled
+    original, campaign = filled, filled.record
     with open_store(tmp_path / "copy.db") as copy:
         assert import_netcdf(exported, copy) == campaign
         assert copy.runs() == original.runs()
-        assert [copy.load_packing(i) for i in copy.packing_indices()] == [original.load_packing(i) for i in (0, 1)]
+        assert [copy.packing(i) for i in copy.packing_indices()] == [original.packing(i) for i in (0, 1)]
         assert list(copy.history()) == list(original.history())
         assert copy.statuses() == original.statuses()
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
@@ -140,9 +141,9 @@ def test_cells_without_their_packing_are_refused(exported: Path, tmp_path: Path)
         assert copy.campaigns() == ()
 
 
-def test_another_packing_is_refused(filled: Filled, exported: Path, tmp_path: Path, records: "Records") -> None:
+def test_another_packing_is_refused(filled: Store, exported: Path, tmp_path: Path, records: "Records") -> None:
     """A store that has the campaign on another packing refuses the file, names both hashes and stays as it is."""
-    campaign = filled[1]
+    campaign = filled.record
     with open_store(tmp_path / "copy.db") as copy:
         copy.begin_campaign(dataclasses.replace(campaign, seeds=(1,), contents=(5.0,)))
         copy.save_packing(records.packing(0, y=records.packing(1).y, content_hash="yours"))
@@ -151,11 +152,52 @@ def test_another_packing_is_refused(filled: Filled, exported: Path, tmp_path: Pa
         assert (copy.packing_indices(), copy.runs(), len(copy.statuses())) == ((0,), (), 1)
 
 
+def test_a_failed_import_leaves_the_store_as_it_was(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever stops an import half-way, nothing of it is stored; one beside a run is refused."""
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("half-way")
+
+    with open_store(tmp_path / "copy.db") as copy, open_store(tmp_path / "copy.db") as master:
+        monkeypatch.setattr(importing, "_results", fail)
+        with pytest.raises(RuntimeError, match="half-way"):
+            import_netcdf(exported, copy)
+        assert copy.campaigns() == ()
+        with pytest.raises(UnknownCampaignError):
+            copy.runs()
+        monkeypatch.undo()
+        master.begin_campaign(import_netcdf(exported, copy))
+        runs = copy.runs()
+        master.acquire_lease()
+        with pytest.raises(LeaseHeldError):
+            import_netcdf(exported, copy)
+        assert copy.runs() == runs
+
+
+def test_sections_keep_their_own_numbers_of_stations(store: Store, records: "Records", tmp_path: Path) -> None:
+    """Cells of packings of different widths have different numbers of stations; all come back as they were."""
+    long = records.with_arrays(1)
+    section = long.section
+    assert section is not None
+    places = np.append(section.places, (0.12, 0.15))
+    across, along = np.arange(2 * 11 * len(places)).reshape(2, 11, len(places))
+    wide = dataclasses.replace(long, section=dataclasses.replace(section, places=places, across=across, along=along))
+    store.save_packing(records.packing())
+    cells = [records.with_arrays(0), wide, records.with_arrays(2)]
+    store.record_results(cells)
+    file = export_netcdf(store, tmp_path / "campaign.nc")
+    with open_store(tmp_path / "copy.db") as copy:
+        import_netcdf(file, copy)
+        assert list(copy.results(with_arrays=True)) == cells
+
+
 def test_content_hashes_are_exported(store: Store, records: "Records", tmp_path: Path) -> None:
     """The file names the content hash of each packing, and its import keeps it."""
     for index, content_hash in enumerate(("mine", None)):
         store.save_packing(records.packing(index, content_hash=content_hash))
-    file = export_netcdf(store, store.use_campaign(), tmp_path / "campaign.nc")
+    file = export_netcdf(store, tmp_path / "campaign.nc")
     with xr.open_dataset(file) as found:
         assert found.attrs["calcidem_packing_content_hash"] == "mine unknown"
     with open_store(tmp_path / "copy.db") as copy:
@@ -163,14 +205,14 @@ def test_content_hashes_are_exported(store: Store, records: "Records", tmp_path:
         assert copy.content_hashes() == {0: "mine", 1: None}
 
 
-def test_plain_xarray_opens_it(filled: Filled, exported: Path) -> None:
+def test_plain_xarray_opens_it(filled: Store, exported: Path) -> None:
     """Plain xarray finds the same Dataset in the file as the API gives, with provenance."""
     with xr.open_dataset(exported) as found:
-        expected = campaign_dataset(*filled)
+        expected = campaign_dataset(filled)
         for name in expected.variables:
             np.testing.assert_array_equal(found[name].astype(expected[name].dtype), expected[name])
         assert found.attrs["Conventions"] == "CF-1.11"
-        assert found.attrs["calcidem_campaign_hash"] == filled[1].hash
+        assert found.attrs["calcidem_campaign_hash"] == filled.record.hash
         assert json.loads(found.attrs["calcidem_config"])["packing"]["friction"] == 0.2
         assert json.loads(found.attrs["calcidem_runs"])[0]["versions"]["numpy"] == "2.4.6"
 
@@ -213,7 +255,7 @@ def test_ncdump_opens_it(exported: Path) -> None:
     assert "group: section" in done.stdout
 
 
-def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_export_leaves_the_old_file(filled: Store, exported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An export that fails half-way leaves the old file as it was and no other beside it."""
     before = exported.read_bytes()
 
@@ -222,25 +264,25 @@ def test_failed_export_leaves_the_old_file(filled: Filled, exported: Path, monke
 
     monkeypatch.setattr(export, "append_attempts", fail)
     with pytest.raises(DiskError, match="power cut"):
-        export_netcdf(*filled, exported)
+        export_netcdf(filled, exported)
     assert exported.read_bytes() == before
     assert [path.name for path in exported.parent.iterdir() if path.name.startswith(".")] == []
 
 
-def test_unusable_targets(filled: Filled, open_here: Callable[..., Store], records: "Records", tmp_path: Path) -> None:
+def test_unusable_targets(filled: Store, open_here: Callable[..., Store], records: "Records", tmp_path: Path) -> None:
     """A missing folder and a campaign without cells are refused before anything is written."""
     with pytest.raises(FileNotFoundError, match="folder"):
-        export_netcdf(*filled, tmp_path / "nowhere" / "campaign.nc")
+        export_netcdf(filled, tmp_path / "nowhere" / "campaign.nc")
     empty = open_here()
-    record = empty.begin_campaign(records.campaign({"y": 1}, name="empty", seeds=(), contents=()))
+    empty.begin_campaign(records.campaign({"y": 1}, name="empty", seeds=(), contents=()))
     with pytest.raises(UnknownCampaignError, match="no cells"):
-        export_netcdf(empty, record, tmp_path / "empty.nc")
+        export_netcdf(empty, tmp_path / "empty.nc")
     assert not (tmp_path / "empty.nc").exists()
 
 
-def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, exported: Path, tmp_path: Path) -> None:
+def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Store, exported: Path, tmp_path: Path) -> None:
     """Leaving out sections, cement and paths keeps the numbers of every cell, and such a file can be imported."""
-    small = export_netcdf(*filled, tmp_path / "small.nc", without=("section", "cement", "path"))
+    small = export_netcdf(filled, tmp_path / "small.nc", without=("section", "cement", "path"))
     assert small.stat().st_size < exported.stat().st_size
     with xr.open_dataset(exported) as whole, xr.open_dataset(small) as numbers:
         xr.testing.assert_equal(whole, numbers)
@@ -248,10 +290,10 @@ def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Filled, e
         assert not {"section", "cement", "path"} & set(file.groups)
     with open_store(tmp_path / "imported.db") as other:
         import_netcdf(small, other)
-        assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled[0].results()}
+        assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled.results()}
         assert all(r.section is None for r in other.results(with_arrays=True))
     with pytest.raises(ValueError, match="without = 'pictures'"):
-        export_netcdf(*filled, tmp_path / "small.nc", without=("pictures",))
+        export_netcdf(filled, tmp_path / "small.nc", without=("pictures",))
 
 
 def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
@@ -289,11 +331,11 @@ def test_a_file_that_the_library_never_finishes_is_refused(
     blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
-    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 1.0)
+    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 1.0)
     path = endless_file(tmp_path, blocks)
     with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
         import_netcdf(path, store)
-    assert exit_code_of(caught.value) == 2
+    assert _exit_code_of(caught.value) == 2
     assert export.belongs_to_another(path, "the hash of any campaign")
 
 
@@ -317,7 +359,7 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
-    monkeypatch.setattr(trial, "TIME_FOR_A_BLOCK", 2.0)
+    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 2.0)
     last = (ASSETS / "calcidem_0.1.0.nc").stat().st_size // 64
     random = np.random.default_rng(7)
     for number in range(100):

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 from sqlalchemy import create_engine, text
 
-from calcidem.app.cli.exit_codes import exit_code_of
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.storage.errors import (
     DamagedStoreError,
     DiskFullError,
@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
-from calcidem.storage.sql.schema import CREATION_LOCK
+from calcidem.storage.sql.schema import _CREATION_LOCK
 from calcidem.storage.sql.store import open_store
 from calcidem.sweep import EXIT_RESUMABLE
 
@@ -78,7 +78,7 @@ def test_foreign_files_are_refused_untouched(
 def test_missing_files(tmp_path: Path) -> None:
     """Reading what is missing creates nothing; writing into a missing folder names the folder."""
     with pytest.raises(StoreUnavailableError, match="does not exist"):
-        open_stored_campaign(tmp_path / "none.db")
+        open_campaign(tmp_path / "none.db")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(StoreUnavailableError, match="folder"):
         open_store(tmp_path / "nowhere" / "one.db")
@@ -118,7 +118,7 @@ def test_damage_is_recognised(database: Path) -> None:
     content[4096:] = b"\x5a" * (len(content) - 4096)
     database.write_bytes(content)
     with pytest.raises(DamagedStoreError, match="recover"):
-        open_stored_campaign(database)
+        open_campaign(database)
 
 
 def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> None:
@@ -140,7 +140,7 @@ def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> N
 
 def test_lock_of_another_process(database: Path, records: "Records", monkeypatch: pytest.MonkeyPatch) -> None:
     """A database locked by somebody else gives an error after the waiting time, and nothing is stored."""
-    monkeypatch.setattr(engine, "BUSY_TIMEOUT_SECONDS", 0.1)
+    monkeypatch.setattr(engine, "_BUSY_TIMEOUT_SECONDS", 0.1)
     with open_store(database) as store:
         store.use_campaign()
         other = sqlite3.connect(database, isolation_level=None)
@@ -186,7 +186,7 @@ def test_pragmas(database: Path, on_network: bool, journal: str, monkeypatch: py
         "journal_mode": journal,
         "synchronous": 2,
         "foreign_keys": 1,
-        "journal_size_limit": engine.WAL_SIZE_LIMIT_BYTES,
+        "journal_size_limit": engine._WAL_SIZE_LIMIT_BYTES,
     }
 
 
@@ -196,7 +196,7 @@ def test_awkward_names(tmp_path: Path, name: str, records: "Records") -> None:
     with open_store(tmp_path / name) as store:
         store.begin_campaign(records.campaign())
     assert (tmp_path / name).exists()
-    with open_stored_campaign(tmp_path / name) as campaign:
+    with open_campaign(tmp_path / name) as campaign:
         assert campaign.record.name == "quick"
 
 
@@ -204,14 +204,14 @@ def test_read_only_folder(database: Path, records: "Records") -> None:
     """A finished database on a read-only medium can be read, though its journal wants a writable folder."""
     with tempfile.TemporaryDirectory() as name:
         copy = Path(shutil.copy(database, name))
-        with open_stored_campaign(copy) as campaign:  # imports all modules while they may be read
+        with open_campaign(copy) as campaign:  # imports all modules while they may be read
             assert list(campaign.select(seed=0)) == [records.done(0)]
         copy.chmod(0o444)
         copy.parent.chmod(0o555)
         if os.geteuid() == 0:
             os.seteuid(NOBODY)  # permissions don't stop root
         try:
-            with open_stored_campaign(copy) as campaign:
+            with open_campaign(copy) as campaign:
                 found = list(campaign.select(seed=0))
         finally:
             os.seteuid(os.getuid())
@@ -226,14 +226,14 @@ def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
     url = f"postgresql+psycopg://postgres@/{postgresql_template}?host={postgresql_socket}"
     wait = "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
     with create_engine(url).connect() as holder, ThreadPoolExecutor(1) as thread:
-        holder.execute(text(f"SELECT pg_advisory_lock({CREATION_LOCK})"))
+        holder.execute(text(f"SELECT pg_advisory_lock({_CREATION_LOCK})"))
         opening = thread.submit(open_store, url)
         while not (waiting := holder.scalar(text(wait))):
             holder.rollback()
         holder.execute(text(f"SELECT pg_terminate_backend({waiting})"))
         with pytest.raises(StoreInterruptedError) as caught:
             opening.result()
-    assert exit_code_of(caught.value) == EXIT_RESUMABLE
+    assert _exit_code_of(caught.value) == EXIT_RESUMABLE
 
 
 def test_errors_can_travel(database: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
@@ -81,7 +81,7 @@ PARTS = [change("attempt", "host", "'node8'"), UNREADABLE_ATTEMPT]
 def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "Records", statement: str) -> None:
     """Whatever is changed of a cell, it is named, and made anew on request."""
     execute(database, statement)
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         damaged = campaign.cell(seed=1, content=5.0)
         assert (damaged.status, damaged.vs, damaged.section) == (CellStatus.DAMAGED, None, None)
         assert campaign.cell(seed=2, content=5.0) == records.with_arrays(2)
@@ -111,8 +111,8 @@ def test_a_damaged_cell_is_exported_as_missing(
 ) -> None:
     """Its flag and its reason are in the file, all other cells are, and whoever imports it has the cell to compute."""
     execute(database, statement)
-    with open_stored_campaign(database) as campaign:
-        exported = export_netcdf(campaign.store, campaign.record, tmp_path / "out.nc")
+    with open_campaign(database) as campaign:
+        exported = export_netcdf(campaign.store, tmp_path / "out.nc")
     with open_store(tmp_path / "again.db") as again:
         import_netcdf(exported, again)
         assert BAD in again.pending()
@@ -128,14 +128,14 @@ def test_a_damaged_cell_is_exported_as_missing(
 def test_provenance_and_configuration_are_checked(database: Path) -> None:
     """A changed run is said to be damaged and blocks nothing; a changed configuration is refused."""
     execute(database, "UPDATE run SET host = 'elsewhere'")
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         (_, run), *_ = campaign.runs()
         assert (run.host, run.exit_state) == ("", "damaged: what was stored of this run was changed")
         assert any("Run 1" in line for line in campaign.store.integrity().others)
         assert campaign.store.integrity().cells == {}
     execute(database, "UPDATE campaign SET config = replace(config, '0.2', '0.3')")
     with pytest.raises(DamagedStoreError, match="configuration"):
-        open_stored_campaign(database)
+        open_campaign(database)
 
 
 @pytest.mark.parametrize("column", ["grains", "state", "width", "wall_stress"])
@@ -145,9 +145,9 @@ def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "R
     with open_store(database) as store:
         store.use_campaign()
         with pytest.raises(DamagedStoreError):
-            store.load_packing()
+            store.packing()
         assert any("Packing 0" in line for line in store.integrity().others)
         with pytest.raises((CampaignMismatchError, DamagedStoreError)):
             store.save_packing(records.packing(content_hash="another"), replace_state=True)
         store.save_packing(records.packing(content_hash="it"), replace_state=True)
-        assert store.load_packing() == records.packing(content_hash="it")
+        assert store.packing() == records.packing(content_hash="it")

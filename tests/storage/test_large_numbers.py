@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from calcidem.app.campaign.merge import merge_databases
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.query import Format, _as_text, find
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
@@ -28,7 +28,7 @@ SEEDS = (2**53 - 1, 2**53, 2**53 + 1, LARGEST_SEED - 1, LARGEST_SEED)
 def check_seeds(path: Path, records: "Records") -> None:
     """Look at the seeds of a database in every way of reading it."""
     done = [CellKey(seed, 5.0) for seed in SEEDS[:-1]]
-    with open_stored_campaign(path) as campaign:
+    with open_campaign(path) as campaign:
         assert campaign.record.seeds == SEEDS
         assert campaign.store.pending() == (CellKey(LARGEST_SEED, 5.0),)
         assert [key for key, status in campaign.store.statuses().items() if status is CellStatus.DONE] == done
@@ -45,10 +45,10 @@ def test_seeds_are_exact_on_every_path(tmp_path: Path, records: "Records") -> No
     """Seeds next to 2^53 and 2^63 survive store, tables, NetCDF, import, merge and the text of a query."""
     database = tmp_path / "large.db"
     with open_store(database) as store:
-        campaign = store.begin_campaign(records.campaign(seeds=SEEDS, contents=(5.0,)))
+        store.begin_campaign(records.campaign(seeds=SEEDS, contents=(5.0,)))
         store.save_packing(records.packing())
         store.record_results([records.done(seed) for seed in SEEDS[:-1]])
-        export_netcdf(store, campaign, tmp_path / "large.nc")
+        export_netcdf(store, tmp_path / "large.nc")
     check_seeds(database, records)
     with xr.open_dataset(tmp_path / "large.nc") as dataset:
         assert dataset["seed"].values.tolist() == list(SEEDS)

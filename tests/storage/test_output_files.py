@@ -13,7 +13,7 @@ import xarray as xr
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically, write_text_atomically
 from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf, write_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import open_store, read_campaign
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -41,8 +41,8 @@ def test_no_output_takes_the_place_of_a_database(database: Path, ending: str) ->
     if not ending:
         with pytest.raises(OutputRefusedError), write_atomically(link):
             pass
-    with open_store(database, read_only=True) as store, pytest.raises(OutputRefusedError):
-        export_netcdf(store, store.use_campaign(), target)
+    with read_campaign(database) as store, pytest.raises(OutputRefusedError):
+        export_netcdf(store, target)
     assert database.read_bytes() == before
     assert {path.name for path in database.parent.iterdir()} <= {database.name, link.name, "one.db-shm", "one.db-wal"}
 
@@ -52,17 +52,17 @@ def test_no_export_takes_the_place_of_another_campaigns(database: Path, tmp_path
     other = tmp_path / "other.nc"
     with open_store(database) as store:
         second = store.begin_campaign(records.campaign({"other": 1}, name="other"))
-        export_netcdf(store, second, other)
-        export_netcdf(store, second, other)
+        export_netcdf(store, other)
+        export_netcdf(store, other)
         first = store.use_campaign("quick")
         with pytest.raises(OutputRefusedError, match="another campaign"):
-            export_netcdf(store, first, other)
+            export_netcdf(store, other)
         with netCDF4.Dataset(tmp_path / "foreign.nc", "w") as file:
             file.title = "somebody's ocean"
         (tmp_path / "broken.nc").write_bytes(other.read_bytes()[:300])
         for name in ("foreign.nc", "broken.nc"):
             with pytest.raises(OutputRefusedError):
-                export_netcdf(store, first, tmp_path / name)
+                export_netcdf(store, tmp_path / name)
     assert belongs_to_another(other, first.hash)
     assert not belongs_to_another(other, second.hash)
     for write in (
@@ -85,10 +85,10 @@ from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.sql.store import open_store
 
 with open_store(sys.argv[1], read_only=True) as store:
-    campaign = store.use_campaign()
+    store.use_campaign()
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     try:
-        export_netcdf(store, campaign, sys.argv[2])
+        export_netcdf(store, sys.argv[2])
     except DiskError as error:
         print(error)
 """

@@ -16,7 +16,7 @@ import pytest
 from sqlalchemy import text
 
 import calcidem.storage
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
@@ -82,7 +82,7 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
             assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             assert connection.execute("PRAGMA foreign_key_check").fetchall() == []
         connection.close()
-        with open_stored_campaign(database) as campaign:
+        with open_campaign(database) as campaign:
             stored = {result.key for result in campaign.select()}
         assert said <= stored
         assert len(stored) <= len(said) + attempt + 1  # one row a kill may be stored and not yet acknowledged
@@ -97,7 +97,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     process.stdout.readline()
     log, largest_log, counts = Path(f"{database}-wal"), 0, [0]
     while process.poll() is None:
-        with open_stored_campaign(database) as campaign:
+        with open_campaign(database) as campaign:
             count = int(campaign.vs().count())
             assert all(r.section is not None for r in campaign.select(seed=range(3), with_arrays=True))
         assert count >= counts[-1]
@@ -109,7 +109,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
     # SQLite empties the log at 1000 pages of 4 kB; the transactions of the slowest reader's time come on top: on a busy
     # machine 15 MB were seen.
     assert largest_log < 30e6
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         assert int(campaign.vs().count()) == CELLS
 
 
@@ -129,7 +129,7 @@ def test_a_reader_leaves_one_file(killed: Path, tmp_path: Path) -> None:
     """Who reads a database leaves no log beside it, also what a kill has left: the file alone is the campaign."""
     assert Path(f"{killed}-wal").stat().st_size > 0
     for _ in range(2):
-        with open_stored_campaign(killed) as campaign:
+        with open_campaign(killed) as campaign:
             assert int(campaign.vs().count()) >= ACKNOWLEDGED
         assert {path.name for path in tmp_path.iterdir()} == {killed.name, f"{killed.name}.lock"}
 
@@ -140,13 +140,13 @@ def test_the_file_alone_has_what_a_living_writer_stored(database: Path, tmp_path
 
     def copied() -> int:
         shutil.copy(database, copy)
-        with open_stored_campaign(copy) as campaign:
+        with open_campaign(copy) as campaign:
             return int(campaign.vs().count())
 
     with open_store(database) as store:
         store.begin_campaign(records.campaign())
         assert copied() == 0
-        with open_stored_campaign(database) as reader:
+        with open_campaign(database) as reader:
             assert reader.vs().count() == 0
             store.record_results([records.done(0)])
             store._next_checkpoint = 0.0  # as if the interval were over
@@ -165,7 +165,7 @@ def test_acknowledged_transactions_that_a_damaged_log_loses_are_told(killed: Pat
         byte = log.read(1)
         log.seek(-1, os.SEEK_CUR)
         log.write(bytes([byte[0] ^ 1]))
-    with open_stored_campaign(killed) as campaign:
+    with open_campaign(killed) as campaign:
         assert int(campaign.vs().count()) < ACKNOWLEDGED
         assert any("write-ahead log was damaged" in text for text in campaign.store.integrity().others)
     with open_store(killed) as store:

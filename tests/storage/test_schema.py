@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from sqlalchemy import CheckConstraint, inspect, text
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import NewerSchemaError, OlderSchemaError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.sql.models import Base
@@ -77,7 +77,7 @@ def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, reco
         store.record_results([records.done(1, 5.0, **dict.fromkeys(NEWEST[:2]))])
     leave_out(path)
     before = path.read_bytes()
-    with open_stored_campaign(path) as campaign:
+    with open_campaign(path) as campaign:
         found = campaign.cell(seed=1, content=5.0)
         assert (found.vs, found.broken_bonds) == (1151.0, None)
         assert not campaign.store.integrity().cells

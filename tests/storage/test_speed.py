@@ -9,12 +9,12 @@ import pytest
 from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.models import EXPRESSIONS, AttemptRow, CellRow
-from calcidem.storage.sql.reading import cell_in, conditions, join_results
+from calcidem.storage.sql.reading import _conditions, cell_in, join_results
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.sql.writing import attempt_in
+from calcidem.storage.sql.writing import _attempt_in
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def large(tmp_path_factory: pytest.TempPathFactory, records: "Records", request:
 def test_seconds_of_a_large_campaign(large: Large, capsys: pytest.CaptureFixture[str]) -> None:
     """A large campaign is complete in every way of reading it; its seconds are printed."""
     path, timed, seeds = large
-    with timed("open", lambda: open_stored_campaign(path)) as campaign:
+    with timed("open", lambda: open_campaign(path)) as campaign:
         assert timed("pending", lambda: campaign.store.pending(seeds, CONTENTS)) == ()
         counts = timed("status counts", campaign.status_counts)
         assert counts == {(content, CellStatus.DONE): len(seeds) for content in CONTENTS}
@@ -89,7 +89,7 @@ def test_queries_use_indices(large: Large, selection: Selection, index: str) -> 
     with open_store(path) as store, store._reading() as session:
         columns = list(EXPRESSIONS.values())
         statement = (
-            join_results(select(*columns)).where(*conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
+            join_results(select(*columns)).where(*_conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
         )
         compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
         plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
@@ -107,7 +107,7 @@ def test_listed_cells_are_searched_by_their_keys(large: Large, keys: list[CellKe
                 select(CellRow.id).where(CellRow.campaign_id == 1, cell_in(keys)),
                 ("campaign_id=?", "seed=?", "content=?"),
             ),
-            (select(AttemptRow.outcome).where(attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
+            (select(AttemptRow.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
         ):
             compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
             plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]

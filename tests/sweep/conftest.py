@@ -19,10 +19,10 @@ import pytest
 from marked_processes import MarkedProcesses
 from places import CHECKOUT
 
-from calcidem.app.campaign.launch import NO_LISTENER, starter_command
+from calcidem.app.campaign.launch import _NO_LISTENER, _starter_command
+from calcidem.launch.rank_watch import RankWatch
+from calcidem.launch.starter import COMMAND_VARIABLE
 from calcidem.sweep import Batch, BatchOutcome
-from calcidem.sweep.rank_watch import RankWatch
-from calcidem.sweep.starter import COMMAND_VARIABLE
 
 PROGRAMS = Path(__file__).parent / "programs"
 CONTENTS = (0.0, 2.55, 9.0)
@@ -42,6 +42,9 @@ class MemorySink:
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
         """Keep outcomes."""
         self.outcomes.extend(outcomes)
+
+    def keep_alive(self) -> None:
+        """Do nothing."""
 
     def store_loss(self, batch: Batch[Any], reason: str) -> None:
         """Keep a loss."""
@@ -95,7 +98,7 @@ class Launch:
             self.process.kill()
             self.output, self.errors = self.process.communicate()
             pytest.fail(f"still running after {PATIENCE} s:\n{self.output}\n{self.errors}")
-        if self.exit_code == NO_LISTENER and self.again is not None:
+        if self.exit_code == _NO_LISTENER and self.again is not None:
             self.process, self.again = self.again(), None
             return self.wait()
         return self
@@ -106,7 +109,7 @@ class Launch:
         for line in self.process.stdout:
             if text in line:
                 return
-        if self.process.wait(PATIENCE) == NO_LISTENER and self.again is not None:
+        if self.process.wait(PATIENCE) == _NO_LISTENER and self.again is not None:
             self.process, self.again = self.again(), None
             self.wait_for_line(text)
         else:
@@ -116,7 +119,7 @@ class Launch:
         """Wait until all ranks have found one another."""
         end = time.monotonic() + PATIENCE
         while not self.watch.begun:
-            if self.process.poll() == NO_LISTENER and self.again is not None:
+            if self.process.poll() == _NO_LISTENER and self.again is not None:
                 self.process, self.again = self.again(), None
             assert time.monotonic() < end, "the ranks did not find one another"
             time.sleep(0.02)
@@ -156,7 +159,7 @@ class Campaign(MarkedProcesses):
         watch = RankWatch(ranks, PATIENCE, PATIENCE)
         start = partial(
             subprocess.Popen,
-            [*launcher, *starter_command(), sys.executable, str(PROGRAMS / program), *arguments],
+            [*launcher, *_starter_command(), sys.executable, str(PROGRAMS / program), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

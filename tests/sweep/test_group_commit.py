@@ -28,6 +28,9 @@ class SlowSink:
             raise self.error
         self.stored.append([outcome.batch.identifier for outcome in outcomes])
 
+    def keep_alive(self) -> None:
+        """Do nothing."""
+
     def store_loss(self, batch: Batch[Any], reason: str, /) -> None:  # noqa: ARG002 - as the sweep has it
         """Keep the loss of a batch as its negative number."""
         self.stored.append([-batch.identifier])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.sweep import leftovers
+from calcidem.launch import leftovers
 
 LONG_AGO = 1e9
 
@@ -31,7 +31,7 @@ def session(folder: Path, process: int, host: str) -> Path:
 def test_only_what_nobody_uses_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Folders of dead launchers of this host, and segments that no process has mapped, unless they are new."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(leftovers, "_SHARED_MEMORY", tmp_path)
     host, user = socket.gethostname(), os.getuid()
     ended, another = (subprocess.Popen([sys.executable, "-S", "-c", ""]) for _ in range(2))
     for process in (ended, another):

@@ -66,7 +66,7 @@ def test_processes_elsewhere_are_not_watched(sleeper: subprocess.Popen[bytes]) -
 
 def test_a_process_dies_with_its_parent() -> None:
     """After `die_with_parent` a process does not survive the kill of the one that started it."""
-    child = "from calcidem.sweep.starter import die_with_parent; import time; die_with_parent();"
+    child = "from calcidem.launch.starter import die_with_parent; import time; die_with_parent();"
     child += "print('ready', flush=True); time.sleep(60)"
     parent = "import subprocess, sys; p = subprocess.Popen([sys.executable, '-c', sys.argv[1]], "
     parent += "stdout=subprocess.PIPE, text=True); p.stdout.readline(); print(p.pid, flush=True); p.wait()"

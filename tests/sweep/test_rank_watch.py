@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from spoken_rank import SpokenRank, hear
 
-from calcidem.sweep import rank_watch
-from calcidem.sweep.rank_watch import RankWatch
+from calcidem.launch import rank_watch
+from calcidem.launch.rank_watch import RankWatch
 
 
 class Clock:

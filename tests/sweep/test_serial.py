@@ -135,6 +135,9 @@ def test_an_error_of_the_sink_is_passed_on() -> None:
         def store(self, _outcomes: object) -> None:
             raise OSError(28, "No space left on device")
 
+        def keep_alive(self) -> None:
+            """Do nothing."""
+
         def store_loss(self, _batch: object, _reason: str) -> None: ...
 
     with pytest.raises(OSError, match="No space left"):
@@ -156,6 +159,7 @@ from calcidem.sweep import Batch, Session, run_sweep
 class Sink:
     def store(self, outcomes): pass
     def store_loss(self, batch, reason): pass
+    def keep_alive(self): pass
 
 with Session() as session:
     end = run_sweep(session.comm, [Batch(0, (1,))], lambda batch, check: batch.cells, Sink())
@@ -175,6 +179,7 @@ from calcidem.sweep import Batch, run_sweep
 class Sink:
     def store(self, outcomes): pass
     def store_loss(self, batch, reason): pass
+    def keep_alive(self): pass
 
 for seconds in (0.1, 1.4):
     threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM)).start()

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoken_rank import SpokenRank, hear
 
-from calcidem.sweep import addresses, rank_watch, starter
-from calcidem.sweep.rank_watch import RankWatch
+from calcidem.launch import addresses, rank_watch, starter
+from calcidem.launch.rank_watch import RankWatch
 
 STRANGERS = Path(__file__).parent / "programs" / "strangers.py"
 NOBODY = 65534  # the user without rights on Linux
@@ -186,7 +186,7 @@ def test_idle_connections_neither_end_the_watch_nor_keep_ranks_out(
 
 def test_one_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """It has some seconds to say who it is."""
-    monkeypatch.setattr(rank_watch, "TIME_TO_GREET", 0.05)
+    monkeypatch.setattr(rank_watch, "_TIME_TO_GREET", 0.05)
     with watching() as watch, socket.create_connection(place_of(watch), 10.0) as connection:
         while not (told := watch.describe_dropped()):
             watch.listen(0.01)
@@ -211,7 +211,7 @@ def test_one_who_listens_in_the_place_of_the_command_learns_nothing_and_holds_no
         thread = threading.Thread(target=listen)
         thread.start()
         with socket.create_connection(impostor.getsockname(), 10.0) as rank:
-            assert not starter.introduce(rank, key, "0", "here")
+            assert not starter._introduce(rank, key, "0", "here")
         thread.join()
         assert key.encode() not in heard[0]
         throw(watch, heard, "stay").close()  # said again to the true command
@@ -233,7 +233,7 @@ def test_loopback_is_for_ranks_of_this_host_alone(monkeypatch: pytest.MonkeyPatc
         tried.clear()
         monkeypatch.setenv(starter.COMMAND_VARIABLE, f"key 60 {host} 127.0.0.1:1 192.0.2.1:1")
         with pytest.raises(SystemExit, match="cannot reach the command"):
-            starter.Starter()
+            starter._Starter()
         assert {name for name, _ in tried} == wanted
 
 

@@ -57,7 +57,7 @@ class CampaignFigure:
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
     """Give the published rows at the contents of a campaign on the published sand, empty unless two or more match."""
-    if not is_published_sand(analysis.campaign.config):
+    if not is_published_sand(analysis.config):
         return []
     contents = analysis.vs["content"].to_numpy()
     rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
@@ -67,7 +67,7 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
 def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
     """Give the signals of a sample and what was read from them; errors as `read_arrival`."""
     try:
-        return read_arrival(analysis, analysis.campaign.cell(seed=seed, content=content))
+        return read_arrival(analysis, analysis.cell(seed, content))
     except UnknownCellError as error:
         raise UnavailableError(str(error)) from error
 
@@ -91,7 +91,7 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         sent=section.transmitted,
         received=section.received,
         # A cell that took the whole width for the way of the wave has no distance.
-        distance=cell.distance or analysis.campaign.packing(cell.packing_index).width,
+        distance=cell.distance or analysis.store.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
         onset=_FIRST_ARRIVAL_LEVEL,
     )
@@ -139,7 +139,7 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
-    wave = analysis.campaign.config.get("wave", {})
+    wave = analysis.config.get("wave", {})
     arrival: Arrival | None = None
     with suppress(UnavailableError):  # then without signals
         contents = _measured_contents(analysis)

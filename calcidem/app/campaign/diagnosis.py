@@ -4,7 +4,7 @@ Nothing is written to the database. A section that is not stored is computed aga
 same bits.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -21,8 +21,9 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.reading import LEAST_COHERENCE, find_candidates, prepare, read_section, velocity_spectrum
 from calcidem.dem.wave.static_speed import static_speed
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import ALL_CELLS, Selection
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:
@@ -99,20 +100,18 @@ def _draw_case(case: Case, title: str, text: str) -> "Figure":
 
 
 def diagnose(
-    campaign: StoredCampaign,
-    *,
-    seed: int | Collection[int] | None = None,
-    content: float | Collection[float] | None = None,
+    store: Store,
+    selection: Selection = ALL_CELLS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, ...]:
     """Say of cells without a velocity why they have none, and what may help.
 
     Parameters
     ----------
-    campaign
-        An open campaign.
-    seed, content
-        Only these cells; content in percent.
+    store
+        With a campaign chosen.
+    selection
+        Only cells of these seeds and contents.
     progress
         Told what is being computed.
 
@@ -125,22 +124,22 @@ def diagnose(
     StoreError
         If the campaign lacks what its cells are computed from.
     """
-    if content is not None:
-        campaign.refuse_unknown_contents(content if isinstance(content, Collection) else (content,))
-    examiner = _Examiner(campaign, progress)
-    cells = campaign.select(seed=seed, content=content, status=UNREAD, with_arrays=True)
+    examiner = _Examiner(store, progress)
+    cells = store.results(Selection(selection.seeds, selection.contents, UNREAD), with_arrays=True)
     return tuple(examiner.diagnose(cell) for cell in list(cells))
 
 
 class _Examiner:
     """A campaign with what its diagnoses share."""
 
-    def __init__(self, campaign: StoredCampaign, progress: Callable[[str], None]) -> None:
-        self.campaign = campaign
+    def __init__(self, store: Store, progress: Callable[[str], None]) -> None:
+        self.store = store
         self.progress = progress
-        self.experiment = lru_cache(lambda index: stored_experiment(campaign, index))
+        self.experiment = lru_cache(lambda index: stored_experiment(store, index))
         self.readable = lru_cache(
-            lambda content: [cell.vs for cell in campaign.select(content=content, status=CellStatus.DONE) if cell.vs]
+            lambda content: [
+                cell.vs for cell in store.results(Selection(contents=content, statuses=CellStatus.DONE)) if cell.vs
+            ]
         )
 
     def diagnose(self, cell: CellResult) -> Diagnosis:
@@ -169,7 +168,7 @@ class _Examiner:
 
     def _measure(self, cell: CellResult, experiment: Experiment) -> Measurement:
         """Compute a cell again."""
-        refuse_other_physics(self.campaign.record)
+        refuse_other_physics(self.store.record)
         self.progress(f"Computing seed {cell.key.seed} at {cell.key.content:g} % again")
         return measure_all(experiment, cell.key.content, [cell.key.seed])[0]
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.progress import ProgressDisplay, RunProgress, RunStage
-from calcidem.sweep.channel import tell_progress
+from calcidem.launch.channel import tell_progress
 from calcidem.sweep.progress import duration, pluralize
 
 _FRAMES_PER_SECOND = 4
@@ -54,7 +54,7 @@ class SilentDisplay:
         """Do nothing."""
 
 
-class CallbackDisplay(SilentDisplay):
+class _CallbackDisplay(SilentDisplay):
     """Hands everything to a function of the caller.
 
     Parameters
@@ -212,7 +212,7 @@ class LiveDisplay:
 def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> ProgressDisplay:
     """The display for what a caller in Python asks for: a function, something to see or not, or whatever suits."""
     if callable(progress):
-        return CallbackDisplay(progress)
+        return _CallbackDisplay(progress)
     console = Console(highlight=False)
     if progress is False or not (progress or console.is_terminal or console.is_jupyter):
         return SilentDisplay()

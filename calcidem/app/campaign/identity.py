@@ -1,6 +1,5 @@
 """Whether a stored campaign is the one it is taken for: refused where its cells could not be those of this program."""
 
-import json
 from datetime import UTC, datetime
 
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
@@ -13,7 +12,7 @@ from calcidem.storage.sql.store import Store
 
 def physics_version(record: CampaignRecord) -> object:
     """`PHYSICS_VERSION` of the program that a stored campaign was computed with."""
-    return json.loads(record.config).get("physics_version", "unknown")
+    return record.parameters.get("physics_version", "unknown")
 
 
 def refuse_other_physics(record: CampaignRecord) -> None:

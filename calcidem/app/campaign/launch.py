@@ -13,12 +13,13 @@ from pathlib import Path
 from types import FrameType
 
 from calcidem.app.campaign.screen import CommandScreen
+from calcidem.launch import starter
+from calcidem.launch.addresses import listening_addresses
+from calcidem.launch.leftovers import remove_leftovers
+from calcidem.launch.rank_watch import RankWatch
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, starter
-from calcidem.sweep.addresses import listening_addresses
+from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
-from calcidem.sweep.leftovers import remove_leftovers
-from calcidem.sweep.rank_watch import RankWatch
 from calcidem.sweep.signals import SignalHandlers, find_signals
 
 _MPIRUN_VARIABLE = "MPIRUN"
@@ -30,7 +31,7 @@ TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that goes on when a rank is lost."""
 
-NO_LISTENER = 213
+_NO_LISTENER = 213
 """Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
 
 _RESTART_PAUSE = 1.0
@@ -154,7 +155,7 @@ class Launch:
                 # database that is locked or away is no better a second later.
                 curable = watch.exit_code == EXIT_RESUMABLE and watch.exit_reason in {"", signal.SIGTERM.name}
                 return _LaunchEnd(watch.exit_code, worth_a_restart=curable and enough, hosts=left)
-            if process.returncode == NO_LISTENER and again and not watch.anybody_began:
+            if process.returncode == _NO_LISTENER and again and not watch.anybody_began:
                 screen.say(f"{name} failed before any rank began; it is being started once more.")
                 return self._once(mpirun, relay, screen, hosts, again=False)
             if launcher_killed:
@@ -181,7 +182,7 @@ class Launch:
             [
                 *(mpirun, *launcher_options(mpirun, ranks, forwarded)),
                 *(["--host", ",".join(f"{host}:{slots}" for host, slots in hosts.items())] if hosts else []),
-                *starter_command(),
+                *_starter_command(),
                 *(sys.executable, "-m", "calcidem", *self.arguments),
             ],
             env=environment,
@@ -251,7 +252,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
                 os.kill(child, signal.SIGKILL)
 
 
-def starter_command() -> list[str]:
+def _starter_command() -> list[str]:
     """Beginning of the command line of a rank that tells this command of itself; the starter needs no site packages."""
     return [sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())]
 

@@ -10,13 +10,12 @@ from typing import TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.packing import content_hash_of
-from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store, open_store, read_campaign
 from calcidem.storage.store import Selection
 
 _OUTCOMES_AT_ONCE = 200
@@ -114,7 +113,7 @@ def merge_databases(
     if out.exists():
         raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
     with ExitStack() as stack:
-        campaigns = [stack.enter_context(open_stored_campaign(source, campaign_name)) for source in sources]
+        campaigns = [stack.enter_context(read_campaign(source, campaign_name)) for source in sources]
         temporary = stack.enter_context(write_atomically(out))
         with open_store(temporary) as store:
             merged = _merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
@@ -155,7 +154,7 @@ def missing_lines(merged: Merged) -> list[str]:
     return lines
 
 
-def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: int | None) -> Merged:
+def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
     A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
@@ -181,7 +180,7 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
             shared += len(done) > 1
     merged = Merged(
         settled=len(choice),
-        missing=tuple(sorted(set().union(*(source.store.statuses() for source in sources)) - choice.keys())),
+        missing=tuple(sorted(set().union(*(source.statuses() for source in sources)) - choice.keys())),
         taken=tuple(list(choice.values()).count(source) for source in range(len(sources))),
         shared=shared,
         overruled=overruled,
@@ -193,14 +192,14 @@ def _merge_campaigns(sources: Sequence[StoredCampaign], target: Store, prefer: i
     for packing in packings:
         target.save_packing(packing)
     for source in sources:
-        _copy_plan(source.store, target)
+        target.plan(source.statuses())
     numbers = _copy_history(sources, target)
     for position, source in enumerate(sources):
         _copy_outcomes(source, position, target, choice, numbers)
     return merged
 
 
-def _refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
+def _refuse_other_campaigns(sources: Sequence[Store]) -> None:
     """Raise `CampaignMismatchError` unless all sources have the same physics version and configuration."""
     first = sources[0].record
     for position, record in enumerate((source.record for source in sources), 1):
@@ -214,13 +213,13 @@ def _refuse_other_campaigns(sources: Sequence[StoredCampaign]) -> None:
         refuse_other_campaign(first, record)
 
 
-def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
+def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
     """All packings of the sources; `CampaignMismatchError` if two differ under one number, or cells have none."""
     first: dict[int, tuple[PackingRecord, str]] = {}
     for position, source in enumerate(sources, 1):
         place = f"database {position}"
         indices = source.packing_indices()
-        used = source.store.table(("packing_index",), Selection(where="packing_index is not None"))["packing_index"]
+        used = source.table(("packing_index",), Selection(where="packing_index is not None"))["packing_index"]
         if lacking := set(used.astype(int).tolist()) - set(indices):
             raise CampaignMismatchError(
                 f"Packing {min(lacking)}, on which cells were computed, is missing in {place}.",
@@ -234,11 +233,11 @@ def _join_packings(sources: Sequence[StoredCampaign]) -> list[PackingRecord]:
     return [packing for packing, _ in first.values()]
 
 
-def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int, _Values]]:
+def _settled_cells(sources: Sequence[Store]) -> dict[CellKey, dict[int, _Values]]:
     """Outcomes of all settled cells, by the position of the source."""
     settled: defaultdict[CellKey, dict[int, _Values]] = defaultdict(dict)
     for position, source in enumerate(sources):
-        columns = source.store.table(("seed", "content", "status", *EXACT_QUANTITIES))
+        columns = source.table(("seed", "content", "status", *EXACT_QUANTITIES))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
             if status not in {CellStatus.PENDING, CellStatus.DAMAGED}:
                 known = tuple(None if math.isnan(value) else value for value in values)
@@ -246,19 +245,7 @@ def _settled_cells(sources: Sequence[StoredCampaign]) -> dict[CellKey, dict[int,
     return settled
 
 
-def _copy_plan(source: Store, target: Store) -> None:
-    """Plan the cells of a source, which need not be all of its seeds x contents."""
-    contents_of: defaultdict[int, list[float]] = defaultdict(list)
-    for key in source.statuses():
-        contents_of[key.seed].append(key.content)
-    seeds_with: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
-    for seed, contents in contents_of.items():
-        seeds_with[tuple(contents)].append(seed)
-    for some_contents, seeds in seeds_with.items():
-        target.extend(seeds, some_contents)
-
-
-def _copy_history(sources: Sequence[StoredCampaign], target: Store) -> _Numbers:
+def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
     """Copy runs and attempts, each once; return the new numbers of the attempts."""
     runs: dict[tuple[object, ...], int] = {}
     attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
@@ -270,7 +257,7 @@ def _copy_history(sources: Sequence[StoredCampaign], target: Store) -> _Numbers:
             if same_run not in runs:
                 runs[same_run] = target.begin_run(run)
             run_numbers[number] = runs[same_run]
-        for attempt in source.store.history():
+        for attempt in source.history():
             identity = (attempt.recorded, attempt.outcome, attempt.host, attempt.rank)
             moved = replace(attempt, run_id=run_numbers.get(attempt.run_id))
             attempts[attempt.key].setdefault(identity, moved)
@@ -288,7 +275,7 @@ def _copy_history(sources: Sequence[StoredCampaign], target: Store) -> _Numbers:
 
 
 def _copy_outcomes(
-    source: StoredCampaign, position: int, target: Store, choice: Mapping[CellKey, int], numbers: _Numbers
+    source: Store, position: int, target: Store, choice: Mapping[CellKey, int], numbers: _Numbers
 ) -> None:
     """Copy the outcomes that were chosen from a source, with their arrays.
 
@@ -296,7 +283,7 @@ def _copy_outcomes(
     """
     chosen: Iterator[CellResult] = (
         replace(result, attempt=numbers[position, result.key, result.attempt])
-        for result in source.select(with_arrays=True)
+        for result in source.results(with_arrays=True)
         if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
     for block in chunks(chosen, _OUTCOMES_AT_ONCE):

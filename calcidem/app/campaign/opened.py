@@ -12,11 +12,12 @@ from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
@@ -43,11 +44,22 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
-from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
+from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import CellResult, CementPattern
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.records import (
+    QUANTITY_BY_NAME,
+    AttemptRecord,
+    CampaignRecord,
+    CellResult,
+    CellStatus,
+    CementPattern,
+    PackingRecord,
+    RecordedSection,
+    RunRecord,
+)
+from calcidem.storage.sql.store import Store, open_store, read_campaign
+from calcidem.storage.store import Closable, Selection
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.plots import CampaignPlots
@@ -87,7 +99,7 @@ class Sample:
         return self.scene.bonds
 
 
-def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "OpenedCampaign":
+def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
     """Open a campaign for reading; a run may go on writing it meanwhile.
 
     Parameters
@@ -109,11 +121,10 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     >>> vs.sizes["content"], vs.attrs["units"]
     (5, 'm s-1')
     """
-    stored = open_stored_campaign(path_or_url, name)
-    return OpenedCampaign(stored.store, stored.record)
+    return Campaign(read_campaign(path_or_url, name))
 
 
-def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "OpenedCampaign":
+def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "Campaign":
     """Open the campaign of a configuration in a database: the only one there is, or the one of its name.
 
     Raises
@@ -131,11 +142,222 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
     except BaseException:
         store.close()
         raise
-    return OpenedCampaign(store, record)
+    return Campaign(store)
 
 
-class OpenedCampaign(StoredCampaign):
-    """A campaign as its readers see it; `calcidem.storage.campaign.StoredCampaign` has the rest of its methods."""
+class Campaign(Closable):
+    """A campaign as its readers see it: what is stored of it, and what can be computed from that.
+
+    Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
+    manager.
+
+    Attributes
+    ----------
+    store : Store
+        With that campaign chosen; closed together with this object.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+
+    @property
+    def record(self) -> CampaignRecord:
+        """Its identity, configuration and plan, as they were when it was opened."""
+        return self.store.record
+
+    def __reduce__(self) -> NoReturn:
+        """Raise a `TypeError`: connections end at the border of a process."""
+        raise TypeError(
+            f"The open campaign '{self.record.name}' cannot be pickled: give other processes the name of its file, "
+            "and open it there with calcidem.open_campaign."
+        )
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The physical configuration."""
+        return self.record.parameters
+
+    def vs(self) -> xr.DataArray:
+        """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.vs().sel(content=5.0).attrs["units"]
+        'm s-1'
+        """
+        return cell_matrices(self.store, ("vs",))["vs"]
+
+    def vs_error(self) -> xr.DataArray:
+        """Return the relative standard errors (seed, content) of the velocities, NaN where they are not known.
+
+        Each is made of the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`), and
+        1.96 of them on either side of a velocity hold 95 %.
+        """
+        return cell_matrices(self.store, ("vs_error",))["vs_error"]
+
+    def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
+        """Return scalar quantities of every cell (`calcidem.storage.dataset.campaign_dataset`).
+
+        Parameters
+        ----------
+        columns : sequence of str, optional
+            Quantities, by default all.
+        """
+        return campaign_dataset(self.store, columns)
+
+    def to_dataframe(
+        self,
+        columns: Sequence[str] | None = None,
+        *,
+        content: float | Collection[float] | None = None,
+        seed: int | Collection[int] | None = None,
+        status: str | Collection[str] | None = None,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """Return a pandas table with one row for each planned cell; parameters as in `to_xarray` and `select`.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.to_dataframe(["seed", "vs"], content=5.0, status="done")["seed"].tolist()
+        [1, 2, 3, 4, 5, 6, 7, 8]
+        """
+        names = list(QUANTITY_BY_NAME) if columns is None else list(columns)
+        frame = pd.DataFrame(self.store.table(names, Selection(seed, content, status, where)))
+        # Int64 with a capital is the type of pandas for whole numbers some of which are missing.
+        return frame.astype({name: "Int64" for name in names if QUANTITY_BY_NAME[name].kind == "whole"})
+
+    def select(
+        self,
+        *,
+        content: float | Collection[float] | None = None,
+        seed: int | Collection[int] | None = None,
+        status: str | Collection[str] | None = None,
+        where: str | None = None,
+        with_arrays: bool = False,
+    ) -> Iterator[CellResult]:
+        """Give the outcomes of the selected cells as frozen records, by seed, then content.
+
+        Parameters
+        ----------
+        content : float or collection of float, optional
+            Percent.
+        seed : int or collection of int, optional
+        status : str or collection of str, optional
+            Such as ``"done"``.
+        where : str, optional
+            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
+        with_arrays : bool
+            Whether the records bring sections and cement patterns along.
+
+        Returns
+        -------
+        iterator of CellResult
+            Fetched as it is consumed.
+
+        Raises
+        ------
+        UnknownCellError
+            For a content that the campaign does not have.
+        QueryError
+            For an unknown status, or a filter that is none.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> [cell.key.seed for cell in campaign.select(content=5.0, where="seed < 3")]
+        [1, 2]
+        """
+        found = self.store.results(Selection(seed, content, status, where), with_arrays=with_arrays)
+        return with_patterns(self.store, found) if with_arrays else found
+
+    def cell(self, *, seed: int, content: float) -> CellResult:
+        """Return the whole outcome of one cell, with its arrays.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        return next(with_patterns(self.store, [self.store.cell(seed=seed, content=content)]))
+
+    def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
+        """Return the section of a cell as it is stored.
+
+        Raises
+        ------
+        UnknownCellError
+            If it was not kept.
+        """
+        found = self.store.cell(seed=seed, content=content)
+        found.refuse_damage()
+        if found.section is None:
+            raise UnknownCellError(
+                f"No section is stored for seed {seed} and content {content} %.",
+                "Only cells that were computed with run.store_sections have one.",
+            )
+        return found.section
+
+    def section(self, *, seed: int, content: float) -> xr.DataArray:
+        """Return the space-time section of a cell: velocities [m/s] along (time, place, component).
+
+        ``time`` is in s after the pulse began, ``place`` the path from the transmitter in m, the last of which is the
+        receiver, and ``component`` is ``across`` the path or ``along`` it.
+
+        Raises
+        ------
+        UnknownCellError
+            If it was not kept.
+
+        Examples
+        --------
+        >>> campaign = open_campaign("quick.db")
+        >>> campaign.section(seed=1, content=5.0).sel(component="across").isel(place=-1).dims
+        ('time',)
+        """
+        found = self.recorded_section(seed=seed, content=content)
+        return xr.DataArray(
+            np.stack([found.across, found.along], axis=-1) * found.resolution,
+            dims=("time", "place", "component"),
+            coords={
+                "time": ("time", found.time, {"units": "s"}),
+                "place": ("place", found.places, {"units": "m"}),
+                "component": ["across", "along"],
+            },
+            name="velocity",
+            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency, "aperture": found.aperture},
+        )
+
+    def packing(self, index: int = 0) -> PackingRecord:
+        """Return a packing of the campaign.
+
+        Raises
+        ------
+        UnknownCellError
+            If there is none of that index (yet).
+        """
+        return self.store.packing(index)
+
+    def packing_indices(self) -> tuple[int, ...]:
+        """Return the indices of the packings that are stored, ascending."""
+        return self.store.packing_indices()
+
+    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
+        return self.store.status_counts()
+
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """Return the provenance of all runs with their numbers, oldest first."""
+        return self.store.runs()
+
+    def history(self, *, seed: int, content: float) -> tuple[AttemptRecord, ...]:
+        """Return all attempts at a cell."""
+        return tuple(self.store.history(Selection(seed, content)))
+
+    def close(self) -> None:
+        """Release the connection."""
+        self.store.close()
 
     def __repr__(self) -> str:
         """Name, size and how many cells have which outcome, as of now."""
@@ -156,10 +378,6 @@ class OpenedCampaign(StoredCampaign):
             return head
         found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
-
-    def _complete(self, outcomes: Iterator[CellResult]) -> Iterator[CellResult]:
-        """Add cement that is not stored, drawn from its seed."""
-        return with_patterns(self, outcomes)
 
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content.
@@ -294,7 +512,7 @@ class OpenedCampaign(StoredCampaign):
             pattern = draw_pattern(self.experiment(), seed, content)
         if features is None:
             features = {} if pattern is None else pattern_features(self._graphs[0], pattern)
-        return predict_velocity(self, content, features, level, without_seed=seed)
+        return predict_velocity(self.analyse(), content, features, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample.
@@ -357,7 +575,7 @@ class OpenedCampaign(StoredCampaign):
         StoreError
             If the database was not made by a run, so that its configuration or its packing is incomplete.
         """
-        return stored_experiment(self, packing_index)
+        return stored_experiment(self.store, packing_index)
 
     def diagnose(
         self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
@@ -372,25 +590,19 @@ class OpenedCampaign(StoredCampaign):
         >>> for cell in campaign.diagnose(content=9.0):  # all of 9 % have a velocity
         ...     print(cell.key, cell.reason, *cell.remedies)
         """
-        return diagnose(self, seed=seed, content=content)
+        return diagnose(self.store, Selection(seed, content))
 
     def try_remedies(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[RemedyTrial, ...]:
         """Compute so many of these cells again with each of their remedies, and rank these; nothing is written.
 
         See `calcidem.app.campaign.remedy_trials.try_remedies`.
         """
-        return tuple(rank_trials(try_remedies(self, diagnoses, count)))
+        return tuple(rank_trials(try_remedies(self.store, diagnoses, count)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
 
         All cells of a campaign that have this packing were computed on these very disks and forces.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> campaign.content_hash() == campaign.experiment().packing.content_hash
-        True
         """
         return content_hash_of(self.packing(packing_index))
 
@@ -406,11 +618,22 @@ class OpenedCampaign(StoredCampaign):
         """
         from calcidem.app.campaign.plots import CampaignPlots  # noqa: PLC0415 - matplotlib takes half a second
 
-        return CampaignPlots(self, self.cemented)
+        return CampaignPlots(self.analyse(), self.cemented)
+
+    def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
+        """Return the analysis of the campaign as it is now, each part of it made when it is first asked for.
+
+        Parameters
+        ----------
+        most_samples
+            If there are more cells than this, only the samples of the first seeds are read and analysed for their
+            paths.
+        """
+        return CampaignAnalysis(self.store, most_samples, with_patterns)
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:
-        return CampaignAnalysis(self).graphs
+        return self.analyse().graphs
 
     def _cement(self, seed: int, content: float) -> tuple[int, CementPattern]:
         """Return the index of a cell's packing, and its cement."""
@@ -447,7 +670,7 @@ def write_sample(sample: Sample, file: Path) -> Path:
     Parameters
     ----------
     sample
-        From `OpenedCampaign.sample`.
+        From `Campaign.sample`.
     file
         ``.vtu`` or ``.vtk`` for ParaView, ``.csv`` for its disks alone; replaced in one step.
 

@@ -24,7 +24,7 @@ from calcidem.dem.sample.packing import (
 )
 from calcidem.dem.sample.packing_file import PackingFileError, packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, UnknownCellError
+from calcidem.storage.errors import DamagedStoreError, OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import PackingRecord
 from calcidem.storage.sql.store import Store
@@ -80,16 +80,13 @@ def provide_packing(
     CampaignMismatchError
         If the stored one is damaged and what is found or made is another one.
     """
-    if store is None:
+    if store is None or 0 not in store.packing_indices():
         return _find_packing(configuration, tell, check, watch)
     try:
-        record = store.load_packing()
-        packing = None if record is None else stored_packing(record)
+        packing = _stored_packing(store.packing())
     except DamagedStoreError as error:
         tell(f"Packing: {error.problem}")
     else:
-        if packing is None:
-            return _find_packing(configuration, tell, check, watch)
         tell("Packing: taken from the database.")
         return packing
     packing = _find_packing(configuration, tell, check, watch)
@@ -109,9 +106,7 @@ def readable_packing(store: Store, index: int) -> Packing:
         If there is none of that index.
     """
     try:
-        record = store.load_packing(index)
-        if record is not None:
-            return stored_packing(record)
+        return _stored_packing(store.packing(index))
     except DamagedStoreError:
         content_hash = store.content_hashes().get(index)
         cached = sorted(cache_folder().glob("packing-*.npz"))
@@ -121,7 +116,6 @@ def readable_packing(store: Store, index: int) -> Packing:
                 if found.content_hash == content_hash:
                     return found
         raise
-    raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {store.packing_indices()}.")
 
 
 def _find_packing(
@@ -132,7 +126,7 @@ def _find_packing(
     if packing is not None:
         return packing
     packing = new_packing(configuration, tell, check, watch)
-    _write_cache(cache_folder() / cached_name(configuration.packing_hash), packing, tell)
+    _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
     return packing
 
 
@@ -158,14 +152,14 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
     if archive is not None:
         tell("Packing: comes with calcidem.")
         return packing_from_bytes(archive)
-    path = cache_folder() / cached_name(packing_hash)
+    path = cache_folder() / _cached_name(packing_hash)
     packing = _read_cache(path, tell)
     if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
     return packing
 
 
-def cached_name(packing_hash: str) -> str:
+def _cached_name(packing_hash: str) -> str:
     """Name in the cache of the packing with this `Configuration.packing_hash`, as the present method makes it."""
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
@@ -274,7 +268,7 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
     )
 
 
-def stored_packing(record: PackingRecord) -> Packing:
+def _stored_packing(record: PackingRecord) -> Packing:
     """Packing of a record, bit for bit the one that was stored.
 
     Raises
@@ -308,9 +302,9 @@ def identify_packing(record: PackingRecord) -> PackingRecord:
     Raises
     ------
     DamagedStoreError
-        As `stored_packing`.
+        As `_stored_packing`.
     """
-    return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
+    return replace(record, content_hash=_stored_packing(record).content_hash) if record.state else record
 
 
 def content_hash_of(record: PackingRecord) -> str | None:

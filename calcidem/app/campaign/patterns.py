@@ -10,24 +10,24 @@ from calcidem.app.campaign.task import pattern_of
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult
+from calcidem.storage.sql.store import Store
 
 
-def stored_experiment(campaign: StoredCampaign, packing_index: int = 0) -> Experiment:
-    """What the cells of a packing share, as `calcidem.OpenedCampaign.experiment`, for modules that one needs."""
-    return Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, packing_index))
+def stored_experiment(store: Store, packing_index: int = 0) -> Experiment:
+    """What the cells of a packing share, as `calcidem.Campaign.experiment`, for modules that one needs."""
+    return Configuration.from_physics(store.record.parameters).experiment(readable_packing(store, packing_index))
 
 
-def with_patterns(campaign: StoredCampaign, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
-    """Give outcomes of a campaign; cement that is not stored is drawn from the seed, as it was for the wave.
+def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
+    """Give outcomes of a store; cement that is not stored is drawn from the seed, as it was for the wave.
 
     An outcome stays without if its cement was never drawn, or if another is drawn now: by another version of the
     physics, or on a packing that is not stored.
     """
-    same_physics = physics_version(campaign.record) == PHYSICS_VERSION
-    experiment = lru_cache(lambda index: stored_experiment(campaign, index))
+    same_physics = physics_version(store.record) == PHYSICS_VERSION
+    experiment = lru_cache(lambda index: stored_experiment(store, index))
     ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # contents of a seed come together
     for outcome in outcomes:
         if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from calcidem.analysis.figures.signals import draw_signals
 from calcidem.app.campaign.task import stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.film import film_wave
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.files import write_atomically
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
@@ -37,24 +35,19 @@ class CampaignPlots:
     """
 
     def __init__(
-        self, campaign: StoredCampaign, cemented: Callable[..., tuple[Experiment, npt.NDArray[np.bool_]]]
+        self, analysis: CampaignAnalysis, cemented: Callable[..., tuple[Experiment, npt.NDArray[np.bool_]]]
     ) -> None:
         """Draw figures of a campaign.
 
         Parameters
         ----------
-        campaign
-            An open campaign.
+        analysis
+            Of the campaign.
         cemented
-            Gives the experiment of a cell, and which contacts are cemented (`OpenedCampaign.cemented`).
+            Gives the experiment of a cell, and which contacts are cemented (`Campaign.cemented`).
         """
-        self._campaign = campaign
+        self.analysis = analysis
         self._cemented = cemented
-
-    @cached_property
-    def analysis(self) -> CampaignAnalysis:
-        """Analysis of the campaign as it is now."""
-        return CampaignAnalysis(self._campaign)
 
     def __dir__(self) -> list[str]:
         """Methods, the figures of a report included."""
@@ -120,7 +113,7 @@ class CampaignPlots:
         """
         path = Path(file)
         writer = movie_writer(path)
-        cell = self._campaign.cell(seed=seed, content=content)
+        cell = self.analysis.store.cell(seed=seed, content=content)
         experiment, bonded = self._cemented(seed=seed, content=content)
         wave = experiment.wave
         if cell.retry:  # then its wave was sent with half the step
@@ -135,7 +128,7 @@ class CampaignPlots:
         )
         shown = replace(cell, section=stored_section(film.record.section))
         figure = draw_film(
-            self._campaign.packing(cell.packing_index),
+            self.analysis.store.packing(cell.packing_index),
             experiment.packing.pairs[bonded],
             (film.x, film.y, film.radius),
             read_arrival(self.analysis, shown),

@@ -13,9 +13,10 @@ from calcidem.analysis.predictor import Prediction, PredictorCheck, check_predic
 from calcidem.app.campaign.task import pattern_of
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.campaign import StoredCampaign
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CementPattern
+from calcidem.storage.records import CellStatus, CementPattern
+from calcidem.storage.store import Selection
 
 PATH_FEATURES = tuple(feature.name for feature in FEATURES)
 COLUMN = "column_share"
@@ -28,7 +29,7 @@ _FEWEST_VELOCITIES = 4
 
 
 def predict_velocity(
-    campaign: StoredCampaign,
+    analysis: CampaignAnalysis,
     content: float,
     features: Mapping[str, float],
     level: float = 0.95,
@@ -38,8 +39,8 @@ def predict_velocity(
 
     Parameters
     ----------
-    campaign
-        Whose samples of this content the predictor is fitted to.
+    analysis
+        Of the campaign to whose samples of this content the predictor is fitted.
     content
         Of the campaign, percent.
     features
@@ -59,9 +60,9 @@ def predict_velocity(
     names = tuple(features)
     if strange := sorted(set(names) - set(FEATURE_NAMES)):
         raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
-    shares = _column_shares(campaign, [content], names)
+    shares = _column_shares(analysis, [content], names)
     names = _known_of(names, shares)
-    table, vs, seeds = _velocities_at(campaign, content, names, shares)
+    table, vs, seeds = _velocities_at(analysis, content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
     if others.sum() < _FEWEST_VELOCITIES:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
@@ -72,16 +73,16 @@ def predict_velocity(
 
 
 def check_predictions(
-    campaign: StoredCampaign, names: Sequence[str] = FEATURE_NAMES, level: float = 0.95
+    analysis: CampaignAnalysis, names: Sequence[str] = FEATURE_NAMES, level: float = 0.95
 ) -> dict[float, PredictorCheck]:
     """Predict every sample from the other seeds of its content, by content.
 
     Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
     """
-    contents = campaign.to_xarray(("vs",))["content"].to_numpy().tolist()
-    shares = _column_shares(campaign, contents, names)
+    contents = campaign_dataset(analysis.store, ("vs",))["content"].to_numpy().tolist()
+    shares = _column_shares(analysis, contents, names)
     names = _known_of(names, shares)
-    samples = {content: _velocities_at(campaign, content, names, shares) for content in contents}
+    samples = {content: _velocities_at(analysis, content, names, shares) for content in contents}
     return {
         content: check_predictor(table, vs, level, _choices(names))
         for content, (table, vs, _) in samples.items()
@@ -146,14 +147,14 @@ def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, f
 
 
 def _column_shares(
-    campaign: StoredCampaign, contents: Collection[float], names: Sequence[str]
+    analysis: CampaignAnalysis, contents: Collection[float], names: Sequence[str]
 ) -> dict[tuple[int, float], float]:
     """`COLUMN`, if it is wanted, of all samples with a velocity whose cement is known, by seed and content."""
     shares: dict[tuple[int, float], float] = {}
     if COLUMN not in names:
         return shares
-    graphs = CampaignAnalysis(campaign).graphs
-    for cell in campaign.select(content=contents, status="done", with_arrays=True):
+    graphs = analysis.graphs
+    for cell in analysis.outcomes_of(Selection(contents=contents, statuses=CellStatus.DONE)):
         if cell.cement is not None:
             graph = graphs[cell.packing_index]
             shares[cell.key.seed, cell.key.content] = graph.column_share(graph.bonded(cell.cement))
@@ -161,11 +162,11 @@ def _column_shares(
 
 
 def _velocities_at(
-    campaign: StoredCampaign, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
+    analysis: CampaignAnalysis, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
     stored = [name for name in names if name != COLUMN]
-    cells = campaign.to_xarray(("vs", *stored))
+    cells = campaign_dataset(analysis.store, ("vs", *stored))
     contents = cells["content"].to_numpy()
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)

@@ -76,7 +76,7 @@ class RunProgress:
     busy: int = 0
 
     def to_json(self) -> str:
-        """Text of one line, short enough for `calcidem.sweep.channel`."""
+        """Text of one line, short enough for `calcidem.launch.channel`."""
         text = json.dumps(asdict(self))
         return text if len(text) <= _LONGEST_TEXT else replace(self, contents=()).to_json()
 

@@ -9,7 +9,6 @@ from typing import NoReturn, Protocol
 
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
 from calcidem.app.campaign.run import CampaignRun, sweep_options
-from calcidem.app.campaign.store_sink import HeartbeatProgress
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
@@ -117,7 +116,7 @@ def _lead(
                 CellComputation(orders.configuration, work.packing),
                 work.sink,
                 options=sweep_options(orders.configuration),
-                progress=HeartbeatProgress(reporter, work.lease_keeper),
+                progress=reporter,
                 stop_request=session.stop_request,
             )
             work.store.renew_lease()  # nothing is complete whose database is no longer there

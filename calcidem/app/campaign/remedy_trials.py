@@ -17,8 +17,9 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure_all
-from calcidem.storage.campaign import StoredCampaign
-from calcidem.storage.records import CellStatus
+from calcidem.storage.records import CampaignRecord, CellStatus
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 
 _MOST_CHANGED = 0.02  # of the neighbours' mean Vs that a remedy may make
 _BATCH = 8  # cells that are tried side by side: those without velocity, and readable ones for comparison
@@ -102,7 +103,7 @@ def rank_trials(trials: Iterable[RemedyTrial]) -> list[RemedyTrial]:
 
 
 def try_remedies(
-    campaign: StoredCampaign,
+    store: Store,
     diagnoses: Sequence[Diagnosis],
     count: int,
     progress: Callable[[str], None] = lambda _: None,
@@ -111,8 +112,8 @@ def try_remedies(
 
     Parameters
     ----------
-    campaign
-        An open campaign; nothing is written to it.
+    store
+        With a campaign chosen; nothing is written to it.
     diagnoses
         Of its cells, from `diagnose`.
     count
@@ -130,11 +131,11 @@ def try_remedies(
     CampaignMismatchError
         If the campaign was computed with another version of the physics.
     """
-    refuse_other_physics(campaign.record)
-    experiment = stored_experiment(campaign)
+    refuse_other_physics(store.record)
+    experiment = stored_experiment(store)
     ordering = lru_cache(experiment.ordering)
     for content, seeds in sorted(_spread_over_contents(diagnoses, count).items()):
-        readable = campaign.select(content=content, status=CellStatus.DONE)
+        readable = store.results(Selection(contents=content, statuses=CellStatus.DONE))
         known = {cell.key.seed: cell.vs for cell in readable if cell.vs is not None and cell.packing_index == 0}
         near = sorted(known, key=lambda seed: min(abs(seed - other) for other in seeds))
         near = near[: max(1, _BATCH - len(seeds))]
@@ -181,13 +182,13 @@ def _strongest(diagnoses: Iterable[Diagnosis]) -> list[Remedy]:
 
 
 def frequency_table(
-    campaign: StoredCampaign, diagnoses: Sequence[Diagnosis], trials: Sequence[RemedyTrial] = ()
+    record: CampaignRecord, diagnoses: Sequence[Diagnosis], trials: Sequence[RemedyTrial] = ()
 ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Contents (percent) and frequencies (Hz) of a campaign, with the highest that is the first remedy of a cell.
 
     Where remedies were tried it is the frequency that was best, if it helps. None where no other frequency is left.
     """
-    present = Configuration.from_physics(campaign.config).excitation.table.at
+    present = Configuration.from_physics(record.parameters).excitation.table.at
     wanted: defaultdict[float, list[float]] = defaultdict(list)
     tried = {trial.content for trial in trials}
     for diagnosis in diagnoses:
@@ -197,5 +198,5 @@ def frequency_table(
     for trial in rank_trials(trials):
         if trial.remedy.name == "wave.frequency" and trial.outcome in useful:
             wanted[trial.content] = wanted[trial.content] or [float(trial.remedy.value)]
-    contents = campaign.record.contents
+    contents = record.contents
     return (contents, tuple(max(wanted.get(at) or [present(at)]) for at in contents)) if wanted else None

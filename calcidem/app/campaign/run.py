@@ -16,7 +16,7 @@ from calcidem.app.campaign.packing import Tell, packing_record, provide_packing,
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.store_sink import HeartbeatProgress, LeaseKeeper, StoreSink
+from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.task import CellComputation, expected_effort, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing
@@ -39,7 +39,7 @@ from calcidem.sweep import (
 )
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import OpenedCampaign  # statistics, which the ranks do not need
+    from calcidem.app.campaign.opened import Campaign  # statistics, which the ranks do not need
 
 _LEASE_POLL = 1.0
 """Seconds between two looks at a lease that another machine holds."""
@@ -53,7 +53,7 @@ def run(
     set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
     progress: Callable[[RunProgress], object] | bool | None = None,
     executor: Executor | None = None,
-) -> "OpenedCampaign":
+) -> "Campaign":
     """Compute a campaign, or what is left of it, in this process or on the workers of an executor.
 
     Parameters
@@ -75,7 +75,7 @@ def run(
 
     Returns
     -------
-    OpenedCampaign
+    Campaign
         Open for reading; to be closed.
 
     Raises
@@ -124,7 +124,7 @@ def run(
                 CellComputation(configuration, work.packing),
                 work.sink,
                 options=sweep_options(configuration),
-                progress=HeartbeatProgress(reporter, work.lease_keeper),
+                progress=reporter,
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
             )
             work.store.renew_lease()  # what was stored is still there
@@ -160,14 +160,12 @@ class CampaignRun:
 
     Attributes
     ----------
-    packing, store, record
+    packing, store
         Of the campaign.
     batches
         What is left to compute, in order.
     sink
         Takes the outcomes.
-    lease_keeper
-        To be called often while cells are computed (`HeartbeatProgress` does).
     end
         To be set to the end of the sweep.
     """
@@ -223,19 +221,18 @@ class CampaignRun:
         record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
         self.store.save_packing(record)
         self.store.extend(plan.seed_numbers, plan.contents)
-        self.record = self.store.use_campaign(plan.name)
+        self.store.use_campaign(plan.name)  # with the whole plan
         own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
         planned = self.store.pending(plan.seed_numbers, plan.contents)
         pending = [key for key in planned if (key.seed, key.content) in own]
-        self.sink = StoreSink(self.store, pending, tell)
-        self.lease_keeper = LeaseKeeper(self.store, self.sink.busy)
+        kinds = group_workers(workers)
+        self.sink = StoreSink(self.store, pending, tell, kinds)
         self.batches = plan_batches(
             [(key.seed, key.content) for key in pending],
             run.lanes,
             lambda content: expected_effort(self.configuration, content),
             self.sink.losses,
         )
-        kinds = group_workers(workers)
         self.store.begin_run(replace(describe_run(len(workers)), workers=kinds))
         if unlike := describe_unlike(kinds):
             tell(unlike)

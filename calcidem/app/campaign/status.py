@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.app.campaign.packing import content_hash_of
-from calcidem.storage.campaign import StoredCampaign, open_stored_campaign
 from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
 _TROUBLES = (
@@ -144,21 +144,21 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
     StoreError
         If the database can't be read or has no such campaign.
     """
-    with open_stored_campaign(database, campaign_name) as campaign:
-        return campaign_status(campaign, running=is_being_written(campaign))
+    with read_campaign(database, campaign_name) as store:
+        return _campaign_status(store, running=_is_being_written(store))
 
 
-def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatus:
+def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
     """Gather how far a campaign is, in a few short queries.
 
     Parameters
     ----------
-    campaign
-        Open for reading.
+    store
+        With a campaign chosen.
     running
-        Whether a process writes it (`is_being_written`).
+        Whether a process writes it (`_is_being_written`).
     """
-    columns = campaign.store.table(("seed", "content", "status", "seconds", *BUDGET_QUANTITIES))
+    columns = store.table(("seed", "content", "status", "seconds", *BUDGET_QUANTITIES))
     contents = np.unique(columns["content"])
     rows = [columns["content"] == content for content in contents]
     seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
@@ -170,21 +170,20 @@ def campaign_status(campaign: StoredCampaign, *, running: bool) -> CampaignStatu
     counts: Counter[CellStatus] = Counter()
     for status in statuses:
         counts.update(status.counts)
-    runs = campaign.runs()
+    runs = store.runs()
     number, last = runs[-1] if runs else (None, None)
     workers = max(1, last.ranks - 1) if last is not None else 1
     return CampaignStatus(
-        name=campaign.record.name,
-        hash=campaign.record.hash,
+        name=store.record.name,
+        hash=store.record.hash,
         content_hashes={
-            index: known or content_hash_of(campaign.packing(index))
-            for index, known in campaign.store.content_hashes().items()
+            index: known or content_hash_of(store.packing(index)) for index, known in store.content_hashes().items()
         },
-        seeds=campaign.record.seeds,
+        seeds=store.record.seeds,
         contents=statuses,
         counts=counts,
         budget=error_budget(columns),
-        troubles=_troubles_of(campaign),
+        troubles=_troubles_of(store),
         last_run=last,
         run_number=number,
         running=running,
@@ -229,20 +228,20 @@ def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float6
     return np.interp(contents, contents[known], measured[known])
 
 
-def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
+def _troubles_of(store: Store) -> tuple[Trouble, ...]:
     """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
 
     def texts(quantity: str, selection: Selection) -> dict[CellKey, str]:
-        columns = campaign.store.table(("seed", "content", quantity), selection)
+        columns = store.table(("seed", "content", quantity), selection)
         keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
         return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, columns[quantity], strict=True)}
 
-    attempts = campaign.store.attempt_counts()
+    attempts = store.attempt_counts()
     reasons = texts("reason", Selection(statuses=_TROUBLES))
     retries = texts("retry", Selection(where="retry is not None"))
     repeated = {key for key, count in attempts.items() if count.attempts > 1 or count.losses}
     keys = repeated | reasons.keys() | retries.keys()
-    statuses = campaign.store.statuses() if keys else {}
+    statuses = store.statuses() if keys else {}
     found = []
     for key in sorted(keys, key=lambda key: (_URGENCY[statuses[key]], key)):
         count = attempts.get(key, AttemptCount())  # a damaged database may have lost its attempts
@@ -251,12 +250,12 @@ def _troubles_of(campaign: StoredCampaign) -> tuple[Trouble, ...]:
     return tuple(found)
 
 
-def is_being_written(campaign: StoredCampaign) -> bool:
+def _is_being_written(store: Store) -> bool:
     """Whether a living process holds the lease of a campaign, as far as can be told from this machine.
 
     On another machine a process counts as living until its heartbeat is five minutes old.
     """
-    holder = campaign.store.lease_holder()
+    holder = store.lease_holder()
     return holder is not None and holder.may_live()
 
 

@@ -3,24 +3,25 @@
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from threading import Lock
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from calcidem.app.campaign.packing import Tell
+from calcidem.app.campaign.workers import describe_unlike, group_workers
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult, WorkerRecord
 from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.sql.store import Store
-from calcidem.sweep import Batch, BatchOutcome, Cell, Place, Progress, SweepEnd
+from calcidem.sweep import Batch, BatchOutcome, Cell
 
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
 
-LOCK_PAUSE = 1.0
+_LOCK_PAUSE = 1.0
 """Seconds until a lock is asked for again; SQLite itself has waited for half a minute by then."""
 
-MOST_PATIENCE = 600.0
+_MOST_PATIENCE = 600.0
 """Seconds for which a lock of another process is waited for."""
 
 
@@ -38,12 +39,21 @@ class StoreSink:
         The cells that will be computed.
     tell
         Takes sentences for the user.
+    workers
+        What is known of the workers: of those of an executor nothing before their first results.
     """
 
-    def __init__(self, store: Store, keys: Sequence[CellKey], tell: Tell = lambda _: None) -> None:
-        self._store, self._tell = store, tell
+    def __init__(
+        self,
+        store: Store,
+        keys: Sequence[CellKey],
+        tell: Tell = lambda _: None,
+        workers: Sequence[WorkerRecord] = (),
+    ) -> None:
+        self._store, self._tell, self._workers = store, tell, tuple(workers)
         self.busy = Lock()
         """Held while another thread than the master's uses the store."""
+        self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
         self._counts = store.attempt_counts(keys) if keys else {}
 
     @property
@@ -52,12 +62,38 @@ class StoreSink:
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
-        """Write the outcomes in one transaction."""
+        """Write the outcomes in one transaction, after what is new of the workers that they come from."""
+        self._note_workers(outcomes)
         results = [result for outcome in outcomes for result in self._results(outcome)]
         self._with_patience(lambda: self._store.record_results(results))
         for result in results:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
+
+    def _note_workers(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> None:
+        """Add to the run what workers are that nobody knew, and tell if bits could depend on it."""
+        known = {rank for worker in self._workers for rank in worker.ranks}
+        new = {
+            outcome.place.rank: replace(outcome.results[0].worker, ranks=(outcome.place.rank,))
+            for outcome in outcomes
+            if outcome.place.rank not in known and outcome.results and outcome.results[0].worker
+        }
+        if not new:
+            return
+        before, self._workers = describe_unlike(self._workers), group_workers((*self._workers, *new.values()))
+        self._with_patience(lambda: self._store.note_workers(self._workers))
+        if (unlike := describe_unlike(self._workers)) and not before:
+            self._tell(unlike)
+
+    def keep_alive(self) -> None:
+        """Renew the lease if it is time to, for other machines; storing outcomes renews it as well."""
+        if time.monotonic() > self._next_renewal and self.busy.acquire(blocking=False):
+            try:
+                self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
+                with suppress(StoreLockedError):  # who has the lock can't take the lease either
+                    self._store.renew_lease()
+            finally:
+                self.busy.release()
 
     def store_loss(self, batch: Batch[Cell], reason: str, /) -> None:
         """Count a lost attempt for each cell."""
@@ -72,7 +108,7 @@ class StoreSink:
         StoreLockedError
             If it keeps the lock for more than ten minutes.
         """
-        deadline = time.monotonic() + MOST_PATIENCE
+        deadline = time.monotonic() + _MOST_PATIENCE
         with self.busy:
             while True:
                 try:
@@ -81,7 +117,7 @@ class StoreSink:
                     if time.monotonic() > deadline:
                         raise
                     self._tell(f"Waiting for another process that has locked the database ({error.problem})")
-                    time.sleep(LOCK_PAUSE)
+                    time.sleep(_LOCK_PAUSE)
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())
@@ -100,66 +136,3 @@ class StoreSink:
             )
             for result in found
         ]
-
-
-class LeaseKeeper:
-    """Renews the lease of the master, for other machines that might want to take the campaign over.
-
-    Parameters
-    ----------
-    store
-        Whose lease this process holds.
-    busy
-        Held while another thread uses the store.
-    """
-
-    def __init__(self, store: Store, busy: Lock) -> None:
-        self._store, self._busy = store, busy
-        self._next = time.monotonic() + _RENEWAL_INTERVAL
-
-    def __call__(self) -> None:
-        """Renew the lease if it is time to; storing outcomes renews it as well."""
-        if time.monotonic() > self._next and self._busy.acquire(blocking=False):
-            try:
-                self._next = time.monotonic() + _RENEWAL_INTERVAL
-                with suppress(StoreLockedError):  # who has the lock can't take the lease either
-                    self._store.renew_lease()
-            finally:
-                self._busy.release()
-
-
-@dataclass(frozen=True, slots=True)
-class HeartbeatProgress(Progress):
-    """Progress display that keeps the lease alive, for other machines, and otherwise is the one it wraps.
-
-    Attributes
-    ----------
-    shown
-        The display that it wraps.
-    lease_keeper
-        What is kept alive.
-    """
-
-    shown: Progress
-    lease_keeper: LeaseKeeper
-
-    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Pass it on."""
-        self.shown.on_start(batches, workers)
-
-    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Pass it on."""
-        self.shown.on_outcome(outcome)
-
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Pass it on."""
-        self.shown.on_loss(place, reason)
-
-    def on_heartbeat(self, workers: int, running: int) -> None:
-        """Renew the lease, and pass it on."""
-        self.lease_keeper()
-        self.shown.on_heartbeat(workers, running)
-
-    def on_end(self, end: SweepEnd) -> None:
-        """Pass it on."""
-        self.shown.on_end(end)

@@ -19,6 +19,7 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.provenance import version_of
+from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement, content_of_contacts
@@ -85,7 +86,8 @@ class CellComputation:
                 replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
-        return tuple(map(pack_result, results))
+        worker = describe_worker(rank=0)  # the master knows the rank
+        return tuple(replace(pack_result(result), worker=worker) for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Be prepared by the process that unpickles it; the URL of the database, with its password, stays here."""
@@ -240,14 +242,14 @@ def _describe_graph(
     Where no chain of contacts joins transmitter and receiver there is no path.
     """
     bonded = packing.bonded(cement)
-    summary = graph_summary(packing.graph, bonded)
+    summary = _graph_summary(packing.graph, bonded)
     if summary.graph_gap_contacts is None:
         return None, None, summary
     path = packing.path(bonded)
     return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
 
 
-def graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
+def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
     """Summarise the graph of one sample.
 
     Parameters

@@ -4,6 +4,7 @@ import ctypes
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 
@@ -13,7 +14,7 @@ from calcidem.dem.kernels.compiling import target_processor
 from calcidem.storage.records import WorkerRecord
 
 PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
-"""Families of processors on each of which a bit is the same everywhere; see `describe_doubt`."""
+"""Families of processors on each of which a bit is the same everywhere; see `_describe_doubt`."""
 
 _OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
 """What Windows and macOS call a family of processors, and Linux."""
@@ -25,6 +26,7 @@ _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_",
 """Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
 
+@cache  # a process stays what it is
 def describe_worker(rank: int) -> WorkerRecord:
     """What this process is."""
     processor, features = target_processor()
@@ -108,7 +110,7 @@ def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
     return tuple(name for name in names if len({worker.versions.get(name) for worker in workers}) > 1)
 
 
-def describe_doubt(workers: Sequence[WorkerRecord]) -> str:
+def _describe_doubt(workers: Sequence[WorkerRecord]) -> str:
     """Why a cell could have other bits on one of these workers than on another; empty if it can't.
 
     What decides a bit is arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
@@ -135,7 +137,7 @@ def describe_unlike(workers: Sequence[WorkerRecord]) -> str:
         + f" on {hosts_text(worker)}"
         for worker in workers
     )
-    if doubt := describe_doubt(workers):
+    if doubt := _describe_doubt(workers):
         return (
             f"Warning: the ranks are not alike, and {doubt}, so a cell could have other bits on one than on another: "
             f"{kinds}. Use machines of one kind, with one installation."

@@ -16,8 +16,9 @@ from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.diagnosis import Diagnosis
-    from calcidem.app.campaign.opened import OpenedCampaign
     from calcidem.app.campaign.remedy_trials import RemedyTrial
+    from calcidem.storage.records import CampaignRecord
+    from calcidem.storage.sql.store import Store
 
 _MOST_SHOWN = 12
 """Cells that are shown one by one if none is chosen."""
@@ -45,12 +46,13 @@ def diagnose_command(
     same content. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
-    from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.tables import make_console, tell
+    from calcidem.storage.sql.store import read_campaign
+    from calcidem.storage.store import Selection
 
-    with open_campaign(database, campaign) as opened:
-        found = diagnose(opened, seed=seed, content=content, progress=tell)
-        typer.echo(printable("\n".join(_overview_lines(opened, found, chosen=bool(seed or content)))))
+    with read_campaign(database, campaign) as store:
+        found = diagnose(store, Selection(seed, content), tell)
+        typer.echo(printable("\n".join(_overview_lines(store, found, chosen=bool(seed or content)))))
         shown = found if seed or content else found[:_MOST_SHOWN]
         for diagnosis in shown:
             typer.echo(printable("\n".join(["", *_cell_lines(diagnosis)])))
@@ -58,26 +60,26 @@ def diagnose_command(
                 typer.echo(f"  Wrote {file}")
         if len(shown) < len(found):
             typer.echo(f"\nand {len(found) - len(shown)} more; choose with --content and --seed")
-        tried = _try(opened, found, trials) if trials else []
+        tried = _try(store, found, trials) if trials else []
         if tried:
             make_console().print(_trial_table(found, tried, trials))
-        for line in _frequency_lines(opened, found, tried):
+        for line in _frequency_lines(store.record, found, tried):
             typer.echo(printable(line))
 
 
-def _overview_lines(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
+def _overview_lines(store: "Store", found: "Sequence[Diagnosis]", *, chosen: bool) -> Iterator[str]:
     """How many cells have no velocity, at which contents, and what else there is."""
     from calcidem.storage.records import CellStatus
 
     counts: Counter[CellStatus] = Counter()
-    for (_, status), number in campaign.status_counts().items():
+    for (_, status), number in store.status_counts().items():
         counts[status] += number
     total = pluralize(sum(counts.values()), "cell")
     unread = counts[CellStatus.NO_ARRIVAL] + counts[CellStatus.UNSTABLE]
     if not unread:
-        yield f"Campaign {campaign.record.name}: every computed cell of its {total} has a velocity."
+        yield f"Campaign {store.record.name}: every computed cell of its {total} has a velocity."
     else:
-        yield f"Campaign {campaign.record.name}: {unread} of {total} have no velocity. Repeating the run does not help."
+        yield f"Campaign {store.record.name}: {unread} of {total} have no velocity. Repeating the run does not help."
     if chosen and unread:
         yield f"Of the cells chosen these are {len(found)}."
     elif found:
@@ -117,13 +119,13 @@ def _save_picture(diagnosis: "Diagnosis", folder: Path | None) -> list[Path]:
 
 
 def _frequency_lines(
-    campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", tried: "Sequence[RemedyTrial]"
+    record: "CampaignRecord", found: "Sequence[Diagnosis]", tried: "Sequence[RemedyTrial]"
 ) -> Iterator[str]:
     """Frequencies that the remedies ask for, or that helped, as a configuration has them for all contents."""
     from calcidem.app.campaign.remedy_trials import frequency_table
     from calcidem.app.config.reference import written
 
-    table = frequency_table(campaign, found, tried)
+    table = frequency_table(record, found, tried)
     if table is None:
         return
     yield "\nA frequency is meant for its content. For the whole campaign, under another name:\n"
@@ -132,12 +134,12 @@ def _frequency_lines(
         yield f"    {key} = {written(values)}"
 
 
-def _try(campaign: "OpenedCampaign", found: "Sequence[Diagnosis]", count: int) -> "list[RemedyTrial]":
+def _try(store: "Store", found: "Sequence[Diagnosis]", count: int) -> "list[RemedyTrial]":
     """Compute the remedies on some cells; the best of each content first."""
     from calcidem.app.campaign.remedy_trials import rank_trials, try_remedies
     from calcidem.app.cli.tables import tell
 
-    return rank_trials(try_remedies(campaign, found, count, tell))
+    return rank_trials(try_remedies(store, found, count, tell))
 
 
 def _trial_table(found: "Sequence[Diagnosis]", trials: "Sequence[RemedyTrial]", count: int) -> Table:

@@ -51,7 +51,7 @@ _CURE_OF_ERRNO = {
 } | dict.fromkeys(_FULL, "free some space, or give a place that has some")
 
 
-def exit_code_of(error: BaseException) -> int:
+def _exit_code_of(error: BaseException) -> int:
     """Exit code of a program that ends because of an error."""
     if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
@@ -82,7 +82,7 @@ def tell_error(error: Exception) -> int:
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
     sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
-    return exit_code_of(error)
+    return _exit_code_of(error)
 
 
 def _sentence(error: OSError) -> str:

@@ -21,12 +21,12 @@ def export_command(
     ] = None,
 ) -> None:
     """Write a campaign to a NetCDF file."""
-    from calcidem.storage.campaign import open_stored_campaign
     from calcidem.storage.netcdf.export import export_netcdf
     from calcidem.storage.records import ARRAY_RECORDS
+    from calcidem.storage.sql.store import read_campaign
 
     for name in without or ():
         if name not in ARRAY_RECORDS:
             raise typer.BadParameter(f"{name!r} is none of {', '.join(ARRAY_RECORDS)}.", param_hint="--without")
-    with open_stored_campaign(database, campaign) as opened:
-        typer.echo(f"Wrote {export_netcdf(opened.store, opened.record, netcdf, without=without or ())}")
+    with read_campaign(database, campaign) as store:
+        typer.echo(f"Wrote {export_netcdf(store, netcdf, without=without or ())}")

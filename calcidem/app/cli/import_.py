@@ -1,7 +1,7 @@
 """``calcidem import``: a database from an exported file."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -32,15 +32,13 @@ def import_command(
 
     path = parse_address(database).path
     with _told_as_damage(file):
-        if path is not None and not path.exists():
-            with write_atomically(path) as begun, open_store(begun) as store:
-                campaign = import_netcdf(file, store, identify_packing)
-        else:
-            # Whatever a database refuses of it is found out in one that nobody misses.
+        if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
             with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, identify_packing)
-            with open_store(database) as store:
-                campaign = import_netcdf(file, store, identify_packing)
+        is_new = path is not None and (not path.exists() or (path.is_file() and path.stat().st_size == 0))
+        place = write_atomically(path) if path and is_new else nullcontext(database)
+        with place as target, open_store(target) as store:
+            campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
     typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))
 

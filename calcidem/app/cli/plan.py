@@ -33,11 +33,10 @@ def plan_command(
 ) -> None:
     """Estimate how many more seeds bring the mean of Vs at a content to a given interval, and how long they take."""
     from calcidem.analysis.planning import plan_seeds
-    from calcidem.storage.campaign import open_stored_campaign
+    from calcidem.storage.sql.store import read_campaign
 
-    with open_stored_campaign(database, campaign) as opened:
-        opened.refuse_unknown_contents([content])
-        columns = opened.store.table(("vs", "status", "seconds"), Selection(contents=(content,)))
+    with read_campaign(database, campaign) as store:
+        columns = store.table(("vs", "status", "seconds"), Selection(contents=(content,)))
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]
     if len(vs) < _FEWEST:

@@ -66,7 +66,7 @@ def predict_command(
         if content is not None:
             prediction = opened.predict(content=content, seed=seed, pattern=cement, features=features, level=level)
             typer.echo(_prediction_line(content, prediction, level))
-        checks = check_predictions(opened, level=level)
+        checks = check_predictions(opened.analyse(), level=level)
         if content is None:
             make_console().print(_check_table(checks))
             typer.echo(_overall_line(checks))

@@ -73,11 +73,10 @@ def find(
     campaign_name: str | None = None,
 ) -> Columns:
     """Columns of the selected cells, and what is refused: see `calcidem.storage.store.Store.table`."""
-    from calcidem.storage.campaign import open_stored_campaign
+    from calcidem.storage.sql.store import read_campaign
 
-    with open_stored_campaign(database, campaign_name) as campaign:
-        campaign.refuse_unknown_contents(selection.contents or ())
-        return campaign.store.table(columns, selection, sort=sort, limit=limit)
+    with read_campaign(database, campaign_name) as store:
+        return store.table(columns, selection, sort=sort, limit=limit)
 
 
 def _split_list(text: str) -> list[str]:

@@ -9,9 +9,9 @@ from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
 from calcidem.app.cli.terminal import printable
 from calcidem.app.config.calibrated import calibration_note
+from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
-from calcidem.sweep.channel import command_listens
 from calcidem.sweep.environment import available_cores, launcher
 
 
@@ -51,12 +51,12 @@ class TerminalView:
         address = parse_address(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf
-        if belongs_to_another(netcdf, work.record.hash):  # two campaigns of one database, or of one name
-            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.record.hash[:8]}")
+        if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or of one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.store.record.hash[:8]}")
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:
-            self.say(f"Wrote {export_netcdf(work.store, work.record, netcdf)}")
+            self.say(f"Wrote {export_netcdf(work.store, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
             from calcidem.app.report import write_report
 

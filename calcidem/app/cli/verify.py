@@ -43,9 +43,9 @@ def verify_command(
         _verify_integrity(database, campaign)
         return
     with open_campaign(database, campaign) as opened:
-        keys = random_cells(opened, cells, choice)
+        keys = random_cells(opened.store, cells, choice)
         found = []
-        for verification in verify(opened, keys, opened.experiment):
+        for verification in verify(opened.store, keys, opened.experiment):
             typer.echo(printable(_verification_line(verification)))
             found.append(verification)
     counts = Counter(verification.agreement for verification in found)

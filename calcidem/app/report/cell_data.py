@@ -19,6 +19,7 @@ from calcidem.app.report.cell_section import describe_section
 from calcidem.app.report.wording import readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
+from calcidem.storage.store import ALL_CELLS
 
 _MOST_FULL_RECORDS = 10_000
 _SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -68,7 +69,7 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
     shown: list[int] = []
     room, room_for_sections = _ROOM_FOR_SAMPLES, _ROOM_FOR_SECTIONS
     drawn = 0  # seeds with sections
-    for seed, grouped in groupby(analysis.campaign.select(with_arrays=True), lambda cell: cell.key.seed):
+    for seed, grouped in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
         cells = list(grouped)
         text = _compress(list(_describe_cells(analysis, cells, graphs)))
         room -= len(text)
@@ -131,7 +132,7 @@ def _numbers_or_none(values: NDArray[Any]) -> list[Any]:
 
 def _packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
     """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
-    packing, wave = graph.packing, analysis.campaign.config["wave"]
+    packing, wave = graph.packing, analysis.config["wave"]
     return {
         **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
         **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},

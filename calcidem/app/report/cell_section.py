@@ -25,7 +25,7 @@ def describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Recor
     Times are in milliseconds, places in millimetres.
     """
     section = section_of(stored)
-    smoothing = analysis.campaign.config.get("pick", {}).get("smoothing", PickRule().smoothing)
+    smoothing = analysis.config.get("pick", {}).get("smoothing", PickRule().smoothing)
     candidates = find_candidates(section, smoothing)
     travel = None if cell.vs_peak is None else section.distance / cell.vs_peak
     chosen = [one for one in candidates if travel is not None and abs(one.travel_time / travel - 1.0) < _SAME]

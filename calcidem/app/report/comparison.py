@@ -64,7 +64,7 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
 
 def disagreement_table(analysis: CampaignAnalysis) -> Table | None:
     """What in the published study does not agree with its own numbers; None for campaigns on other sands."""
-    if not is_published_sand(analysis.campaign.config):
+    if not is_published_sand(analysis.config):
         return None
     findings = [finding for finding in check_study() if not finding.agrees]
     rows = tuple((finding.place, finding.printed, finding.computed) for finding in findings)

@@ -56,7 +56,7 @@ def analyse(
     folder.mkdir(parents=True, exist_ok=True)
     reasons: dict[str, str] = {}
     with open_campaign(database, campaign_name) as campaign:
-        analysis = CampaignAnalysis(campaign)
+        analysis = campaign.analyse()
         for entry in CAMPAIGN_FIGURES:
             figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
             if figure is not None:

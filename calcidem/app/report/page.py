@@ -120,7 +120,7 @@ def write_report(
     """
     target = Path(out)
     with open_campaign(database, campaign_name) as campaign:
-        text = _render_page(CampaignAnalysis(campaign, _MOST_SAMPLES), studies or {})
+        text = _render_page(campaign.analyse(_MOST_SAMPLES), studies or {})
     write_text_atomically(target, text)
     return target
 
@@ -136,7 +136,7 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    record = analysis.campaign.record
+    record = analysis.store.record
     return environment.get_template("report.html").render(
         name=record.name,
         hash=record.hash,

@@ -112,7 +112,7 @@ def _source(run: RunRecord) -> str:
 def packing_table(analysis: CampaignAnalysis) -> Table:
     """Quality of the packings, one column each."""
     graphs, notes = analysis.graphs, ("in two dimensions", "")
-    if is_published_sand(analysis.campaign.config):
+    if is_published_sand(analysis.config):
         notes = (f"published {value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
     rows: list[tuple[str, ...]] = [
         (name, *(text(graph) for graph in graphs), note)

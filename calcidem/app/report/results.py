@@ -93,7 +93,7 @@ def meaning_table(analysis: CampaignAnalysis) -> Table:
                 ),
             )
         )
-    alpha = analysis.campaign.config.get("wave", {}).get("damping", math.nan)
+    alpha = analysis.config.get("wave", {}).get("damping", math.nan)
     header = (
         "content (%)",
         "mean Vs (m/s)",
@@ -145,7 +145,7 @@ def outcome_table(analysis: CampaignAnalysis) -> Table | None:
 
 def growth_table(analysis: CampaignAnalysis) -> Table | None:
     """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
-    if not is_published_sand(analysis.campaign.config):
+    if not is_published_sand(analysis.config):
         return None
     published = {stage.name: stage.rate for stage in published_study().stages}
     rows = tuple(
@@ -202,7 +202,7 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
 def law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
     published = {law.name: law for law in published_study().laws}
-    compared = is_published_sand(analysis.campaign.config)
+    compared = is_published_sand(analysis.config)
     rows = []
     for law in (analysis.physical_law, analysis.scanned_law):
         fit, check, other = law.fit, law.check, published[law.name]

@@ -32,10 +32,10 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "two_velocities": departure_table,
     "published": published_table,
     "published_disagreements": disagreement_table,
-    "parameters": lambda analysis: parameter_table(analysis.campaign.config),
+    "parameters": lambda analysis: parameter_table(analysis.config),
     "packing": packing_table,
-    "runs": lambda analysis: run_table(analysis.campaign.runs()),
-    "configuration": lambda analysis: configuration_table(analysis.campaign.config),
+    "runs": lambda analysis: run_table(analysis.store.runs()),
+    "configuration": lambda analysis: configuration_table(analysis.config),
 }
 """Makers of tables by their names in files; None where a campaign has nothing to show."""
 

@@ -8,15 +8,14 @@ from typing import get_args
 import numpy as np
 import xarray as xr
 
-from calcidem.app.campaign.packing import readable_packing
-from calcidem.app.config.schema import Configuration
+from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret_record, measure
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
 from calcidem.dem.wave.recorder import WaveRecord
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.storage.sql.store import read_campaign
 
 _METHODS: tuple[Method, ...] = get_args(Method)
 _FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
@@ -239,7 +238,7 @@ def run_studies(
     unknown = sorted(set(names) - set(_STUDIES))
     if unknown:
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
-    with open_stored_campaign(database, campaign_name) as campaign:
-        experiment = Configuration.from_physics(campaign.config).experiment(readable_packing(campaign.store, 0))
+    with read_campaign(database, campaign_name) as store:
+        experiment = stored_experiment(store)
     chosen = {} if contents is None else {"contents": tuple(contents)}
     return {name: _STUDIES[name](experiment, check=check, **chosen) for name in names}

@@ -12,12 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.app.campaign.identity import refuse_other_physics
+from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, RecordedSection
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 
 ExperimentOf = Callable[[int], Experiment]
 """Gives what the cells of a packing share, by the packing's index."""
@@ -84,13 +86,13 @@ def worst_agreement(found: Iterable[Verification]) -> Agreement:
     return max((verification.agreement for verification in found), key=order.index, default=Agreement.SAME_BITS)
 
 
-def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
+def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
     """Choose stored cells at random, by seed, then content.
 
     Parameters
     ----------
-    campaign
-        An open campaign.
+    store
+        With a campaign chosen.
     count
         How many; all where there are fewer.
     choice
@@ -101,7 +103,7 @@ def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None
     UnknownCellError
         If there is none that could be computed again.
     """
-    keys = [result.key for result in campaign.select(status=_REPEATABLE)]
+    keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
     if not keys:
         raise UnknownCellError(
             "The campaign has no cell that could be computed again.", "Run it first ('calcidem run')."
@@ -111,18 +113,18 @@ def random_cells(campaign: StoredCampaign, count: int, choice: int | None = None
 
 
 def verify(
-    campaign: StoredCampaign, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
+    store: Store, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
 ) -> Iterator[Verification]:
     """Compute stored cells again and compare them, as many side by side as there are lanes.
 
     Parameters
     ----------
-    campaign
-        An open campaign.
+    store
+        With a campaign chosen.
     keys
         Cells with an outcome.
     experiment_of
-        Gives what the cells of a packing share, such as `OpenedCampaign.experiment`: the stored packing and physics.
+        Gives what the cells of a packing share, such as `Campaign.experiment`: the stored packing and physics.
     lanes
         Cells side by side; what a cell gives does not depend on it.
 
@@ -133,11 +135,10 @@ def verify(
     UnknownCellError
         If a cell has no outcome.
     """
-    refuse_other_physics(campaign.record)
+    refuse_other_physics(store.record)
     together: defaultdict[tuple[int, float], list[CellResult]] = defaultdict(list)
-    for key in keys:
-        stored = campaign.cell(seed=key.seed, content=key.content)
-        together[stored.packing_index, key.content].append(stored)
+    for stored in with_patterns(store, (store.cell(seed=key.seed, content=key.content) for key in keys)):
+        together[stored.packing_index, stored.key.content].append(stored)
     for (packing_index, content), cells in sorted(together.items(), key=lambda item: item[0]):
         experiment = experiment_of(packing_index)
         for start in range(0, len(cells), lanes):

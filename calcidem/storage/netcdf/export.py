@@ -11,12 +11,12 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.netcdf.dataset import campaign_dataset
 from calcidem.storage.netcdf.groups import append_arrays, append_attempts, append_packing
 from calcidem.storage.netcdf.trial import refuse_unreadable
-from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, CampaignRecord, CellKey, CellStatus
+from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, CellKey, CellStatus
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store
 
@@ -26,10 +26,8 @@ _CELLS_COPIED_AT_ONCE = 1000
 _WHOLE_NUMBER_FILL = -1
 
 
-def export_netcdf(
-    store: Store, campaign: CampaignRecord, path: str | os.PathLike[str], *, without: Collection[str] = ()
-) -> Path:
-    """Write everything the store has about a campaign into one compressed NetCDF-4 file.
+def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
+    """Write everything the store has about its campaign into one compressed NetCDF-4 file.
 
     The root group is the Dataset of `campaign_dataset`, which plain ``xarray.open_dataset`` opens; the
     groups ``packings`` and ``attempts`` and those of `ARRAY_RECORDS` hold the rest. An existing file
@@ -39,8 +37,7 @@ def export_netcdf(
     Parameters
     ----------
     store : Store
-        With that campaign chosen.
-    campaign : CampaignRecord
+        With a campaign chosen.
     path : str or path
     without : collection of str
         Groups of arrays to leave out, of `ARRAY_RECORDS`: with them a cell takes about 50 kB,
@@ -64,19 +61,19 @@ def export_netcdf(
     if unknown:
         raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(ARRAY_RECORDS)}")
     wanted = [group for group in ARRAY_RECORDS if group not in without]
-    with _replace_netcdf(path, campaign.hash) as temporary:
+    with _replace_netcdf(path, store.record.hash) as temporary:
         damaged: dict[CellKey, str] = {}
         with netCDF4.Dataset(temporary, "w") as file:
             for index in store.packing_indices():
                 with suppress(DamagedStoreError):  # cells without a packing tell that it is missing
-                    append_packing(file, store.load_packing(index))
+                    append_packing(file, store.packing(index))
             for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
                 append_attempts(file, attempts)
             for results in chunks(store.results(with_arrays=bool(wanted)), _CELLS_COPIED_AT_ONCE):
                 append_arrays(file, results, wanted)
                 damaged |= {found.key: found.reason for found in results if found.status is CellStatus.DAMAGED}
         # Once everything is read, so that the root has the flag of a cell whose arrays alone are damaged.
-        dataset = campaign_dataset(store, campaign, damaged=damaged)
+        dataset = campaign_dataset(store, damaged=damaged)
         dataset.to_netcdf(temporary, mode="a", engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
     return Path(path).absolute()
 

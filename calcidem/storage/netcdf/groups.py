@@ -2,7 +2,7 @@
 
 Columns are appended block by block to keep memory small. Arrays of different lengths lie one after the other along a
 dimension, and a count for each of them tells how many elements are whose (the contiguous ragged arrays of the CF
-conventions, section 9.3.3).
+conventions, section 9.3.3). An array whose rows differ in length from cell to cell lies there row after row.
 """
 
 import json
@@ -34,18 +34,6 @@ _CELLS_READ_AT_ONCE = 500
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _NO_NUMBER = -1  # stands for None in whole-number columns, all of whose real values are 0 or more
-
-_PACKING_NUMBERS = {
-    "width": ("m", "width of the box"),
-    "height": ("m", "height of the lid"),
-    "porosity": ("1", "area of the voids over area of the box"),
-    "coordination_number": ("1", "mean number of contacts of a grain"),
-    "coordination_number_without_rattlers": ("1", "mean number of contacts of a grain that carries load"),
-    "mean_relative_overlap": ("1", "mean overlap over mean diameter"),
-    "largest_relative_overlap": ("1", "largest overlap over mean diameter"),
-    "unbalanced_ratio": ("1", "mean unbalanced force over mean contact force"),
-    "seconds": ("s", "computing time"),
-}
 
 
 def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
@@ -107,11 +95,6 @@ def _texts(values: list[str | None]) -> NDArray[np.object_]:
     return np.array([value or "" for value in values], dtype=object)
 
 
-def _optional_texts(values: NDArray[Any]) -> list[str | None]:
-    """Inverse of `_texts`."""
-    return [value or None for value in values.tolist()]
-
-
 def append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
     """Append attempts to the group ``attempts``."""
     recorded = [(attempt.recorded - _EPOCH) // _MICROSECOND for attempt in attempts]
@@ -148,8 +131,7 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
     if "attempts" not in file.groups:
         return
     columns = _read_columns(file.groups["attempts"], "attempt")
-    hosts = _optional_texts(columns["host"])
-    for i, host in enumerate(hosts):
+    for i in range(len(columns["host"])):
         run, rank, seconds = int(columns["run"][i]), int(columns["rank"][i]), float(columns["seconds"][i])
         yield AttemptRecord(
             key=CellKey(int(columns["seed"][i]), float(columns["content"][i])),
@@ -157,7 +139,7 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
             outcome=str(columns["outcome"][i]),
             reason=str(columns["reason"][i]),
             rank=None if rank == _NO_NUMBER else rank,
-            host=host,
+            host=str(columns["host"][i]) or None,
             seconds=None if np.isnan(seconds) else seconds,
             recorded=_EPOCH + int(columns["recorded"][i]) * _MICROSECOND,
             run_id=None if run == _NO_NUMBER else run_numbers[run],
@@ -165,10 +147,8 @@ def read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptR
         )
 
 
-def append_packing(file: Group, packing: PackingRecord | None) -> None:
-    """Append a packing, if there is one, to the group ``packings``."""
-    if packing is None:
-        return
+def append_packing(file: Group, packing: PackingRecord) -> None:
+    """Append a packing to the group ``packings``."""
     group = file.createGroup("packings")
     state = np.frombuffer(packing.state, dtype=np.uint8)
     columns = {
@@ -183,9 +163,7 @@ def append_packing(file: Group, packing: PackingRecord | None) -> None:
         "grain_count": ("1", "number of grains", np.array([packing.radius.size], dtype=np.int64)),
         "state_byte_count": ("1", "bytes of the complete state", np.array([state.size], dtype=np.int64)),
     }
-    numbers = {
-        name: (unit, meaning, np.array([getattr(packing, name)])) for name, (unit, meaning) in _PACKING_NUMBERS.items()
-    }
+    numbers = {q.name: (q.unit, q.meaning, np.array([getattr(packing, q.name)])) for q in quantities_of(PackingRecord)}
     _append_columns(group, "packing", columns | numbers)
     grains = {
         "x": ("m", "horizontal position of the centre", packing.x),
@@ -204,7 +182,7 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
     columns = _read_columns(group, "packing")
     grains, states = _slice_by_counts(columns["grain_count"]), _slice_by_counts(columns["state_byte_count"])
     for i, (of_grains, of_state) in enumerate(zip(grains, states, strict=True)):
-        values: dict[str, Any] = {name: float(columns[name][i]) for name in _PACKING_NUMBERS}
+        values: dict[str, Any] = {q.name: float(columns[q.name][i]) for q in quantities_of(PackingRecord)}
         values |= _read_columns(group, "grain", of_grains)
         yield PackingRecord(
             index=int(columns["index"][i]),
@@ -237,9 +215,11 @@ def _append_records(group: Group, kind: type[Any], records: Sequence[tuple[CellK
     of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
     for name, along in array_fields(kind).items():
         arrays = [getattr(record, name) for _, record in records]
+        if along.columns:
+            arrays = [array.ravel() for array in arrays]
         counts = np.array([len(array) for array in arrays], dtype=np.int64)
-        columns[f"{along.dimension}{_COUNT}"] = ("1", f"number of elements of {along.dimension}", counts)
-        of_dimensions[along.dimension][name] = (along.unit, along.meaning, np.concatenate(arrays))
+        columns[f"{along.elements}{_COUNT}"] = ("1", f"number of elements of {along.elements}", counts)
+        of_dimensions[along.elements][name] = (along.unit, along.meaning, np.concatenate(arrays))
     _append_columns(group, "cell", columns)
     for dimension, of_elements in of_dimensions.items():
         _append_columns(group, dimension, of_elements)
@@ -266,7 +246,7 @@ class CellArrays:
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         if self._group is not None:
             self._cells = _read_columns(self._group, "cell")
-            dimensions = {along.dimension for along in array_fields(self._kind).values()}
+            dimensions = {along.elements for along in array_fields(self._kind).values()}
             self._ends = {d: np.concatenate(([0], np.cumsum(self._cells[f"{d}{_COUNT}"]))) for d in dimensions}
             keys = zip(self._cells["seed"].tolist(), self._cells["content"].tolist(), strict=True)
             self._row = {key: row for row, key in enumerate(keys)}
@@ -282,6 +262,9 @@ class CellArrays:
         for dimension, ends in self._ends.items():
             first, end = ends[[row, row + 1]] - ends[self._block.start]
             values |= {name: array[first:end] for name, array in self._arrays[dimension].items()}
+        for name, along in array_fields(self._kind).items():
+            if along.columns:
+                values[name] = values[name].reshape(-1, self._cells[f"{along.columns}{_COUNT}"][row])
         return self._kind(**values)
 
     def _read_block(self, row: int) -> None:

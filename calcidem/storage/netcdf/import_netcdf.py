@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
@@ -13,6 +12,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.storage.dataset import LAYOUT
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,
@@ -20,7 +20,6 @@ from calcidem.storage.errors import (
     OlderSchemaError,
     StoreUnavailableError,
 )
-from calcidem.storage.netcdf.dataset import LAYOUT
 from calcidem.storage.netcdf.groups import CellArrays, Group, read_attempts, read_packings
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
@@ -61,7 +60,7 @@ def import_netcdf(
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
     Importing into a store that has the campaign already adds what is missing and leaves done cells as they
-    are; runs are added each time. Configuration and packings are checked before anything is written.
+    are; runs are added each time. All of it is one transaction: after any error the store is as it was.
 
     Parameters
     ----------
@@ -88,8 +87,10 @@ def import_netcdf(
         reading it does not come to an end.
     CampaignMismatchError
         If the store has a campaign of that name with another hash, or that campaign with another packing.
+    LeaseHeldError
+        While a run writes the store's database.
     """
-    with _open(Path(path)) as file:
+    with _open(Path(path)) as file, store.together():
         campaign = CampaignRecord(
             hash=file.calcidem_campaign_hash,
             name=file.calcidem_campaign_name,
@@ -109,13 +110,16 @@ def import_netcdf(
         _refuse_other_packings(path, store, packings, identify)
         for packing in packings:
             store.save_packing(packing)
-        status = _extend_plan(file, store)
+        status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
+        seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
+        planned = np.argwhere(status != STATUS_CODES[NOT_PLANNED]).tolist()
+        store.plan(CellKey(seeds[i], contents[j]) for i, j in planned)
         run_numbers = {
             run.pop("number"): store.begin_run(_run_from_json(run)) for run in json.loads(file.calcidem_runs)
         }
         store.restore_attempts(read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
-    return store.use_campaign(name)
+        return store.use_campaign(name)
 
 
 def _open(path: Path) -> Group:
@@ -157,24 +161,13 @@ def _refuse_other_packings(
     identify: Callable[[PackingRecord], PackingRecord],
 ) -> None:
     """Refuse packings other than those of the store's campaign; all are compared before any is stored."""
+    present = set(store.packing_indices())
     for packing in packings:
-        stored = store.load_packing(packing.index)
-        if stored is not None:
+        if packing.index in present:
+            stored = store.packing(packing.index)
             with suppress(DamagedStoreError):  # its disks and box can still be compared
                 stored = identify(stored)
             refuse_other_packing(stored, packing, ("the database", str(path)))
-
-
-def _extend_plan(file: Group, store: Store) -> NDArray[np.int8]:
-    """Plan the file's cells, which need not be all of seeds x contents; return the status flags."""
-    status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
-    seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
-    seeds_of: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
-    for seed, planned in zip(seeds, status != STATUS_CODES[NOT_PLANNED], strict=True):
-        seeds_of[tuple(c for c, is_planned in zip(contents, planned, strict=True) if is_planned)].append(seed)
-    for some_contents, some_seeds in seeds_of.items():
-        store.extend(some_seeds, some_contents)
-    return status
 
 
 def _run_from_json(values: dict[str, Any]) -> RunRecord:

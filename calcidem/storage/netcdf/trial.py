@@ -8,7 +8,7 @@ from pathlib import Path
 from calcidem.storage.errors import DamagedStoreError, StoreUnavailableError
 from calcidem.storage.netcdf import read_through
 
-TIME_FOR_A_BLOCK = 30.0
+_TIME_FOR_A_BLOCK = 30.0
 """Seconds for opening a file, and for each block that is read of it."""
 
 
@@ -34,7 +34,7 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
         raise StoreUnavailableError(f"{path} {what}.", "Check the name.")
     program, amount = str(Path(read_through.__file__).absolute()), "names" if names_only else "all"
     ended = subprocess.run(  # noqa: S603 - our own program
-        [sys.executable, program, str(file), str(TIME_FOR_A_BLOCK), amount],
+        [sys.executable, program, str(file), str(_TIME_FOR_A_BLOCK), amount],
         check=False,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

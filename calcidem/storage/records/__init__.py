@@ -4,7 +4,7 @@ They are frozen, hold SI units (contents in percent of the sand's mass), and a m
 NaN; what happened to a cell is its `CellStatus`.
 """
 
-from calcidem.storage.records.campaign import CampaignRecord, PackingRecord, RunRecord, WorkerRecord
+from calcidem.storage.records.campaign import CampaignRecord, PackingRecord
 from calcidem.storage.records.cell import (
     ARRAY_RECORDS,
     EXACT_QUANTITIES,
@@ -23,6 +23,7 @@ from calcidem.storage.records.cell import (
     checked_seed,
 )
 from calcidem.storage.records.quantity import Quantity
+from calcidem.storage.records.run import RunRecord, WorkerRecord
 from calcidem.storage.records.sample import (
     C_CONTACT,
     P_CONTACT,

@@ -1,24 +1,27 @@
-"""Frozen records of a campaign, its packings and its runs (cells are in `calcidem.storage.records.cell`)."""
+"""Frozen records of a campaign and its packings."""
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from hashlib import sha256
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import CampaignMismatchError
-from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.records.cell import canonical_content, checked_seed
+from calcidem.storage.records.quantity import Bound, Quantity, check_bounds
+from calcidem.storage.records.run import as_utc
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingRecord(ComparedByValue):
-    """A packing with the report on its quality.
+    """A packing with the report on its quality; the annotations say what its numbers are.
 
     Attributes
     ----------
@@ -28,20 +31,10 @@ class PackingRecord(ComparedByValue):
         Hash of everything the packing was made from. It decides the packing's bits only on machines that compute alike.
     x, y, radius : (grains,) arrays
         Centres and radii of the disks [m].
-    width, height : float
-        Width of the box and final height of the lid [m].
-    porosity : float
-        Area of the voids over the area of the box.
     coordination_number, coordination_number_without_rattlers : float
         2 N_contacts / N with and without the grains that carry nothing.
     wall_stress : mapping of str to float
         Normal stress on each wall [Pa], by the wall's name.
-    mean_relative_overlap, largest_relative_overlap : float
-        Overlap of contacts over the mean diameter of the disks.
-    unbalanced_ratio : float
-        Mean unbalanced force over mean contact force at rest.
-    seconds : float
-        Time it took to make [s].
     state : bytes
         Complete state as its maker wrote it, to restore the packing bit for bit; opaque here.
     content_hash : str or None
@@ -54,22 +47,33 @@ class PackingRecord(ComparedByValue):
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     radius: NDArray[np.float64]
-    width: float
-    height: float
-    porosity: float
-    coordination_number: float
-    coordination_number_without_rattlers: float
+    width: Annotated[float, Quantity("m", "width of the box", "packing", Bound.POSITIVE)]
+    height: Annotated[float, Quantity("m", "height of the lid", "packing", Bound.POSITIVE)]
+    porosity: Annotated[float, Quantity("1", "area of the voids over area of the box", "packing", Bound.NOT_NEGATIVE)]
+    coordination_number: Annotated[
+        float, Quantity("1", "mean number of contacts of a grain", "packing", Bound.NOT_NEGATIVE)
+    ]
+    coordination_number_without_rattlers: Annotated[
+        float, Quantity("1", "mean number of contacts of a grain that carries load", "packing", Bound.NOT_NEGATIVE)
+    ]
     wall_stress: Mapping[str, float]
-    mean_relative_overlap: float
-    largest_relative_overlap: float
-    unbalanced_ratio: float
-    seconds: float
+    mean_relative_overlap: Annotated[
+        float, Quantity("1", "mean overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
+    ]
+    largest_relative_overlap: Annotated[
+        float, Quantity("1", "largest overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
+    ]
+    unbalanced_ratio: Annotated[
+        float, Quantity("1", "mean unbalanced force over mean contact force", "packing", Bound.NOT_NEGATIVE)
+    ]
+    seconds: Annotated[float, Quantity("s", "computing time", "packing", Bound.NOT_NEGATIVE)]
     state: bytes = b""
     content_hash: str | None = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
+        check_bounds(self)
         if self.index < 0:
             raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
         grains = np.shape(self.radius)[0] if np.ndim(self.radius) else 0
@@ -143,6 +147,12 @@ class CampaignRecord:
         object.__setattr__(self, "created", as_utc(self.created))
 
     @property
+    def parameters(self) -> dict[str, Any]:
+        """The configuration, by section and key."""
+        found: dict[str, Any] = json.loads(self.config)
+        return found
+
+    @property
     def checksum(self) -> str:
         """SHA-256 of hash and configuration, which belong together: 64 hexadecimal digits."""
         return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()
@@ -165,108 +175,3 @@ def refuse_other_campaign(stored: CampaignRecord, given: CampaignRecord) -> None
         "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and contents "
         "may differ.",
     )
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerRecord:
-    """What bits could depend on in the processes of a run, once for all that are alike.
-
-    Attributes
-    ----------
-    ranks : tuple of int
-        Ranks that are like this.
-    hosts : tuple of str
-        Machines that they are on.
-    architecture : str
-        Family of the processor, such as ``x86_64``.
-    processor : str
-        LLVM's name of the processor that kernels are compiled for, such as ``znver4``.
-    features : tuple of str
-        LLVM's names of its features that kernels may use.
-    blas_core : str or None
-        Processor that OpenBLAS has chosen its kernels for; None for another BLAS.
-    numpy_simd : tuple of str
-        Instruction sets beyond its baseline for which numpy has chosen functions.
-    versions : mapping of str to str
-        Of Python, calcidem, its physics and the libraries that numbers depend on.
-    """
-
-    ranks: tuple[int, ...]
-    hosts: tuple[str, ...]
-    architecture: str
-    processor: str
-    features: tuple[str, ...]
-    blas_core: str | None
-    numpy_simd: tuple[str, ...]
-    versions: Mapping[str, str]
-
-    def __post_init__(self) -> None:
-        """Take lists, as JSON has them, for tuples."""
-        for name in ("ranks", "hosts", "features", "numpy_simd"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-
-
-@dataclass(frozen=True, slots=True)
-class RunRecord:
-    """Provenance of one run of the program on a campaign.
-
-    Attributes
-    ----------
-    versions : mapping of str to str
-        Versions of Python, calcidem and the libraries its numbers depend on.
-    host, cpu : str
-        Host of rank 0 and its CPU model.
-    ranks : int
-        Size of the MPI world, 1 without MPI.
-    launch_line : str
-        Command line; a password in it is not kept.
-    started : datetime
-        With time zone; kept as UTC.
-    mpi_library : str or None
-        None without MPI.
-    git_commit : str or None
-        Commit of the source tree, None when installed from a package.
-    git_dirty : bool or None
-        Whether that tree had uncommitted changes.
-    slurm_job_id : str or None
-    ended : datetime or None
-        None while it runs, and for ever if it was killed.
-    exit_state : str or None
-        How it ended, as the program said it.
-    workers : tuple of WorkerRecord
-        What its processes were, one record for all that are alike; empty if that was not recorded.
-    """
-
-    versions: Mapping[str, str]
-    host: str
-    cpu: str
-    ranks: int
-    launch_line: str
-    started: datetime
-    mpi_library: str | None = None
-    git_commit: str | None = None
-    git_dirty: bool | None = None
-    slurm_job_id: str | None = None
-    ended: datetime | None = None
-    exit_state: str | None = None
-    workers: tuple[WorkerRecord, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Check and normalise the fields."""
-        object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
-        object.__setattr__(self, "started", as_utc(self.started))
-        if self.ended is not None:
-            object.__setattr__(self, "ended", as_utc(self.ended))
-
-
-def as_utc(moment: datetime) -> datetime:
-    """Return the moment in UTC.
-
-    Raises
-    ------
-    ValueError
-        For a moment without time zone: it could mean anything.
-    """
-    if moment.tzinfo is None:
-        raise ValueError(f"{moment} has no time zone; use datetime.now(UTC).")
-    return moment.astimezone(UTC)

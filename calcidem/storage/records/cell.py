@@ -15,6 +15,7 @@ from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records.arrays import normalize_numbers
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, vs_interval
 from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
+from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _CONTENT_DECIMALS = 9
@@ -331,6 +332,8 @@ class PackedResult:
         Quantities by name, except those that name the cell.
     arrays : dict of str to bytes
         Compressed arrays by the name of their field.
+    worker : WorkerRecord or None
+        What the process that computed it is, if it says so; its rank is the master's to fill in.
     """
 
     key: CellKey
@@ -340,6 +343,7 @@ class PackedResult:
     host: str | None
     columns: dict[str, Any]
     arrays: dict[str, bytes]
+    worker: WorkerRecord | None = None
 
 
 ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {

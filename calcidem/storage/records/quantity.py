@@ -73,11 +73,19 @@ class Along:
         UDUNITS string.
     meaning : str
         Long name in files.
+    columns : str
+        Dimension of its columns, if their number differs from cell to cell, too; empty if it does not.
     """
 
     dimension: str
     unit: str
     meaning: str
+    columns: str = ""
+
+    @property
+    def elements(self) -> str:
+        """Dimension along which files have it: row after row where its columns have a dimension."""
+        return f"{self.dimension}_{self.columns}" if self.columns else self.dimension
 
 
 def quantities_of(record: type) -> tuple[Quantity, ...]:

@@ -18,22 +18,16 @@ C_CONTACT = 2
 class RecordedSection(ComparedByValue):
     """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals.
 
+    The annotations of its fields say what they are, here and in the classes below. More than these:
+
     Attributes
     ----------
     sampling_interval : float
-        Time between two samples [s], a multiple of the cell's time step.
-    start_time : float
-        Time of the first sample after the pulse began [s].
+        A multiple of the cell's time step.
     pulse_frequency : float
-        Of the pulse ``v0 (1 - cos 2 pi f t)`` [Hz].
-    resolution : float
-        Velocity of one count [m/s], v0 / 2^20.
-    aperture : float
-        Half the height of the transmitter [m].
+        Of the pulse ``v0 (1 - cos 2 pi f t)``.
     places : (X,) float64 array
-        Path from the transmitter to each station, and last to the receiver [m].
     across, along : (T, X) int32 array
-        Velocities across the path and along it, in counts.
     """
 
     sampling_interval: Annotated[float, Quantity("s", "time between two samples")]
@@ -42,8 +36,8 @@ class RecordedSection(ComparedByValue):
     resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
     aperture: Annotated[float, Quantity("m", "half the height of the transmitter")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
-    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts")]
-    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts")]
+    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
+    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
@@ -113,7 +107,6 @@ class GrainPath(ComparedByValue):
     Attributes
     ----------
     grains : (n,) int32 array
-        Indices of the grains along it.
     """
 
     grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
@@ -129,21 +122,9 @@ class PathFeatures:
 
     Attributes
     ----------
-    path_contacts : int
-        Contacts on the path, N.
-    path_hertz_contacts : int
-        Uncemented contacts on it, N_h.
-    path_bonded_contacts : int
-        Cemented contacts on it, N_LPB.
-    path_bonded_fraction : float
-        LP = N_LPB / N.
-    path_longest_bonded_run_fraction : float
-        PLLC = QLLC / N.
-    path_longest_bonded_run : int
-        Longest run of consecutive cemented contacts, QLLC.
-    path_connectivity : float
-        Weighted shortest distance C_d (Eq. 9 of the paper).
-    path_normalized_connectivity : float or None
+    path_contacts, path_hertz_contacts, path_bonded_contacts
+        N, N_h and N_LPB of the paper, from which come LP = N_LPB / N and PLLC = QLLC / N.
+    path_normalized_connectivity
         C_d,n (Eq. 9); None where it is singular (equal weights).
     """
 
@@ -176,17 +157,12 @@ class GraphSummary:
 
     Attributes
     ----------
-    graph_contacts, graph_bonded_contacts : int
-        All contacts between grains, and the cemented ones among them.
-    graph_coordination_number : float
+    graph_coordination_number
         2 contacts / grains, grains without contact included.
-    graph_components : int
-        Groups of two or more grains that cement joins into one piece.
-    graph_largest_component : int
-        Grains in the largest of them; 0 where there is no cement.
-    graph_gap_contacts : int or None
-        Fewest uncemented contacts that any path from the transmitter to the receiver has; 0 where cement alone
-        joins them, None where nothing does.
+    graph_components, graph_largest_component
+        A group has two or more grains; 0 where there is no cement.
+    graph_gap_contacts
+        0 where cement alone joins transmitter and receiver, None where nothing does.
 
     Raises
     ------

@@ -31,8 +31,8 @@ from calcidem.storage.errors import (
 from calcidem.storage.passwords import hide_passwords, password_of
 from calcidem.storage.sql.filesystem import is_network_filesystem
 
-BUSY_TIMEOUT_SECONDS = 30.0
-WAL_SIZE_LIMIT_BYTES = 64 * 2**20
+_BUSY_TIMEOUT_SECONDS = 30.0
+_WAL_SIZE_LIMIT_BYTES = 64 * 2**20
 
 _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction is going to write."""
@@ -170,19 +170,19 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
-    engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_SECONDS})
+    engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
     journal = None if read_only else ("DELETE" if is_network_filesystem(path) else "WAL")
 
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the driver must not begin or commit: the listener below does
-        connection.text_factory = _read_any_text
+        connection.text_factory = lambda content: content.decode("utf-8", "replace")  # a checksum finds the damage
         connection.create_function("sqrt", 1, _root_or_none, deterministic=True)  # not every SQLite has it
         connection.execute("PRAGMA foreign_keys=ON")
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
             connection.execute("PRAGMA synchronous=FULL")
-            connection.execute(f"PRAGMA journal_size_limit={WAL_SIZE_LIMIT_BYTES}")
+            connection.execute(f"PRAGMA journal_size_limit={_WAL_SIZE_LIMIT_BYTES}")
         else:
             connection.execute("PRAGMA query_only=ON")
 
@@ -198,11 +198,6 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
 def _root_or_none(value: float | None) -> float | None:
     """Square root as databases have it."""
     return math.sqrt(value) if isinstance(value, int | float) and value >= 0.0 else None
-
-
-def _read_any_text(content: bytes) -> str:
-    """Text, also of damaged bytes, which a checksum then finds."""
-    return content.decode("utf-8", "replace")
 
 
 def may_be_damage(error: BaseException) -> bool:

@@ -175,6 +175,13 @@ def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> 
     return LeaseGrant(token, taken_over_from), now
 
 
+def refuse_other_masters(session: Session, token: str | None) -> None:
+    """Raise `LeaseHeldError` if a living process other than the one with this token writes a campaign."""
+    for row in session.scalars(select(LeaseRow)):
+        if row.token != token and (holder := holder_from_row(row)).may_live():
+            raise lease_held_error(holder)
+
+
 def holder_from_row(row: LeaseRow) -> LeaseHolder:
     """Build the holder of a lease from its row."""
     return LeaseHolder(row.host, row.pid, row.acquired, row.heartbeat)

@@ -36,8 +36,15 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeEngine
 
-from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, STORED_STATUSES, CellStatus, Quantity
-from calcidem.storage.records.quantity import Bound
+from calcidem.storage.records import (
+    ARRAY_RECORDS,
+    QUANTITY_BY_NAME,
+    STORED_STATUSES,
+    CellStatus,
+    PackingRecord,
+    Quantity,
+)
+from calcidem.storage.records.quantity import Bound, quantities_of
 
 LOST = "lost"
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
@@ -85,9 +92,20 @@ class Base(DeclarativeBase):
     }
 
 
-def _check_positive(column: str) -> CheckConstraint:
-    """Constraint that a column is a positive finite number or NULL."""
-    return CheckConstraint(f"{column} > 0 AND {column} < {_LARGEST}", name=f"{column}_positive")
+def condition_of(quantity: Quantity) -> str:
+    """What its bound demands of a column that is not NULL, in SQL; empty for nothing."""
+    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
+    if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
+        return ""
+    return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
+
+
+def check_name(quantity: Quantity) -> str:
+    """Name of the constraint that holds its bound."""
+    return f"{quantity.name}_{quantity.bound.name.lower() if quantity.bound is not Bound.NONE else 'finite'}"
+
+
+_TYPES: dict[str, type[TypeEngine[Any]]] = {"real": Double, "whole": BigInteger, "text": Text}
 
 
 def _check_not_negative(column: str) -> CheckConstraint:
@@ -151,19 +169,13 @@ class RunRow(Base):
 
 
 class PackingRow(Base):
-    """A packing with its report (`PackingRecord`); `grains` holds the arrays x, y and radius."""
+    """A packing with its report (`PackingRecord`), whose numbers are columns, too; `grains` has x, y and radius."""
 
     __tablename__ = "packing"
     __table_args__ = (
         UniqueConstraint("campaign_id", "number"),
         _check_not_negative("number"),
-        _check_positive("width"),
-        _check_positive("height"),
-        *(_check_not_negative(c) for c in ("porosity", "coordination_number", "coordination_number_without_rattlers")),
-        *(
-            _check_not_negative(c)
-            for c in ("mean_relative_overlap", "largest_relative_overlap", "unbalanced_ratio", "seconds")
-        ),
+        *(CheckConstraint(condition_of(q), name=check_name(q)) for q in quantities_of(PackingRecord)),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -171,19 +183,14 @@ class PackingRow(Base):
     number: Mapped[int]
     hash: Mapped[str]
     grains: Mapped[bytes] = mapped_column(LargeBinary)
-    width: Mapped[float]
-    height: Mapped[float]
-    porosity: Mapped[float]
-    coordination_number: Mapped[float]
-    coordination_number_without_rattlers: Mapped[float]
     wall_stress: Mapped[dict[str, Any]]
-    mean_relative_overlap: Mapped[float]
-    largest_relative_overlap: Mapped[float]
-    unbalanced_ratio: Mapped[float]
-    seconds: Mapped[float]
     state: Mapped[bytes] = mapped_column(LargeBinary)
     content_hash: Mapped[str | None]
     checksum: Mapped[str | None]
+
+
+for _quantity in quantities_of(PackingRecord):
+    setattr(PackingRow, _quantity.name, mapped_column(_TYPES[_quantity.kind], nullable=False))
 
 
 class CellRow(Base):
@@ -225,21 +232,6 @@ class AttemptRow(Base):
     forgiven: Mapped[bool]
     checksum: Mapped[str | None]
 
-
-def condition_of(quantity: Quantity) -> str:
-    """What its bound demands of a column that is not NULL, in SQL; empty for nothing."""
-    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
-    if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
-        return ""
-    return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
-
-
-def check_name(quantity: Quantity) -> str:
-    """Name of the constraint that holds its bound."""
-    return f"{quantity.name}_{quantity.bound.name.lower() if quantity.bound is not Bound.NONE else 'finite'}"
-
-
-_TYPES: dict[str, type[TypeEngine[Any]]] = {"real": Double, "whole": BigInteger, "text": Text}
 
 CELL, ATTEMPT, PACKING, RUN = (
     Base.metadata.tables[row.__tablename__] for row in (CellRow, AttemptRow, PackingRow, RunRow)

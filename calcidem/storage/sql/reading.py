@@ -12,7 +12,6 @@ from sqlalchemy import (
     Integer,
     Select,
     SQLColumnExpression,
-    UnaryExpression,
     and_,
     case,
     cast,
@@ -22,7 +21,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from calcidem.storage.errors import DamagedStoreError, QueryError
+from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
     QUANTITY_BY_NAME,
     AttemptCount,
@@ -76,7 +75,7 @@ def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
         yield chunk
 
 
-def conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
+def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
     found = [CellRow.campaign_id == campaign_id]
     if selection.seeds is not None:
@@ -100,9 +99,25 @@ def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
     return CellRow.seed.in_(listed)
 
 
+def refuse_unknown_contents(session: Session, campaign_id: int, selection: Selection) -> None:
+    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
+    unknown = []
+    for content in selection.contents or ():
+        statement = select(CellRow.id).where(CellRow.campaign_id == campaign_id, CellRow.content == content)
+        if session.scalar(statement.limit(1)) is None:
+            unknown.append(f"{content:g} %")
+    if unknown:
+        contents = session.scalars(select(CellRow.content).where(CellRow.campaign_id == campaign_id).distinct())
+        there_are = ", ".join(f"{content:g}" for content in sorted(contents))
+        name = session.scalar(select(CampaignRow.name).where(CampaignRow.id == campaign_id))
+        raise UnknownCellError(
+            f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
+        )
+
+
 def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
     """Ids of the selected cells, by seed, then content."""
-    statement = join_results(select(CellRow.id)).where(*conditions(campaign_id, selection))
+    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
     return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
 
 
@@ -115,15 +130,18 @@ def table(
     limit: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """See `Store.table`."""
-    _check_names([*names, *(name.removeprefix("-") for name in sort)])
+    if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
+        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
     if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
         raise QueryError(
             f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
         )
     fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
     outcome = rows.OutcomeColumns(fetched)
-    statement = join_results(select(*outcome.columns)).where(*conditions(campaign_id, selection))
-    ordered = statement.order_by(*map(_order_of, sort), *_BY_KEY).limit(limit)
+    statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
+    columns = [(expression_of(name.removeprefix("-")), name.startswith("-")) for name in sort]
+    order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
+    ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
     try:
         # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
         found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
@@ -219,24 +237,6 @@ def _readable_rows(
                 yield from _readable_rows(session, statement, number, part)
             return
     yield from found
-
-
-def _check_names(names: Iterable[str]) -> None:
-    """Refuse names that are not in the catalogue of quantities.
-
-    Raises
-    ------
-    QueryError
-        Naming them.
-    """
-    unknown = [name for name in names if name not in QUANTITY_BY_NAME]
-    if unknown:
-        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
-
-
-def _order_of(name: str) -> UnaryExpression[Any]:
-    expression = expression_of(name.removeprefix("-"))
-    return (expression.desc() if name.startswith("-") else expression.asc()).nulls_last()
 
 
 def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:

@@ -109,11 +109,16 @@ class OutcomeColumns:
         if arrays is not None and (changed := stored ^ set(arrays_text(arrays).split())):
             names = ", ".join(sorted({word.partition(":")[0] for word in changed}))
             raise DamagedStoreError(f"its {names} was changed after it had been stored, or is missing", "")
+        records: dict[str, Any] = {}
+        for name, content in (arrays or {}).items():
+            values = {field: array if array.ndim else array.item() for field, array in unpack_arrays(content).items()}
+            kind: type[Any] = ARRAY_RECORDS[name]
+            records[name] = kind(**values)
         return CellResult(
             key=CellKey(row[1], row[2]),
             features=self._part(row, PathFeatures),
             graph=self._part(row, GraphSummary),
-            **{name: _record_of_arrays(ARRAY_RECORDS[name], content) for name, content in (arrays or {}).items()},
+            **records,
             **{name: row[self.place[name]] for name in _RESULT_FIELDS},
         )
 
@@ -122,11 +127,6 @@ class OutcomeColumns:
         names = [quantity.name for quantity in quantities_of(kind)]
         values = {name: row[self.place[name]] for name in names}
         return None if values[names[0]] is None else kind(**values)
-
-
-def _record_of_arrays(kind: type[Any], content: bytes) -> Any:  # noqa: ANN401 - an object of that class
-    arrays = unpack_arrays(content)
-    return kind(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
 
 
 def pack_result(result: CellResult | PackedResult) -> PackedResult:

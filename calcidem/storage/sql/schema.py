@@ -25,7 +25,7 @@ _SCHEMA = 1
 _VERSION = Table("calcidem_schema", Base.metadata, Column("version", Integer, primary_key=True))
 """Holds the version, and is the mark by which a database is recognised as calcidem's."""
 
-CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+_CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
 
 def prepare_schema(connection: Connection, address: Address, *, read_only: bool) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
             raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
         return _columns_for_reading(connection, address)
     if connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
-        connection.execute(select(func.pg_advisory_xact_lock(CREATION_LOCK)))
+        connection.execute(select(func.pg_advisory_xact_lock(_CREATION_LOCK)))
     if is_empty(connection, address):
         Base.metadata.create_all(connection)
         connection.execute(insert(_VERSION).values(version=_SCHEMA))

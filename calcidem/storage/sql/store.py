@@ -4,9 +4,10 @@ import errno
 import os
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import replace
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import asdict, replace
 from datetime import datetime
+from itertools import product, starmap
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from calcidem.storage.errors import (
     StoreError,
     StoreUnavailableError,
     UnknownCampaignError,
+    UnknownCellError,
 )
 from calcidem.storage.records import (
     AttemptCount,
@@ -33,8 +35,9 @@ from calcidem.storage.records import (
     PackedResult,
     PackingRecord,
     RunRecord,
+    WorkerRecord,
 )
-from calcidem.storage.records.campaign import as_utc
+from calcidem.storage.records.run import as_utc
 from calcidem.storage.sql import lease, reading, rows, writing
 from calcidem.storage.sql.checksums import checksum_of
 from calcidem.storage.sql.engine import (
@@ -83,6 +86,23 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
     return Store(parse_address(path_or_url), read_only=read_only)
 
 
+def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
+    """Open a store for reading, with a campaign of that name chosen, or the only one; a run may go on writing it.
+
+    Raises
+    ------
+    StoreError
+        As `open_store`, and if the database has no such campaign.
+    """
+    store = open_store(path_or_url, read_only=True)
+    try:
+        store.use_campaign(name)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
 class Store(Closable):
     """Campaigns, their cells and their outcomes, kept for good.
 
@@ -93,7 +113,7 @@ class Store(Closable):
     2. A campaign's physics never changes: its name goes with one hash. Its plan of seeds and contents only
        grows.
     3. Each writing method is one transaction: when it returns, all of it is on disk; when it raises,
-       nothing is.
+       nothing is. `together` makes one of several.
     4. Writing the same thing again changes nothing. A result is identified by its cell and the number of
        its attempt.
     5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of
@@ -111,7 +131,8 @@ class Store(Closable):
        nothing of it is given but its key and what is damaged. `retry_damaged` makes it pending.
     12. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
         `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
-        A `Selection` whose filter can't be understood raises `QueryError`.
+        A `Selection` whose filter can't be understood raises `QueryError`, one with a content that is not planned
+        `UnknownCellError`.
 
     A store is a context manager that closes itself. It may be used by one thread at a time.
 
@@ -125,8 +146,10 @@ class Store(Closable):
         self.address = address
         self.read_only = read_only
         self._campaign_id: int | None = None
+        self._record: CampaignRecord | None = None
         self._run_id: int | None = None
         self._token: str | None = None
+        self._session: Session | None = None
         self._closed = False
         self._next_checkpoint = 0.0
         self._lock = lease.FileLock(address.path) if address.path and not read_only else None
@@ -146,14 +169,42 @@ class Store(Closable):
 
     # Transactions
 
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Make one transaction of all that the block does: the whole is stored at its end, or nothing is.
+
+        Other processes that write the same database wait, so none may be at work on a campaign of it.
+
+        Raises
+        ------
+        LeaseHeldError
+            If another living process is the master of a campaign of the database.
+        """
+        chosen = self._campaign_id, self._record, self._run_id
+        try:
+            with self._writing() as session:
+                lease.refuse_other_masters(session, self._token)
+                self._session = session
+                yield
+        except BaseException:
+            self._campaign_id, self._record, self._run_id = chosen
+            raise
+        finally:
+            self._session = None
+
     def _reading(self) -> AbstractContextManager[Session]:
         self._refuse_closed()
+        if self._session is not None:
+            return nullcontext(self._session)
         return transaction(self._engine, self.address, write=False)
 
     @contextmanager
     def _writing(self) -> Iterator[Session]:
         """Open a writing transaction that fails if the lease was lost."""
         self._refuse_closed()
+        if self._session is not None:
+            yield self._session
+            return
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
@@ -226,9 +277,9 @@ class Store(Closable):
         """
         with self._writing() as session:
             row = writing.begin_campaign(session, campaign)
-            writing.plan_cells(session, row.id, campaign.seeds, campaign.contents)
+            writing.plan_cells(session, row.id, starmap(CellKey, product(campaign.seeds, campaign.contents)))
             record = reading.campaign_record(session, row)
-        self._campaign_id = row.id
+        self._campaign_id, self._record = row.id, record
         return record
 
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
@@ -246,13 +297,24 @@ class Store(Closable):
                 names = ", ".join(f"'{row.name}'" for row in found) or "none"
                 wanted = f"no campaign '{name}'" if name is not None else f"{len(found)} campaigns"
                 raise UnknownCampaignError(f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}.")
-            self._campaign_id = chosen[0].id
-            return reading.campaign_record(session, chosen[0])
+            self._campaign_id, self._record = chosen[0].id, reading.campaign_record(session, chosen[0])
+        return self._record
+
+    @property
+    def record(self) -> CampaignRecord:
+        """The campaign that was chosen, as it was then."""
+        if self._record is None:
+            raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
+        return self._record
 
     def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
         """Plan all cells of seeds x contents (percent) that are not planned yet; return how many were added."""
+        return self.plan(starmap(CellKey, product(seeds, contents)))
+
+    def plan(self, keys: Iterable[CellKey]) -> int:
+        """Plan cells that are not planned yet; return how many were added."""
         with self._writing() as session:
-            return writing.plan_cells(session, self._campaign, seeds, contents)
+            return writing.plan_cells(session, self._campaign, keys)
 
     def begin_run(self, run: RunRecord) -> int:
         """Store the provenance of a run and return its number.
@@ -274,13 +336,21 @@ class Store(Closable):
         UnknownCampaignError
             If no run was begun.
         """
+        self._change_run(exit_state=exit_state, ended=as_utc(ended))
+        self._run_id = None
+
+    def note_workers(self, workers: Iterable[WorkerRecord]) -> None:
+        """Store what the processes of the run of `begin_run` are, instead of what was known; errors as `end_run`."""
+        self._change_run(workers=list(map(asdict, workers)))
+
+    def _change_run(self, **values: object) -> None:
         with self._writing() as session:
             row = session.get(RunRow, self._run_id)
             if row is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
-            row.exit_state, row.ended = exit_state, as_utc(ended)
+            for name, value in values.items():
+                setattr(row, name, value)
             row.checksum = checksum_of(RUN, (), rows.run_columns(row))
-        self._run_id = None
 
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         """All runs of the campaign with their numbers, oldest first."""
@@ -445,12 +515,21 @@ class Store(Closable):
 
     # Reading
 
-    def load_packing(self, index: int = 0) -> PackingRecord | None:
-        """Return a packing, or None if there is none of that index."""
+    def packing(self, index: int = 0) -> PackingRecord:
+        """Return a packing of the campaign.
+
+        Raises
+        ------
+        UnknownCellError
+            If there is none of that index (yet).
+        DamagedStoreError
+            If it is not what was stored.
+        """
         with self._reading() as session:
             statement = select(PackingRow).where(PackingRow.campaign_id == self._campaign, PackingRow.number == index)
-            row = session.scalar(statement)
-            return None if row is None else rows.packing_from_row(row)
+            if (row := session.scalar(statement)) is not None:
+                return rows.packing_from_row(row)
+        raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
 
     def content_hashes(self) -> dict[int, str | None]:
         """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
@@ -492,6 +571,21 @@ class Store(Closable):
                 found = list(reading.attempts_of(session, chunk))
             yield from found
 
+    def cell(self, *, seed: int, content: float) -> CellResult:
+        """Return the whole outcome of one cell, with its arrays.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        for found in self.results(Selection(seed, content), with_arrays=True):
+            return found
+        raise UnknownCellError(
+            f"The cell of seed {seed} and content {content} % has no outcome.",
+            "See 'pending' in the status, or extend the campaign.",
+        )
+
     def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
@@ -501,14 +595,19 @@ class Store(Closable):
         with_arrays : bool
             Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
         """
-        for chunk in self._chunks(selection):
-            with self._reading() as session:
-                found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
-            for result in found:
-                # A damaged one was chosen by what it is no longer.
-                is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
-                if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
-                    yield result
+        chunks = self._chunks(selection)
+
+        def fetch() -> Iterator[CellResult]:
+            for chunk in chunks:
+                with self._reading() as session:
+                    found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
+                for result in found:
+                    # A damaged one was chosen by what it is no longer.
+                    is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
+                    if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
+                        yield result
+
+        return fetch()
 
     def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, then let the caller fetch them piece by piece.
@@ -516,8 +615,8 @@ class Store(Closable):
         No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
         """
         with self._reading() as session:
-            chosen = reading.select_cells(session, self._campaign, selection)
-        yield from reading.chunks(chosen)
+            reading.refuse_unknown_contents(session, self._campaign, selection)
+            return reading.chunks(reading.select_cells(session, self._campaign, selection))
 
     def integrity(self) -> Integrity:
         """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
@@ -529,7 +628,7 @@ class Store(Closable):
         ]
         for index in self.packing_indices():
             try:
-                self.load_packing(index)
+                self.packing(index)
             except DamagedStoreError as error:
                 others.append(f"Packing {index}: {error.problem}")
         with self._reading() as session:
@@ -571,6 +670,7 @@ class Store(Closable):
             For an unknown quantity, a filter that can't be understood, or a negative limit.
         """
         with self._reading() as session:
+            reading.refuse_unknown_contents(session, self._campaign, selection)
             return reading.table(session, self._campaign, names, selection, sort, limit)
 
     # Life

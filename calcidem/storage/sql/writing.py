@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import product
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Table, and_, delete, insert, or_, select, tuple_, update
@@ -61,14 +60,13 @@ def begin_campaign(session: Session, campaign: CampaignRecord) -> CampaignRow:
     return row
 
 
-def plan_cells(session: Session, campaign_id: int, seeds: Iterable[int], contents: Iterable[float]) -> int:
-    """Plan the cells of seeds x contents that are not planned yet; return how many."""
-    wanted = [CellKey(seed, content) for seed, content in product(sorted(set(seeds)), sorted(set(contents)))]
+def plan_cells(session: Session, campaign_id: int, keys: Iterable[CellKey]) -> int:
+    """Plan the cells that are not planned yet, by seed, then content; return how many."""
     statement = select(CellRow.seed, CellRow.content).where(CellRow.campaign_id == campaign_id)
     planned = {(seed, content) for seed, content in session.execute(statement)}
     new = [
         {"campaign_id": campaign_id, "seed": key.seed, "content": key.content}
-        for key in dict.fromkeys(wanted)
+        for key in sorted(set(keys))
         if (key.seed, key.content) not in planned
     ]
     if new:
@@ -171,13 +169,13 @@ def _replace(
     ids = [cell_id for cell_id, _ in accepted]
     for table in (ARRAYS, RESULT):  # arrays without an outcome, which damage leaves, would be in the way
         session.execute(delete(table).where(table.c.cell_id.in_(ids)))
-    listed = attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
+    listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
     statement = select(AttemptRow.cell_id, AttemptRow.number, AttemptRow.outcome).where(listed)
     existing = {(row.cell_id, row.number): row.outcome for row in session.execute(statement)}
     new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
     outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
     if outdated:
-        session.execute(delete(AttemptRow).where(attempt_in(outdated)))
+        session.execute(delete(AttemptRow).where(_attempt_in(outdated)))
     shared: dict[str, Any] = {"run_id": run_id, "recorded": recorded, "forgiven": False}
     _insert(session, ATTEMPT, [rows.attempt_row(i, result, shared) for i, result in new])
     _insert(session, RESULT, [rows.result_row(i, result) for i, result in accepted])
@@ -191,7 +189,7 @@ def _insert(session: Session, table: Table, values: Sequence[dict[str, Any]]) ->
         session.connection().execute(insert(table), values)
 
 
-def attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
+def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
     """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
     listed = tuple_(AttemptRow.cell_id, AttemptRow.number).in_(numbered)
     return and_(AttemptRow.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
@@ -248,7 +246,7 @@ def drop_damaged(session: Session, campaign_id: int, keys: Collection[CellKey]) 
         good = {(attempt.key, attempt.number) for attempt in attempts_of(session, list(ids))}
         numbered = [(cell, number) for cell, number in session.execute(statement) if (ids[cell], number) not in good]
         if numbered:
-            session.execute(delete(AttemptRow).where(attempt_in(numbered)))
+            session.execute(delete(AttemptRow).where(_attempt_in(numbered)))
 
 
 def _drop_outcomes(session: Session, cell_ids: Collection[int]) -> None:
@@ -263,7 +261,7 @@ def restore_attempts(session: Session, campaign_id: int, attempts: Iterable[Atte
     """See `Store.restore_attempts`."""
     for chunk in chunks(attempts):
         known = _known_cells(session, campaign_id, [attempt.key for attempt in chunk])
-        listed = attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
+        listed = _attempt_in([(known[attempt.key].cell_id, attempt.number) for attempt in chunk])
         statement = select(AttemptRow.cell_id, AttemptRow.number).where(listed)
         existing = {(cell_id, number) for cell_id, number in session.execute(statement)}
         names = (*covered_columns(ATTEMPT), "forgiven")

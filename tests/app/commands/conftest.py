@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from places import TUTORIAL
 
-from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.storage.sql.store import open_store
 
 
@@ -20,7 +20,7 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def campaign(database: Path) -> Iterator[OpenedCampaign]:
+def campaign(database: Path) -> Iterator[Campaign]:
     """Open the campaign of that database."""
     with open_campaign(database) as opened:
         yield opened

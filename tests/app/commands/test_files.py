@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import identify_packing
 from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
@@ -16,10 +16,10 @@ from calcidem.storage.netcdf.export import export_netcdf
 Invoke = Callable[..., str]
 
 
-def test_database_to_netcdf_to_database(campaign: OpenedCampaign, invoke: Invoke, tmp_path: Path) -> None:
+def test_database_to_netcdf_to_database(campaign: Campaign, invoke: Invoke, tmp_path: Path) -> None:
     """A real database that went through NetCDF is equal in every record, packing, run and attempt."""
     file, copy = tmp_path / "quick.nc", tmp_path / "copy.db"
-    export_netcdf(campaign.store, campaign.record, file)
+    export_netcdf(campaign.store, file)
     assert "8 seeds, 5 contents" in invoke("import", file, "--db", copy)
     with open_campaign(copy) as other:
         assert other.record == campaign.record
@@ -41,9 +41,7 @@ def test_import_refuses_other_files(invoke: Invoke, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "vtk"])
-def test_sample_for_paraview(
-    database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path, suffix: str
-) -> None:
+def test_sample_for_paraview(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path, suffix: str) -> None:
     """The file holds all disks with their radii and all contacts with their cement."""
     file = tmp_path / f"sample.{suffix}"
     invoke("sample", database, file, "--seed", 1, "--content", 5)
@@ -54,7 +52,7 @@ def test_sample_for_paraview(
     np.testing.assert_array_equal(mesh.cell_data_dict["kind"]["line"].ravel(), sample.kind)
 
 
-def test_packing_as_csv(database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path) -> None:
+def test_packing_as_csv(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path) -> None:
     """The disks in the CSV file are those of the packing, to the last bit."""
     file = tmp_path / "packing.csv"
     invoke("sample", database, file, "--seed", 1, "--content", 5)

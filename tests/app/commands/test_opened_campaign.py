@@ -8,26 +8,25 @@ import numpy as np
 import pytest
 
 import calcidem.dem
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe
 from calcidem.app.campaign import opened as opened_campaign
-from calcidem.app.campaign.opened import OpenedCampaign, open_campaign
+from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("seed", [1, 5])
-def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: OpenedCampaign, seed: int) -> None:
+def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: Campaign, seed: int) -> None:
     """The sample from the store has the cement that drawing it anew from its seed gives, contact by contact."""
     sample = campaign.sample(seed=seed, content=5.0)
     drawn = campaign.experiment().ordering(seed).at(5.0)
@@ -39,7 +38,7 @@ def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: OpenedCampaign,
 
 
 @pytest.mark.parametrize("content", [0.0, pytest.param(0.66, marks=pytest.mark.full)])
-def test_a_rebuilt_sample_is_in_balance(campaign: OpenedCampaign, content: float) -> None:
+def test_a_rebuilt_sample_is_in_balance(campaign: Campaign, content: float) -> None:
     """The disks, forces and walls that come back are those of a packing at rest, with cement or without."""
     sample = campaign.sample(seed=1, content=content)
     state = calcidem.dem.start(sample.scene, preload=sample.packing.preload)
@@ -47,39 +46,39 @@ def test_a_rebuilt_sample_is_in_balance(campaign: OpenedCampaign, content: float
     assert calcidem.dem.unbalanced_ratio(state) < 1e-4
 
 
-def test_a_sample_without_cement_has_no_bonds(campaign: OpenedCampaign) -> None:
+def test_a_sample_without_cement_has_no_bonds(campaign: Campaign) -> None:
     """At 0 % no contact is cemented."""
     sample = campaign.sample(seed=1, content=0.0)
     assert sample.bonds is None
     assert set(sample.kind.tolist()) == {CementKind.NONE}
 
 
-def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: OpenedCampaign) -> None:
+def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
     """Taken off, it comes back from the seed, array by array; not where the drawn one would be another."""
-    stored = list(StoredCampaign.select(campaign, seed=(1, 5), with_arrays=True))
+    stored = list(campaign.store.results(Selection((1, 5)), with_arrays=True))
     assert len(stored) > 4
     without = [replace(cell, cement=None) for cell in stored]
-    assert list(with_patterns(campaign, without)) == stored
+    assert list(with_patterns(campaign.store, without)) == stored
     other = replace(without[-1], p_contacts=1 + (without[-1].p_contacts or 0))
     never = replace(without[-1], bonded_contacts=None)
-    assert list(with_patterns(campaign, [other, never])) == [other, never]
+    assert list(with_patterns(campaign.store, [other, never])) == [other, never]
     physics = canonical_json(campaign.config | {"physics_version": 0})
-    former = StoredCampaign(campaign.store, replace(campaign.record, config=physics))
-    assert list(with_patterns(former, without)) == without
+    monkeypatch.setattr(campaign.store, "_record", replace(campaign.record, config=physics))
+    assert list(with_patterns(campaign.store, without)) == without
 
 
-def test_an_export_without_cement_is_analysed_like_the_database(campaign: OpenedCampaign, tmp_path: Path) -> None:
+def test_an_export_without_cement_is_analysed_like_the_database(campaign: Campaign, tmp_path: Path) -> None:
     """Of what `calcidem import` makes of it the samples have the same contacts, paths and features."""
-    export_netcdf(campaign.store, campaign.record, tmp_path / "short.nc", without=("section", "cement", "path"))
+    export_netcdf(campaign.store, tmp_path / "short.nc", without=("section", "cement", "path"))
     with open_store(tmp_path / "short.db") as store:
         import_netcdf(tmp_path / "short.nc", store)
     with open_campaign(tmp_path / "short.db") as short:
-        pairs = list(zip(CampaignAnalysis(short).samples, CampaignAnalysis(campaign).samples, strict=True))
+        pairs = list(zip(short.analyse().samples, campaign.analyse().samples, strict=True))
     assert all(one.kinds.tobytes() == other.kinds.tobytes() for one, other in pairs)
     assert all(one.features.path_connectivity == other.features.path_connectivity for one, other in pairs)
 
 
-def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:
+def test_summary_is_the_distribution(campaign: Campaign) -> None:
     """The summary of a content describes the velocities that `vs` gives."""
     row = campaign.summary().sel(content=5.0)
     expected = describe(campaign.vs().sel(content=5.0).dropna("seed"))
@@ -91,7 +90,7 @@ def test_summary_is_the_distribution(campaign: OpenedCampaign) -> None:
     ]
 
 
-def test_a_campaign_says_what_it_is(campaign: OpenedCampaign) -> None:
+def test_a_campaign_says_what_it_is(campaign: Campaign) -> None:
     """At the prompt there are name, size and outcomes, in a notebook also the mean of every content."""
     seeds, contents = len(campaign.record.seeds), len(campaign.record.contents)
     assert f"'{campaign.record.name}': {seeds} seeds x {contents} contents; cells: " in repr(campaign)
@@ -99,7 +98,7 @@ def test_a_campaign_says_what_it_is(campaign: OpenedCampaign) -> None:
     assert all(f"<td>{mean:.1f}</td>" in page for mean in campaign.summary()["mean"].values)
 
 
-def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
+def test_graph_agrees_with_the_stored_summary(campaign: Campaign) -> None:
     """The networkx graph has the contacts, bonds and components that are stored with the cell."""
     import networkx as nx  # noqa: PLC0415 - this test alone needs it
 
@@ -119,7 +118,7 @@ def test_graph_agrees_with_the_stored_summary(campaign: OpenedCampaign) -> None:
     assert min(lengths[grain] for grain in receivers) == stored.graph_gap_contacts
 
 
-def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:
+def test_experiment_survives_the_database(campaign: Campaign) -> None:
     """The experiment from the stored configuration is that of the file it was computed from."""
     from calcidem.app.config.reader import load_configuration  # noqa: PLC0415 - this test alone needs it
 
@@ -130,7 +129,7 @@ def test_experiment_survives_the_database(campaign: OpenedCampaign) -> None:
     assert {name: getattr(stored, name) for name in names} == {name: getattr(given, name) for name in names}
 
 
-def test_what_is_missing_is_said(campaign: OpenedCampaign) -> None:
+def test_what_is_missing_is_said(campaign: Campaign) -> None:
     """An unknown cell and an incomplete configuration are refused with their names."""
     with pytest.raises(UnknownCellError, match="seed 99"):
         campaign.sample(seed=99, content=5.0)

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign import opened
+from calcidem.app.campaign.opened import Campaign
 from calcidem.app.campaign.prediction import COLUMN, PATH_FEATURES, check_predictions
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
 
 
-def column_share(campaign: OpenedCampaign, seed: int, content: float) -> float:
+def column_share(campaign: Campaign, seed: int, content: float) -> float:
     """Share of cemented contacts whose middle is no further above or below mid-height than the receiver reaches."""
     sample = campaign.sample(seed=seed, content=content)
     packing, half = sample.packing, campaign.config["wave"]["receiver_half_width"]
@@ -21,7 +22,7 @@ def column_share(campaign: OpenedCampaign, seed: int, content: float) -> float:
     return float((sample.kind[off < half] > 0).mean())
 
 
-def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: OpenedCampaign) -> None:
+def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: Campaign) -> None:
     """The cement that a seed draws, given as a pattern or as features of its path, leads to one prediction."""
     stored = campaign.cell(seed=2, content=5.0)
     features = {name: float(getattr(stored.features, name)) for name in PATH_FEATURES}
@@ -36,20 +37,18 @@ def test_seed_pattern_and_features_of_a_sample_predict_the_same(campaign: Opened
     assert campaign.predict(content=5.0).vs == pytest.approx(float(np.exp(np.log(vs).mean())))
 
 
-def test_a_campaign_without_its_cement_predicts_from_paths(
-    campaign: OpenedCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_campaign_without_its_cement_predicts_from_paths(campaign: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no sample's cement can be drawn again, as with an older physics, the column is left out."""
     stored = campaign.cell(seed=2, content=5.0).features
     path = {name: float(getattr(stored, name)) for name in PATH_FEATURES}
     bare = [replace(cell, cement=None) for cell in campaign.select(content=5.0, status="done")]
-    monkeypatch.setattr(OpenedCampaign, "_complete", lambda _self, _cells: iter(bare))
-    assert check_predictions(campaign) == check_predictions(campaign, PATH_FEATURES)
+    monkeypatch.setattr(opened, "with_patterns", lambda _store, _cells: iter(bare))
+    assert check_predictions(campaign.analyse()) == check_predictions(campaign.analyse(), PATH_FEATURES)
     found = campaign.predict(content=5.0, features={**path, COLUMN: 0.5})
     assert found == campaign.predict(content=5.0, features=path)
 
 
-def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
+def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
     """A content without cells, an unknown feature, and contacts of another packing are told with a cure."""
     with pytest.raises(QueryError, match=r"content = 4 %.*Choose among 0"):
         campaign.predict(content=4.0)
@@ -63,10 +62,10 @@ def test_what_cannot_be_predicted_is_refused(campaign: OpenedCampaign) -> None:
 
 
 def test_the_command_predicts_and_says_how_far_to_trust_it(
-    campaign: OpenedCampaign, database: Path, tmp_path: Path, invoke: Callable[..., str]
+    campaign: Campaign, database: Path, tmp_path: Path, invoke: Callable[..., str]
 ) -> None:
     """A table over all contents, or one sample by seed, contacts or feature, each with its check."""
-    checks = check_predictions(campaign)
+    checks = check_predictions(campaign.analyse())
     assert 0.0 not in checks  # one packing, no cement: nothing scatters
     table = invoke("predict", database)
     assert all(f"{check.content_score:.1f}" in table for check in checks.values())

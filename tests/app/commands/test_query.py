@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.app.campaign.opened import OpenedCampaign
+from calcidem.app.campaign.opened import Campaign
 from calcidem.app.cli.query import Format, _as_text, find
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
@@ -30,7 +30,7 @@ PIECES = (
 hostile = st.one_of(st.text(max_size=40), st.lists(st.sampled_from(PIECES), max_size=9).map("".join))
 
 
-def test_filters_and_columns(database: Path, invoke: Invoke, campaign: OpenedCampaign) -> None:
+def test_filters_and_columns(database: Path, invoke: Invoke, campaign: Campaign) -> None:
     """Filters choose the cells that the Python API chooses, and columns come in the order asked for."""
     text = invoke("query", database, "--content", 5, "--where", "vs > 1300", "--columns", "vs,seed", "--format", "csv")
     rows = list(csv.DictReader(io.StringIO(text)))
@@ -39,7 +39,7 @@ def test_filters_and_columns(database: Path, invoke: Invoke, campaign: OpenedCam
     assert [(row["vs"], row["seed"]) for row in rows] == [(repr(cell.vs), str(cell.key.seed)) for cell in expected]
 
 
-def test_sorting_and_limit(database: Path, invoke: Invoke, campaign: OpenedCampaign) -> None:
+def test_sorting_and_limit(database: Path, invoke: Invoke, campaign: Campaign) -> None:
     """A descending sort with a limit gives the largest values, and numbers survive JSON to the last bit."""
     cells = json.loads(invoke("query", database, "--sort", "-vs,seed", "--limit", 3, "--format", "json"))
     fastest = sorted((cell.vs for cell in campaign.select(status="done") if cell.vs is not None), reverse=True)[:3]
@@ -63,7 +63,7 @@ def test_table_shows_units(database: Path, invoke: Invoke) -> None:
     assert lines[-1] == "10 cells"
 
 
-def test_parquet(database: Path, invoke: Invoke, campaign: OpenedCampaign, tmp_path: Path) -> None:
+def test_parquet(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path) -> None:
     """Parquet files hold the same table as pandas users get, with the types of its columns."""
     file = tmp_path / "cells.parquet"
     invoke("query", database, "--columns", "all", "--format", "parquet", "--out", file)
@@ -102,7 +102,7 @@ def digest(path: Path) -> str:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=hostile, name=hostile)
-def test_no_text_gets_through_as_sql(campaign: OpenedCampaign, where: str, name: str) -> None:
+def test_no_text_gets_through_as_sql(campaign: Campaign, where: str, name: str) -> None:
     """Any text as filter, column or order selects planned cells or is refused; nothing else ever happens."""
     before = digest(campaign.store.address.path)  # type: ignore[attr-defined]  # a SQLite store
     everything = 40
@@ -120,7 +120,7 @@ def test_no_text_gets_through_as_sql(campaign: OpenedCampaign, where: str, name:
     assert digest(campaign.store.address.path) == before  # type: ignore[attr-defined]  # as above
 
 
-def test_deep_nesting_is_refused(campaign: OpenedCampaign) -> None:
+def test_deep_nesting_is_refused(campaign: Campaign) -> None:
     """A filter nested deeper than Python's parser goes is refused like any other that can't be read."""
     for where in ("(" * 500 + "vs > 1" + ")" * 500, "not " * 2000 + "vs > 1", "vs > 1 or " * 5000 + "vs > 1"):
         with pytest.raises(QueryError):

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.cli.exit_codes import EXIT_ROUNDING, exit_code_of
+from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
 from calcidem.app.cli.tables import vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
@@ -74,7 +73,7 @@ def small(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compute the campaign of 280 disks and four cells, on the packing that is kept with the tests."""
     folder = tmp_path_factory.mktemp("small")
     configuration = load_configuration(toml)
-    shutil.copy(SMALL_PACKING, folder / cached_name(configuration.packing_hash))
+    shutil.copy(SMALL_PACKING, folder / _cached_name(configuration.packing_hash))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CALCIDEM_CACHE", str(folder))
         run(configuration, db=folder / "small.db").close()
@@ -117,7 +116,7 @@ def no_packing_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_was_computed_comes_out_the_same(small: Path, invoke: Invoke) -> None:
     """All cells come out the same to the last bit, sections and cement too, on the packing of the database."""
     with open_campaign(small) as campaign:
-        found = list(verify(campaign, random_cells(campaign, 100), campaign.experiment))
+        found = list(verify(campaign.store, random_cells(campaign.store, 100), campaign.experiment))
     assert len(found) == 4
     assert all(verification.stored.section is not None for verification in found)
     assert [dict(verification.differences) for verification in found] == [{}] * 4
@@ -157,7 +156,7 @@ def test_another_version_of_the_physics_is_refused(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:
         invoke("verify", small)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2
 
 
 def test_sections_and_cement_are_compared(stored: CellResult) -> None:
@@ -205,9 +204,7 @@ def test_broken_bonds_are_told_where_there_are_some(change: Change, small: Path,
     assert "pulse broke" not in invoke("show", small, *cell)
     for path, told in ((changed, "The pulse broke bonds in 1 cell, at most 4 in one."), (small, "")):
         with open_campaign(path) as campaign:
-            assert [line for line in _velocity_remarks(CampaignAnalysis(campaign)) if "broke" in line] == [told] * bool(
-                told
-            )
+            assert [line for line in _velocity_remarks(campaign.analyse()) if "broke" in line] == [told] * bool(told)
             assert ("broke bonds in 1 cell:" in str(vs_table(campaign.store, Selection()).caption)) == bool(told)
 
 
@@ -227,8 +224,8 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
 def test_choice_of_cells(small: Path) -> None:
     """The same seed chooses the same cells, and never more than there are."""
     with open_campaign(small) as campaign:
-        assert random_cells(campaign, 2, 7) == random_cells(campaign, 2, 7)
-        assert random_cells(campaign, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
+        assert random_cells(campaign.store, 2, 7) == random_cells(campaign.store, 2, 7)
+        assert random_cells(campaign.store, 99) == tuple(CellKey(s, c) for s in (1, 2) for c in (0.0, 0.66))
 
 
 @pytest.mark.usefixtures("no_packing_is_made")
@@ -276,4 +273,4 @@ def test_a_database_of_another_configuration_is_refused(
         invoke(command, other, "--db", small)
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2

@@ -55,7 +55,7 @@ def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
             store.begin_campaign(replace(record, seeds=tuple(seeds)))
             _, run = whole.runs()[0]
             store.begin_run(run)
-            packing = whole.load_packing()
+            packing = whole.packing()
             assert packing is not None
             store.save_packing(packing)
             results = whole.results(with_arrays=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from places import CHECKOUT
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop
@@ -80,7 +80,7 @@ def cluster(workshop: "Workshop") -> Iterator[Cluster]:
 
 def ranks_used(workshop: "Workshop") -> set[int | None]:
     """Numbers of the workers that have computed something."""
-    with open_stored_campaign(workshop.database) as campaign:
+    with open_campaign(workshop.database) as campaign:
         return {cell.rank for cell in campaign.select()}
 
 

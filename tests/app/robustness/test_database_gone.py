@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import StoreError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def test_a_server_database_needs_no_folder_and_may_die(workshop: "Workshop", pos
 def _cells_on(server: str) -> int:
     """Settled cells of the campaign on a server."""
     try:
-        with open_stored_campaign(server, "small") as campaign:
+        with open_campaign(server, "small") as campaign:
             return len(list(campaign.select()))
     except StoreError:
         return 0

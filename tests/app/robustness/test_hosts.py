@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
@@ -216,5 +216,5 @@ def test_the_example_for_slurm_uses_all_nodes(trial: HostTrial, undisturbed: Cel
         cluster.stop()
     assert (state["JobState"], state["ExitCode"]) == ("COMPLETED", "0:0"), (trial.folder / "output").read_text()
     assert trial.cells() == undisturbed
-    with open_stored_campaign(trial.database) as campaign:
+    with open_campaign(trial.database) as campaign:
         assert {cell.host for cell in campaign.select()} == {"nodeA", "nodeB", "nodeC"}

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from calcidem.app.campaign.merge import MergeConflictError, merge_databases
-from calcidem.app.campaign.packing import packing_record, stored_packing
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import _stored_packing, packing_record
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
@@ -20,7 +20,7 @@ from calcidem.storage.sql.store import open_store
 
 def results(database: Path) -> dict[CellKey, CellResult]:
     """Every outcome of a database with its arrays, whatever the number of the attempt."""
-    with open_stored_campaign(database) as campaign:
+    with open_campaign(database) as campaign:
         return {cell.key: replace(cell, attempt=1) for cell in campaign.select(with_arrays=True)}
 
 
@@ -33,7 +33,7 @@ def test_seed_ranges_join_to_the_whole(
     output = invoke("merge", *parts, "--out", out)
     assert results(out) == results(complete)
     assert "5 cells were in several databases with the same values" in output
-    with open_stored_campaign(out) as campaign:
+    with open_campaign(out) as campaign:
         assert campaign.record.seeds == (1, 2, 3, 4, 5, 6, 7, 8)
         assert len(campaign.runs()) == 1  # both parts have it of the same database
 
@@ -53,7 +53,7 @@ def test_merging_a_copy_changes_nothing(troubled: Path, tmp_path: Path) -> None:
     """A database merged with its copy has the same cells, attempts and runs as before."""
     copy, out = shutil.copy(troubled, tmp_path / "copy.db"), tmp_path / "out.db"
     merge_databases([str(troubled), str(copy)], out)
-    with open_stored_campaign(troubled) as before, open_stored_campaign(out) as after:
+    with open_campaign(troubled) as before, open_campaign(out) as after:
         assert list(after.select(with_arrays=True)) == list(before.select(with_arrays=True))
         assert after.status_counts() == before.status_counts()
         assert len(after.runs()) == len(before.runs())
@@ -78,7 +78,7 @@ def test_done_wins(troubled: Path, part: Callable[..., Path], tmp_path: Path, or
     found = results(tmp_path / "out.db")
     assert found[CellKey(9, 0.0)].status is CellStatus.DONE
     assert found[CellKey(9, 0.66)].status is CellStatus.TIMED_OUT
-    with open_stored_campaign(tmp_path / "out.db") as campaign:
+    with open_campaign(tmp_path / "out.db") as campaign:
         assert [a.outcome for a in campaign.history(seed=9, content=0.0)] == ["failed", "done"]
 
 
@@ -121,9 +121,9 @@ def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, t
     first, other = part("a.db", {1}), tmp_path / "other.db"
     with open_store(complete, read_only=True) as whole, open_store(other) as store:
         store.begin_campaign(whole.use_campaign())
-        record = whole.load_packing()
+        record = whole.packing()
         assert record is not None
-        packing = stored_packing(record)
+        packing = _stored_packing(record)
         moved = replace(packing, x=packing.x * (1 + 1e-15))
         store.save_packing(packing_record(moved, index=0, packing_hash=record.hash))
     hashes = f"{packing.content_hash} in database 1 and {moved.content_hash} in database 2"
@@ -135,7 +135,7 @@ def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, t
 def test_a_record_that_was_edited_is_another_packing(part: Callable[..., Path], tmp_path: Path) -> None:
     """Disks that no longer are those of the packing's state are not taken for the packing."""
     first, other = part("a.db", {1}), part("b.db", {2})
-    with open_stored_campaign(other) as campaign:
+    with open_campaign(other) as campaign:
         record, packing = campaign.record, campaign.packing()
     with open_store(tmp_path / "edited.db") as store:
         store.begin_campaign(record)

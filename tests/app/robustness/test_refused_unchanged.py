@@ -19,12 +19,11 @@ from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.workers import describe_worker
-from calcidem.app.cli.exit_codes import exit_code_of, tell_error
+from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
 from calcidem.app.cli.query import Format, _as_text
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import export_netcdf
@@ -64,7 +63,7 @@ def test_a_run_that_is_refused_changes_no_file(begun: Configuration, change: Cha
         with unchanged_if_refused(tmp_path) as codes:
             with pytest.raises(Exception, match=said) as refused:
                 attempt()
-            codes.append(exit_code_of(refused.value))
+            codes.append(_exit_code_of(refused.value))
         assert codes == [2]
     assert not (tmp_path / "results").exists()
 
@@ -74,8 +73,8 @@ def test_an_import_of_impossible_values_writes_nothing(
     complete: Path, invoke: Callable[..., str], database: str, tmp_path: Path
 ) -> None:
     """An attempt that took a negative time is named; a new database does not appear, another stays as it is."""
-    with open_stored_campaign(complete) as campaign:
-        damaged = export_netcdf(campaign.store, campaign.record, tmp_path / "damaged.nc")
+    with open_campaign(complete) as campaign:
+        damaged = export_netcdf(campaign.store, tmp_path / "damaged.nc")
     with netCDF4.Dataset(damaged, "r+") as file:
         file["attempts"]["seconds"][3] = -1.0
     with unchanged_if_refused(tmp_path) as codes:
@@ -83,7 +82,7 @@ def test_an_import_of_impossible_values_writes_nothing(
             StoreError, match=r"damaged.nc is damaged .*seconds is -1.0.*nothing was written"
         ) as refused:
             invoke("import", damaged, "--db", tmp_path / database)
-        codes.append(exit_code_of(refused.value))
+        codes.append(_exit_code_of(refused.value))
     assert codes == [2]
 
 
@@ -92,8 +91,8 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
     command: str, complete: Path, invoke: Callable[..., str]
 ) -> None:
     """A device, and a file of the kernel that cannot be read from its beginning, are bad input and no accident."""
-    with open_stored_campaign(complete) as campaign:
-        export_netcdf(campaign.store, campaign.record, complete.with_suffix(".nc"))
+    with open_campaign(complete) as campaign:
+        export_netcdf(campaign.store, complete.with_suffix(".nc"))
     words = {
         "report": ("report", "/proc/self/mem"),
         "retry": ("retry", "sqlite:////dev/null"),
@@ -101,7 +100,7 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
     }[command]
     with pytest.raises(StoreError, match="is not a database file") as refused:
         invoke(*words)
-    assert exit_code_of(refused.value) == 2
+    assert _exit_code_of(refused.value) == 2
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.storage.campaign import open_stored_campaign
+from calcidem.app.campaign.opened import open_campaign
 
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
@@ -65,7 +65,7 @@ def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp
     assert (job["JobState"], job["ExitCode"]) == ("COMPLETED", "0:0"), told
     assert int(job["Restarts"]) >= 1, told
     assert "SIGUSR1: running batches were finished" in told
-    with open_stored_campaign(tmp_path / "results" / "small.db") as campaign:
+    with open_campaign(tmp_path / "results" / "small.db") as campaign:
         assert len(campaign.store.pending()) == 0
         assert sum(1 for _ in campaign.store.history()) == 2 * SEEDS
         runs = [run for _, run in campaign.runs()]

@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from calcidem.app.campaign.status import campaign_status, is_being_written, read_status
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.status import _campaign_status, _is_being_written, read_status
 from calcidem.app.cli.status_view import status_view
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
 
@@ -45,14 +45,14 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
     troubles = json.loads(invoke("status", complete, "--json"))["troubles"]
     (trouble,) = (one for one in troubles if (one["seed"], one["content"]) == (3, 5.0))
     assert trouble["retry"] == why
-    with open_stored_campaign(complete) as campaign:
+    with open_campaign(complete) as campaign:
         assert [(found.key, found.retry) for found in campaign.select(where=f"retry == {why!r}")] == [(cell.key, why)]
 
 
 def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:
     """Mean, scatter, 95 % interval and time left in JSON are those computed from the cells by hand."""
     told = json.loads(invoke("status", troubled, "--json"))
-    with open_stored_campaign(troubled) as campaign:
+    with open_campaign(troubled) as campaign:
         cells = list(campaign.select(content=5.0, status="done"))
         computed = [cell.seconds for cell in campaign.select(content=5.0) if cell.seconds is not None]
     vs = np.array([cell.vs for cell in cells], dtype=float)
@@ -72,8 +72,8 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
     with open_store(complete) as store:
         store.use_campaign()
         store.extend((1,), (7.0,))
-    with open_stored_campaign(complete) as campaign:
-        found = campaign_status(campaign, running=False)
+    with open_campaign(complete) as campaign:
+        found = _campaign_status(campaign.store, running=False)
     costs = {content.content: content.seconds_per_cell for content in found.contents}
     assert np.isnan(costs[7.0])
     assert found.seconds_left == pytest.approx((costs[5.0] + costs[9.0]) / 2)
@@ -115,7 +115,7 @@ def test_a_living_master_is_seen(complete: Path) -> None:
     with open_store(complete) as store:
         store.use_campaign()
         store.acquire_lease()
-        with open_stored_campaign(complete) as campaign:
-            assert is_being_written(campaign)
-    with open_stored_campaign(complete) as campaign:
-        assert not is_being_written(campaign)
+        with open_campaign(complete) as campaign:
+            assert _is_being_written(campaign.store)
+    with open_campaign(complete) as campaign:
+        assert not _is_being_written(campaign.store)

@@ -21,6 +21,9 @@ class Counter:
         """Count."""
         self.cells += sum(len(outcome.batch.cells) for outcome in outcomes)
 
+    def keep_alive(self) -> None:
+        """Do nothing."""
+
     def store_loss(self, batch: Batch[int], reason: str) -> None:
         """Count nothing."""
 

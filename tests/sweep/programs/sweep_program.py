@@ -83,6 +83,9 @@ class Sink:
         sys.stdout.flush()
         self._perhaps_die("after")
 
+    def keep_alive(self) -> None:
+        """Do nothing."""
+
     def store_loss(self, batch: Batch[Cell], reason: str) -> None:
         """Keep a loss."""
         for seed, content in batch.cells:

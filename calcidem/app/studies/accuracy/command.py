@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import xarray as xr
+
 from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import new_packing, provide_packing
@@ -20,7 +22,6 @@ from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.campaign import StoredCampaign
 from calcidem.storage.files import write_text_atomically
 
 _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
@@ -92,7 +93,7 @@ def plan_task(
     else:
         with open_campaign_of(configuration, database) as campaign:
             packing = campaign.experiment().packing
-            velocities = _stored_velocities(campaign, contents)
+            velocities = _stored_velocities(campaign.vs(), contents)
 
     def packing_of(ratio: float) -> Packing:
         # A packing that is kept may have been made by another version: another sample, not the same at another ratio.
@@ -111,9 +112,8 @@ def plan_task(
     )
 
 
-def _stored_velocities(campaign: StoredCampaign, contents: Sequence[float]) -> dict[float, list[float]]:
+def _stored_velocities(vs: xr.DataArray, contents: Sequence[float]) -> dict[float, list[float]]:
     """Velocities of a stored campaign at those of some contents that it has, m/s."""
-    vs = campaign.vs()
     known = [value for value in contents if value in vs.content.to_numpy()]
     return {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
 

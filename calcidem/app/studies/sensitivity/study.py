@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 import xarray as xr
 
 from calcidem.analysis.sensitivity import Change, compare
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.report.wording import ABSENT
 from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant
-from calcidem.storage.campaign import open_stored_campaign
 from calcidem.storage.errors import UnknownCampaignError
 
 
@@ -30,7 +30,7 @@ def _variant_velocities(variant: Variant) -> xr.DataArray | None:
     """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
     plan = variant.configuration.campaign
     try:
-        with open_stored_campaign(variant.configuration.database, variant.name) as campaign:
+        with open_campaign(variant.configuration.database, variant.name) as campaign:
             # A database may hold more, from an earlier plan.
             return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     except UnknownCampaignError:

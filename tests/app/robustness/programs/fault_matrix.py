@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calcidem.app.campaign.launch import find_mpirun
-from calcidem.app.campaign.packing import cached_name
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.retry import retry_cells
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.campaign import open_stored_campaign
 
 CHECKOUT = Path(__file__).parents[4]
 sys.path.append(str(CHECKOUT / "tests"))
@@ -213,7 +213,7 @@ class Trial(MarkedProcesses):
         """Everything about each cell that physics decides, sections and cement included."""
         if not self.database.exists():
             return {}
-        with open_stored_campaign(self.database) as campaign:
+        with open_campaign(self.database) as campaign:
             return {
                 (cell.key.seed, cell.key.content): (
                     *(cell.status, cell.vs, cell.vs_peak, cell.vs_first_arrival, cell.vs_cross_correlation, cell.steps),
@@ -230,12 +230,12 @@ class Trial(MarkedProcesses):
 
     def settled(self) -> set[tuple[int, float]]:
         """Cells with any outcome."""
-        with open_stored_campaign(self.database) as campaign:
+        with open_campaign(self.database) as campaign:
             return {(cell.key.seed, cell.key.content) for cell in campaign.select()}
 
     def attempts(self) -> Counter[str]:
         """Attempts at all cells by their outcome."""
-        with open_stored_campaign(self.database) as campaign:
+        with open_campaign(self.database) as campaign:
             return Counter(attempt.outcome for attempt in campaign.store.history())
 
     def integrity(self) -> str:
@@ -251,7 +251,7 @@ def reference(folder: Path, cache: Path, seeds: int = SEEDS) -> Cells:
     """What an undisturbed run gives; the packing is put into the cache for all trials."""
     trial = Trial(folder, cache, seeds)
     packing_hash = load_configuration(folder / "c.toml").packing_hash
-    shutil.copy(SMALL_PACKING, cache / cached_name(packing_hash))
+    shutil.copy(SMALL_PACKING, cache / _cached_name(packing_hash))
     ended = trial.wait(trial.start(ranks=1), 4.0 * PATIENCE)  # it compiles
     if ended.code != 0:
         raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")

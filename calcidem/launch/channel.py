@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 
-from calcidem.sweep.starter import DESCRIPTOR_VARIABLE
+from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 
 _MOST_UNHEARD = 4
 """Pictures of the progress that may be under way to the command; one that is busy or stopped gets no more."""

@@ -16,11 +16,9 @@ from calcidem.storage.records import (
     NOT_PLANNED,
     QUANTITY_BY_NAME,
     STATUS_CODES,
-    CampaignRecord,
     CellKey,
     CellStatus,
     Quantity,
-    RunRecord,
 )
 from calcidem.storage.sql.store import Store
 
@@ -69,7 +67,6 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
 
 def campaign_dataset(
     store: Store,
-    campaign: CampaignRecord,
     names: Sequence[str] | None = None,
     damaged: Mapping[CellKey, str] | None = None,
 ) -> xr.Dataset:
@@ -78,8 +75,7 @@ def campaign_dataset(
     Parameters
     ----------
     store : Store
-        With that campaign chosen.
-    campaign : CampaignRecord
+        With a campaign chosen.
     names : sequence of str, optional
         Quantities, by default all.
     damaged : mapping of CellKey to str, optional
@@ -106,8 +102,10 @@ def campaign_dataset(
             value = (known | {"reason": reason}).get(name, missing)
             matrix.loc[{"seed": key.seed, "content": key.content}] = value
     if not any(matrix.size for matrix in matrices.values()):
-        raise UnknownCampaignError(f"Campaign '{campaign.name}' has no cells.", "Plan some seeds and contents first.")
-    return xr.Dataset(matrices, attrs=_global_attributes(store, campaign))
+        raise UnknownCampaignError(
+            f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
+        )
+    return xr.Dataset(matrices, attrs=_global_attributes(store))
 
 
 def _values_and_gap(quantity: Quantity, values: NDArray[Any]) -> tuple[NDArray[Any], Any]:
@@ -132,7 +130,8 @@ def _attributes(quantity: Quantity) -> dict[str, Any]:
     return attributes
 
 
-def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]:
+def _global_attributes(store: Store) -> dict[str, Any]:
+    campaign = store.record
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {
         "Conventions": "CF-1.11",
@@ -147,15 +146,10 @@ def _global_attributes(store: Store, campaign: CampaignRecord) -> dict[str, Any]
         "calcidem_config": campaign.config,
         "calcidem_checksum": campaign.checksum,
         "calcidem_packing_content_hash": " ".join(found or "unknown" for found in store.content_hashes().values()),
-        "calcidem_runs": json.dumps([_run_as_json(number, run) for number, run in store.runs()]),
+        "calcidem_runs": json.dumps(
+            [{"number": number} | asdict(run) for number, run in store.runs()], default=datetime.isoformat
+        ),
     }
-
-
-def _run_as_json(number: int, run: RunRecord) -> dict[str, Any]:
-    values = {name: getattr(run, name) for name in RunRecord.__slots__}
-    plain = {name: value.isoformat() if isinstance(value, datetime) else value for name, value in values.items()}
-    workers = [asdict(worker) for worker in run.workers]
-    return {"number": number, **plain, "versions": dict(run.versions), "workers": workers}
 
 
 def _own_version() -> str:

@@ -12,12 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Self
 
-from calcidem.sweep.starter import LONGEST_GREETING, seal_words, this_host
+from calcidem.launch.starter import LONGEST_GREETING, seal_words, this_host
 
 _LONGEST_LINE = 4096
 """Bytes of a line; one who sends more is no rank."""
 
-TIME_TO_GREET = 10.0
+_TIME_TO_GREET = 10.0
 """Seconds in which one who connects must have shown that it is a rank."""
 
 _PAUSE_OF_WORDS = 60.0
@@ -205,8 +205,8 @@ class RankWatch:
             else:
                 self._accept(key.fileobj)  # type: ignore[arg-type]
         for caller in list(self._callers):
-            if self._seconds - caller.since > TIME_TO_GREET:
-                self._drop(caller, f"did not say within {TIME_TO_GREET:g} s who it is")
+            if self._seconds - caller.since > _TIME_TO_GREET:
+                self._drop(caller, f"did not say within {_TIME_TO_GREET:g} s who it is")
         self._note_deaths()
         return bool(events)
 
@@ -399,7 +399,7 @@ class RankWatch:
         return True
 
     def _hear(self, rank: _ReportedRank, text: str) -> None:
-        """Take in a line: see `calcidem.sweep.channel` for those of a rank, and `starter` for its own.
+        """Take in a line: see `calcidem.launch.channel` for those of a rank, and `starter` for its own.
 
         Raises
         ------

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Open MPI has it, whatever TMPDIR says
+_SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Open MPI has it, whatever TMPDIR says
 
 _SETTLED = 60.0
 """Seconds after which what no process uses belongs to none that is just starting."""
@@ -31,7 +31,7 @@ def remove_leftovers() -> None:
             and not Path("/proc", process).exists()
         ):
             shutil.rmtree(folder, ignore_errors=True)
-    segments = list(_settled(SHARED_MEMORY, f"sm_segment.{host}.{user}.*", user))
+    segments = list(_settled(_SHARED_MEMORY, f"sm_segment.{host}.{user}.*", user))
     mapped = _mapped_files() if segments else set()
     for segment in segments:
         if str(segment) not in mapped:
@@ -53,5 +53,5 @@ def _mapped_files() -> set[str]:
     found: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with suppress(OSError):
-            found |= set(re.findall(rf"{SHARED_MEMORY}/\S+", maps.read_text(encoding="utf-8", errors="replace")))
+            found |= set(re.findall(rf"{_SHARED_MEMORY}/\S+", maps.read_text(encoding="utf-8", errors="replace")))
     return found

@@ -86,7 +86,7 @@ def seal_words(key: str, *words: str) -> str:
     return hmac.new(key.encode(), " ".join(words).encode(), "sha256").hexdigest()
 
 
-def introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool:
+def _introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool:
     """Say to the command which rank this is, as one who knows the key, and tell whether it knows that, too.
 
     Each side seals what the other has drawn for this connection alone; the key itself does not travel, and what was
@@ -111,7 +111,7 @@ def _read_line(connection: socket.socket) -> str:
     return line.decode(errors="replace").rstrip("\n")
 
 
-class Starter:
+class _Starter:
     """One rank and its connection to the command."""
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class Starter:
             name, _, port = address.rpartition(":")
             try:
                 connection = socket.create_connection((name, int(port)), _TIME_TO_CONNECT)
-                if introduce(connection, self._key, self._rank, host):
+                if _introduce(connection, self._key, self._rank, host):
                     connection.settimeout(None)
                     limit = int(1000.0 * self._silence)  # what is sent must be acknowledged by then
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
@@ -251,7 +251,7 @@ class Starter:
 def _start_rank() -> None:
     """Run the rank whose command line this program was given, and end as it does."""
     die_with_parent()
-    code = Starter().run(sys.argv[1:])
+    code = _Starter().run(sys.argv[1:])
     if code < 0:
         if -code != signal.SIGKILL:
             signal.signal(-code, signal.SIG_DFL)
