@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def cost_of_a_step(count: int, regime: Regime, lanes: int, precision: Precision 
     x, y, radius = tiled(count)
     rim = np.minimum.reduce([x, x.max() - x, y, y.max() - y]) - 2.0 * radius
     problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3, skin=0.01), 1e-4), 0.3)
-    state = started(problem, choose_features(as_scene(problem), regime, lanes), precision)
+    state = started(problem, replace(choose_features(as_scene(problem), regime, lanes), midpoint=False), precision)
     seconds = seconds_of_a_step(state, max(20, 400_000 // count), ROUNDS)
     return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": seconds}
 

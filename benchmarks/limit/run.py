@@ -12,7 +12,7 @@ import argparse
 import json
 import os
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -84,7 +84,7 @@ def bandwidth(ceilings: Ceilings, size: int) -> float:
 
 def examine(case: str, problem: Problem, regime: Regime, ceilings: Ceilings) -> Report:
     """Measure and count one kernel."""
-    state = started(problem, choose_features(as_scene(problem), regime, LANES))
+    state = started(problem, replace(choose_features(as_scene(problem), regime, LANES), midpoint=False))
     touching = len(touching_pairs(problem.x, problem.y, problem.radius))
     listed = len(state.assembly.pairs.second)
     kinds = dict(pair_loop(assembly_of(fresh_kernel(state)), "zmm").kinds("zmm"))

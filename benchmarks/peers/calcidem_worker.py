@@ -21,7 +21,8 @@ class Calcidem(Engine):
         self.problem = load_problem(path)
         self.rescaling, self.precision = mode == "1", precision
         scene = as_scene(self.problem, rescaling=self.rescaling)
-        self.features = choose_features(scene, regime, int(lanes))  # type: ignore[arg-type]
+        # Stiffnesses at the end of a step, as campaigns and the other programs have them.
+        self.features = replace(choose_features(scene, regime, int(lanes)), midpoint=False)  # type: ignore[arg-type]
         self.centred = velocities == "centred"
         self.velocity = "unset"
         self.reset()

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 CONTENTS = (0.34, 0.45, 0.55, 0.66)
 SEEDS = tuple(range(1, 9))
 HIGH = ((0.0, 10.0), (1.7e4, 1.7e4))  # at Table 2's the way is shorter than a wavelength, and most readings are refused
-_FEW = 8  # cells of the sentinel: of so few one or two may miss by chance
+_FEW = 2  # cells of the sentinel: of so few one may miss by chance
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def experiment(small_packing: Packing) -> Experiment:
 
 @pytest.fixture(
     scope="module",
-    params=[(CONTENTS[-1:], SEEDS), pytest.param((CONTENTS, SEEDS), marks=pytest.mark.full)],
+    params=[(CONTENTS[-1:], SEEDS[:2], 1), pytest.param((CONTENTS, SEEDS, 8), marks=pytest.mark.full)],
     ids=["sentinel", "whole"],
 )
 def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
@@ -51,7 +51,8 @@ def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     gentle = replace(with_wave(experiment, amplitude=1e-4), frequencies=HIGH)
     single = Setting("precision", "float32", with_wave(gentle, precision="float32"))
     compared = [Setting(DEFAULT, "", gentle), single]
-    return run_study(gentle, *request.param, compared=compared, coarsest=0.1, rounds=1)
+    contents, seeds, lanes = request.param  # one lane has the kernels of other tests
+    return run_study(gentle, contents, seeds, compared=compared, lanes=lanes, coarsest=0.1, rounds=1)
 
 
 def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:

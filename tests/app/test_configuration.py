@@ -141,9 +141,13 @@ WRONG = {
         "[pattern]\np_patch_diameter = -1e-3\n",
         ("p_patch_diameter = -0.001", "give 0 for single"),
     ),
+    "stress that crushes the disks": (
+        "[packing]\nstress = 1.0e8\n",
+        ("packing.stress = 1e+08", "sand.shear_modulus = 6.5e+11", "packing.stress = 1.1e+06 Pa"),
+    ),
     "frequency above the cut-off": (
         "[wave]\nfrequency = 5.0e5\n",
-        ("wave.frequency = 500000", "lattice cut-off", "give a lower frequency"),
+        ("wave.frequency = 500000", "lattice cut-off", "give at most half of that"),
     ),
     "negative frequency": ("[wave]\nfrequency = -1.0\n", ("wave.frequency = -1.0", "positive frequency in Hz")),
     "frequency in words": (

@@ -130,15 +130,7 @@ def step(twin: Twin, driven: dict[int, float] | None = None) -> None:
 
 def first_step(twin: Twin) -> None:
     """Half a kick, in which no contact slides yet, and a drift."""
-    before = (
-        dict(twin.shear),
-        dict(twin.overlap_before),
-        {key: list(b) for key, b in twin.bond.items()},
-        set(twin.intact),
-    )
-    force = all_forces(twin, 0.0)
-    twin.shear, twin.overlap_before, twin.bond, twin.intact = before
-    kick_and_drift(twin, force, twin.dt / 2.0, {})
+    kick_and_drift(twin, all_forces(twin, 0.0), twin.dt / 2.0, {})
 
 
 def kick_and_drift(twin: Twin, force: Floats, kick: float, driven: dict[int, float]) -> None:
@@ -263,6 +255,8 @@ def mindlin(twin: Twin, key: Pair, coefficient: float, overlap: float, slide: fl
     before = twin.overlap_before[key]
     if twin.features.rescaling and overlap < before:
         old *= math.sqrt(overlap / before)
+    if twin.features.midpoint and not (twin.features.rescaling and overlap < before):
+        stiffness *= 0.5 * (1.0 + math.sqrt(max(before, 0.0) / overlap))
     twin.shear[key] = limited(old - stiffness * slide, friction * normal)
     return normal
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from calcidem.app.campaign.foreign_disks import ForeignDisks, read_foreign_disks
 from calcidem.dem.kernels.layout import Flags, Floats
+from calcidem.dem.sample.judgement import DEEP_OVERLAP, LARGEST_OVERLAP, deepest_overlap, judge_porosity
 from calcidem.dem.sample.packing_file import (
     FEWEST_DISKS,
-    LARGEST_OVERLAP,
     PackingFileError,
     overlapping_pairs,
     refuse_deep_overlaps,
@@ -168,6 +168,10 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     radius = radius[kept]
     refuse_deep_overlaps(source, found.lines[kept].tolist(), x, y, radius)
     pairs, overlap = overlapping_pairs(x, y, radius)
+    width, height = float(np.ptp(box[0])), float(np.max(y + radius))
+    strange = judge_porosity(1.0 - float(np.pi * np.sum(radius**2)) / (width * height), radius)
+    if strange and strange[0].refused:
+        raise PackingFileError(f"{source}: {strange[0].text}")
     with write_atomically(out) as temporary:
         write_disks_csv(x, y, radius, temporary)
     return ImportedPacking(
@@ -178,11 +182,11 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
         x=x,
         y=y,
         radius=radius,
-        width=float(np.ptp(box[0])),
-        height=float(np.max(y + radius)),
+        width=width,
+        height=height,
         origin=(float(box[0, 0]), float(box[1, 0])),
         left_out=tuple(left_out),
-        remarks=(*remarks, said, *_suspicions(radius, len(pairs))),
+        remarks=(*remarks, said, *_suspicions(radius, len(pairs), deepest_overlap(x, y, radius, pairs))),
         pairs=len(pairs),
         mean_overlap=float(overlap.mean()) if len(pairs) else 0.0,
         largest_overlap=float(overlap.max(initial=0.0)),
@@ -268,10 +272,12 @@ def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
     return np.asarray(gap < (1.0 - LARGEST_OVERLAP) * radius)
 
 
-def _suspicions(radius: Floats, pairs: int) -> Iterator[str]:
+def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:
     """What looks as if something were meant otherwise."""
     mean = 2.0 * float(radius.mean())
     if not _SMALLEST_SAND <= mean <= _LARGEST_SAND:
         yield f"Is the unit right? A mean diameter of {mean:.3g} m is no sand's."
+    if deepest > DEEP_OVERLAP:
+        yield f"The largest overlap is {deepest:.1%} of a radius; above {LARGEST_OVERLAP:.0%} disks are refused."
     if pairs < _LOOSE * len(radius):
         yield "Few disks touch: the lid will compress them. Are the sizes radii or diameters as they were read?"

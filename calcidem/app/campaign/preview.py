@@ -7,7 +7,7 @@ from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing, readable_packing
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.config.calibrated import calibration_note
-from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.checks import check_against_packing, packing_warnings
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
@@ -49,4 +49,6 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         yield "Packing: not made yet, so whether it holds these contents and this wave is checked when the run begins."
         return
     check_against_packing(configuration, packing)
+    for warning in packing_warnings(configuration, packing):
+        yield f"Warning: {warning}."
     yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from calcidem.app.config.reference import written
+from calcidem.dem.sample.judgement import ISOSTATIC, LARGEST_OVERLAP
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.error_estimate import NumericalError, cure_of, largest_part, turning_error
 from calcidem.dem.wave.experiment import Experiment
@@ -32,8 +33,6 @@ _ENOUGH = 2.0  # wavelengths on the path, above which P and S wave arrive apart
 _RATIO = 1.3  # from a frequency to another one to try
 _WORTH_TRYING = 1.05  # ratio of two values that differ enough
 _MARGIN = 0.9  # of what is allowed, that a remedy aims at
-_DEEP = 0.1  # largest overlap over the mean radius, above which Hertz's law does not hold
-_ISOSTATIC = 3.0  # contacts per disk with friction, below which a packing in the plane has no stiffness
 _DENSE = 0.17  # porosity of a dense random packing of disks
 
 
@@ -161,11 +160,11 @@ def look_at_packing(packing: Packing, shear_modulus: float) -> tuple[str, tuple[
         f"{stress / shear_modulus:.2g} of the sand's shear modulus."
     )
     found = []
-    if deep > _DEEP:  # an overlap of Hertz goes with the power 2/3 of the force
-        why = f"the largest overlap is above {_DEEP:g} of the mean radius, where Hertz's law does not hold"
-        found.append(Remedy("packing.stress", float(f"{stress * (_MARGIN * _DEEP / deep) ** 1.5:.2g}"), why))
-    if contacts < _ISOSTATIC:
-        why = f"with fewer than {_ISOSTATIC:g} contacts per disk the packing hardly resists shear"
+    if deep > LARGEST_OVERLAP:  # an overlap of Hertz goes with the power 2/3 of the force
+        why = f"the largest overlap is above {LARGEST_OVERLAP:g} of the mean radius, where Hertz's law does not hold"
+        found.append(Remedy("packing.stress", float(f"{stress * (_MARGIN * LARGEST_OVERLAP / deep) ** 1.5:.2g}"), why))
+    if contacts < ISOSTATIC:
+        why = f"with fewer than {ISOSTATIC:g} contacts per disk the packing hardly resists shear"
         found.append(Remedy("packing.porosity", _DENSE, why))
     return " ".join([text, *(f"{remedy}: {remedy.why}." for remedy in found)]), tuple(found)
 

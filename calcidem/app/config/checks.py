@@ -10,6 +10,7 @@ import numpy as np
 
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.judgement import judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
@@ -25,13 +26,24 @@ _SEEDS_ASKED_FIRST = 8
 _MOST_DISKS = 10_000_000
 """Some 10 GB while they are packed."""
 
+_SHORT_WAVE = 0.5
+"""Of the cut-off frequency: a chain of grains passes it on at ``sin(x) / x = 0.95`` of the long waves' velocity."""
+
 _SAFE_PART = 0.8
 """Part of the largest content of these seeds that every other seed surely holds."""
 
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """Everything that does not fit together."""
-    checks = (_check_size, _check_cement, _check_bands, _check_installation, _check_frequencies, _check_files)
+    checks = (
+        _check_size,
+        _check_stress,
+        _check_cement,
+        _check_bands,
+        _check_installation,
+        _check_frequencies,
+        _check_files,
+    )
     return [problem for check in checks for problem in check(configuration)]
 
 
@@ -62,6 +74,15 @@ def _check_size(configuration: Configuration) -> Iterator[Problem]:
             f"more than {_MOST_DISKS:g}; make the box smaller, or packing.diameter larger",
             ("packing.width", "packing.height", "packing.diameter", "packing.porosity"),
         )
+
+
+def _check_stress(configuration: Configuration) -> Iterator[Problem]:
+    """The lid does not crush the disks; of those of a file the packing itself tells."""
+    rule = configuration.packing
+    if configuration.packing_draw.file is not None:
+        return
+    if fault := judge_stress(rule.stress, sum(rule.diameter) / 2.0, configuration.sand):
+        yield Problem(f"packing.{fault.text}", ("packing.stress", "packing.diameter", "sand.shear_modulus"))
 
 
 def _check_cement(configuration: Configuration) -> Iterator[Problem]:
@@ -139,7 +160,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
         if table.covers(content) and table.at(content) > limit:
             yield Problem(
                 f"wave.frequency = {table.at(content):g}: at {content:g} % grains pass no wave on above about "
-                f"{limit:.3g} Hz (lattice cut-off); give a lower frequency",
+                f"{limit:.3g} Hz (lattice cut-off); give at most half of that",
                 ("wave.frequency", "campaign.contents", "sand.shear_modulus", "cement.bond_modulus"),
             )
             return
@@ -221,7 +242,9 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     ConfigurationError
         With everything that is wrong.
     """
-    problems = []
+    problems = [Problem(f"packing.{fault.text}") for fault in judge_disks(packing, configuration.sand) if fault.refused]
+    if problems:
+        raise ConfigurationError("configuration", problems)
     experiment, plan = configuration.experiment(packing), configuration.campaign
     try:
         wave_scene(packing, configuration.sand, configuration.wave, None)
@@ -241,6 +264,19 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
         problems.append(Problem(f"campaign.contents = {quote(plan.contents)}: {limit}; leave larger contents out"))
     if problems:
         raise ConfigurationError("configuration", problems)
+
+
+def packing_warnings(configuration: Configuration, packing: Packing) -> Iterator[str]:
+    """What is doubtful about a packing that is not refused, and about waves through it; a sentence each."""
+    for fault in judge_disks(packing, configuration.sand):
+        yield f"packing.{fault.text}"
+    limit = _cutoff_estimate(configuration, cemented=False)
+    table = configuration.excitation.table
+    if 0.0 in configuration.campaign.contents and table.at(0.0) > _SHORT_WAVE * limit:
+        yield (
+            f"wave.frequency = {table.at(0.0):g}: at 0 % a wavelength has fewer than {np.pi / _SHORT_WAVE:.0f} grains, "
+            f"and dispersion slows the wave by 4 % and more; give at most {_SHORT_WAVE * limit:.2g} Hz"
+        )
 
 
 def _tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:

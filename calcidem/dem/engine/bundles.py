@@ -109,7 +109,7 @@ def _histories(features: Features) -> list[str]:
     """Histories of pairs that the kernel uses, apart from whether bonds are intact."""
     uses = {
         "shear": not features.linear,
-        "root": features.rescaling or features.finite,
+        "root": features.rescaling or features.finite or features.midpoint,
         "bond_force": features.bonds and not features.linear,
     }
     return [name for name, used in uses.items() if used]

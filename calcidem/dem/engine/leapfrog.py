@@ -283,13 +283,16 @@ def start_leapfrog(state: State) -> State:
     """First step from a state whose velocities are those of time zero: half a kick, then a drift.
 
     The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
-    itself, which does one step on a copy at rest; damping, which needs the velocity, is added here.
+    itself, which does one step on a copy at rest; damping, which needs the velocity, is added here. What friction or
+    strength cuts off the forces that contacts start with is cut at time zero, before anything moves, in scenes that
+    resolve impacts; in others by the first step.
     """
-    current = duplicate(state)
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
     _halt(probe)
     run_kernel(probe, 1, no_recording(state))
+    # A packing that is relaxed goes on from forces at the limit of friction, which rounding alone puts beyond it.
+    current = _with_contacts_of(state, probe) if state.features.midpoint else duplicate(state)
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
         alpha = state.assembly.grains.damping[:, None, None]
@@ -300,6 +303,21 @@ def start_leapfrog(state: State) -> State:
     walls.motion[:, PATHS] += dt * walls.motion[:, SPEEDS]
     walls.reaction[...] = probe.assembly.walls.reaction
     return replace(current, steps=state.steps + 1)
+
+
+def _with_contacts_of(state: State, probe: State) -> State:
+    """Copy of a state with the histories of contacts, and their losses, of another state at the same position."""
+    pairs, wall_pairs = probe.assembly.pairs, probe.assembly.wall_pairs
+    assembly = replace(
+        state.assembly,
+        pairs=state.assembly.pairs._replace(
+            intact=pairs.intact, shear=pairs.shear, root=pairs.root, bond_force=pairs.bond_force
+        ),
+        wall_pairs=state.assembly.wall_pairs._replace(shear=wall_pairs.shear, root=wall_pairs.root),
+    )
+    current = duplicate(replace(state, assembly=assembly))
+    current.account[CONTACT_LOSS] = probe.account[CONTACT_LOSS]
+    return current
 
 
 def change_step(state: State, ahead: State, step: Floats) -> State:

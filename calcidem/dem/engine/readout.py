@@ -98,7 +98,8 @@ class Energies:
     wall_work
         Work of moving walls and of held disks that move.
     contact_loss
-        Friction, shear energy that vanishes with changing stiffness, and what broken bonds take with them.
+        Friction, shear energy that vanishes with changing stiffness, and what broken bonds take with them; also what
+        friction or strength cuts off the forces that contacts start with.
     damping_loss
         Taken by local damping.
     load_work
@@ -228,7 +229,7 @@ def energies(state: State, lane: int = 0) -> Energies:
     if state.steps:
         # Forces do work from half step to half step; the losses of contacts belong to the present position.
         account = 0.5 * (account + ahead.account[:, lane])
-        account[CONTACT_LOSS] = ahead.account[CONTACT_LOSS, lane]
+    account[CONTACT_LOSS] = ahead.account[CONTACT_LOSS, lane]
     order = state.assembly.order
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])[order]
     return Energies(

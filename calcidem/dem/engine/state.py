@@ -25,8 +25,13 @@ from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
 _BUNDLED_DISKS = 256  # from so many on bundles save more than their preparation costs, 0.1 ms a call and more
-_STEPS_PER_CONTACT = 25.0
-"""Of the default step in a Hertz contact: energy comes back to 5e-4, to 1e-3 at the limit (20 steps)."""
+_SMOOTH_STEPS, _ROUGH_STEPS = 25.0, 36.0
+"""Of the default step in a Hertz contact without and with friction.
+
+Energy comes back to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A contact that sticks sways along itself
+`sqrt(3 k_s / k_n)`, some 1.6, times as fast as it bounces: after oblique impacts, radii up to 1 : 6, velocities and rim
+speeds are good to 0.4 % of the speed of impact with 36 steps, to 0.6 % with 25.
+"""
 
 
 def choose_features(
@@ -52,6 +57,7 @@ def choose_features(
         loads=scene.load is not None or any(scene.gravity),
         account=account and not linear,
         bundles=lanes == 1 and scene.count >= _BUNDLED_DISKS,
+        midpoint=not linear,
     )
 
 
@@ -67,7 +73,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     spin: Floats | None = None,
     preload: Preload | None = None,
     skin_fraction: float | None = None,
-    steps_per_contact: float = _STEPS_PER_CONTACT,
+    steps_per_contact: float | None = None,
     single: State | None = None,
 ) -> State:
     """State of a scene at time zero.
@@ -95,8 +101,8 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         Pairs are listed up to this part of the mean radius apart. Small where disks move little, since listed pairs
         cost time; large where they move far, since a new list costs more. By default 0.2, or 0 without contact search.
     steps_per_contact
-        Steps in the shortest impact at the default step. With 0 the step is that of the stability limit at the start,
-        and nobody watches it but the caller: for waves in scenes at rest.
+        Steps in the shortest impact at the default step; by default 25, and 36 where grains rub. With 0 the step
+        is that of the stability limit at the start, and nobody watches it but the caller: for waves in scenes at rest.
     single
         State of the same scene without bonds and loads, in one lane, with the same skin and preload: its neighbours and
         constants are taken as they are, which saves half of the time.
@@ -126,7 +132,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         critical_time_step=limit,
         control=StepControl(
             fraction=step_fraction,
-            per_contact=steps_per_contact,
+            per_contact=_default_steps(scene) if steps_per_contact is None else steps_per_contact,
             fixed=time_step is not None,
             next_look=0,
             stability=limit,
@@ -149,6 +155,11 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     cure = f"above the critical time step of {limit.tolist()} s: choose a smaller one"
     require(bool(np.all(step <= limit)), "time_step", step.tolist(), cure)
     return replace(state, time_step=np.array(step, dtype=float), critical_time_step=limit)
+
+
+def _default_steps(scene: Scene) -> float:
+    """Steps in the shortest impact of a scene."""
+    return _ROUGH_STEPS if scene.sand.friction > 0.0 else _SMOOTH_STEPS
 
 
 def _first_motion(

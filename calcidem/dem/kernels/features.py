@@ -52,6 +52,10 @@ class Features:
     bundles
         Pairs of one sample are computed eight at once where the order of an account does not forbid it: not a bit
         changes. It is worth its preparation from some hundred disks on.
+    midpoint
+        The shear stiffness of a step is that of its middle instead of its end, which makes contacts that stick while
+        they are loaded of second order in the step. Impacts need it; contacts that a wave finds loaded, or that come to
+        rest, do without.
     """
 
     lanes: int = 1
@@ -71,6 +75,7 @@ class Features:
     loads: bool = True
     account: bool = False
     bundles: bool = False
+    midpoint: bool = False
 
     def __post_init__(self) -> None:
         """Refuse combinations that contradict each other."""
@@ -78,7 +83,9 @@ class Features:
             raise ValueError(f"lanes = {self.lanes}: choose 1, 2, 4, 8, 16 or 32")
         if self.linear:
             needless = [
-                name for name in ("finite", "breakage", "slip", "servo", "search", "account") if getattr(self, name)
+                name
+                for name in ("finite", "breakage", "slip", "servo", "search", "account", "midpoint")
+                if getattr(self, name)
             ]
             if needless:
                 raise ValueError(

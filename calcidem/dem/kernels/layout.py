@@ -124,7 +124,8 @@ class Pairs(NamedTuple):
     shear
         (M, L) shear force of the frictional part on the second disk, N/m.
     root
-        (M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling only.
+        (M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling and stiffnesses in
+        the middle of a step.
     bond_force
         (3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond.
     radii

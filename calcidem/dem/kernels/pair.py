@@ -15,6 +15,7 @@ from calcidem.dem.kernels.lanes import (
     row,
     scalar,
     select,
+    smaller,
     square_root,
     store,
     zero_like,
@@ -264,7 +265,10 @@ def _frictional_law(
     """
     lanes, overlap = features.width, geometry.overlap
     normal, root = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
-    stiffness = root * constant(features, pairs.mindlin, (pair,))
+    sliding = stiffness = root * constant(features, pairs.mindlin, (pair,))
+    if features.midpoint:
+        middle = middle_root(features, root, load(pairs.root, (pair,), lanes))
+        sliding = middle * constant(features, pairs.mindlin, (pair,))
     touching = overlap > 0.0
     old = load(pairs.shear, (pair,), lanes)
     carried = old
@@ -276,9 +280,10 @@ def _frictional_law(
         pressed = select(depth > 0.0, depth, 0.0)
         normal = select(cemented, pressed * constant(features, pairs.linear, (pair, NORMAL)), normal)
         stiffness = select(cemented, fill_lanes(constant(features, pairs.linear, (pair, SHEAR)), lanes), stiffness)
+        sliding = select(cemented, stiffness, sliding)
         carried = select(cemented, old, carried)
         touching = normal > 0.0
-    shear = select(touching, mindlin_shear(carried, slide, stiffness), 0.0)
+    shear = select(touching, mindlin_shear(carried, slide, sliding), 0.0)
     if features.slip:
         shear = coulomb_limit(shear, normal * constant(features, pairs.friction, (pair,)))
     else:
@@ -296,9 +301,21 @@ def _frictional_law(
         if features.linear_group:
             before = select(mask_of_bits(scalar(pairs.cemented, (pair,)), lanes), stiffness, before)
         add_shear_loss(features, old, shear, before, stiffness, slide, watch)
-    if features.rescaling or features.account:
+    if features.rescaling or features.account or features.midpoint:
         store(pairs.root, (pair,), kept_root)
     return normal, shear
+
+
+@inline
+def middle_root(features: Features, root: Vector, previous: Vector) -> Vector:
+    """Root of the overlap that gives a step its shear stiffness, to second order in the step.
+
+    The shear stiffness goes with the root, so the mean of those at both ends stands for the step. While a contact
+    unloads, shear rescaling mode 1 scales the increments of earlier steps, and that at the end is exact.
+    """
+    if features.rescaling:
+        previous = smaller(root, previous)
+    return 0.5 * (root + previous)
 
 
 @inline

@@ -40,7 +40,7 @@ from calcidem.dem.kernels.layout import (
     Y,
 )
 from calcidem.dem.kernels.motion import add_energy, add_force, of_disk
-from calcidem.dem.kernels.pair import add_shear_loss
+from calcidem.dem.kernels.pair import add_shear_loss, middle_root
 
 
 @inline
@@ -100,12 +100,15 @@ def _wall_law(
     hertz = scalar(wall_pairs.hertz, (pair,))
     normal, root = hertz_normal(depth, hertz)
     stiffness = root * (1.5 * hertz)
+    sliding = stiffness
+    if features.midpoint:
+        sliding = middle_root(features, root, load(wall_pairs.root, (pair,), lanes)) * (1.5 * hertz)
     old = load(wall_pairs.shear, (pair,), lanes)
     shear = old
     if features.rescaling:
         before = load(wall_pairs.root, (pair,), lanes)
         shear = rescale_shear(old, root, before, 1.0 / before)
-    shear = select(depth > 0.0, mindlin_shear(shear, slide, stiffness * shear_ratio), 0.0)
+    shear = select(depth > 0.0, mindlin_shear(shear, slide, sliding * shear_ratio), 0.0)
     if features.slip:
         shear = coulomb_limit(shear, normal * friction)
     elif friction <= 0.0:
@@ -113,7 +116,7 @@ def _wall_law(
     if features.account:
         softer = (1.5 * hertz) * load(wall_pairs.root, (pair,), lanes)
         add_shear_loss(features, old, shear, softer * shear_ratio, stiffness * shear_ratio, slide, system.watch)
-    if features.rescaling or features.account:
+    if features.rescaling or features.account or features.midpoint:
         store(wall_pairs.root, (pair,), larger(root, SMALLEST_ROOT))
     store(wall_pairs.shear, (pair,), shear)
     return normal, stiffness, shear

@@ -38,6 +38,7 @@ _FREELY_PLACED = 0.547  # covered part below which disks can be placed at random
 _HIGHEST = 0.35  # squared frequency with scaled densities over that without; lower, the mean disk gets too heavy
 _TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
 _SHORTER = 0.8  # step over the one that proved too long
+_MOST_SHORTENED = 21  # times in a row, to a hundredth
 _OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest below which disks have their own masses, see `Manner`
 _SERVO_GAIN = 0.9  # of the lid
 _STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
@@ -284,7 +285,7 @@ def make_packing(
     Raises
     ------
     PackingError
-        If it does not come to rest in ``rule.most_steps`` steps.
+        If it does not come to rest in ``rule.most_steps`` steps, or disks are thrown out of the box at any step.
     """
     cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
     radius = _draw_radii(rule, generator)
@@ -392,7 +393,7 @@ def relax(
     state = start(
         scene,
         # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.
-        features=replace(choose_features(scene, "finite"), servo=True),
+        features=replace(choose_features(scene, "finite"), servo=True, midpoint=False),
         preload=preload,
         skin_fraction=manner.skin,
         steps_per_contact=manner.steps_per_contact,
@@ -441,11 +442,17 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
     elif limit is None:
         limit = step_limit(state)
     step = manner.fraction * limit
-    later, found = advance(replace(state, time_step=step), manner.steps), None
+    later, found, shortened = advance(replace(state, time_step=step), manner.steps), None, 0
     while _left_box(later) or (
         manner is _PRESSED
         and (step > _TOO_LONG * (found := critical_time_step(*_present_contacts(later), rings=scaled))).any()
     ):
+        shortened += 1
+        if shortened > _MOST_SHORTENED:
+            raise PackingError(
+                f"disks are thrown out of the box at a step of {step.min():.3g} s, {_SHORTER**_MOST_SHORTENED:.0e} of "
+                "its bound: the stress is too high for this modulus; lower packing.stress or raise sand.shear_modulus"
+            )
         step = _SHORTER * step
         later = advance(replace(state, time_step=step), manner.steps)
     if manner.halted:

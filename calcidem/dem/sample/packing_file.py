@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.sample.judgement import LARGEST_OVERLAP
 from calcidem.dem.sample.packing import (
     OWN_DISKS,
     Cost,
@@ -24,8 +25,6 @@ from calcidem.dem.sample.packing import (
 )
 
 _CSV_COLUMNS = ("x", "y", "radius")
-LARGEST_OVERLAP = 0.1
-"""Of the smaller radius: disks deeper in one another, or in a wall, are a mistake in the file rather than a load."""
 FEWEST_DISKS = 10
 FARTHEST = 1e30
 """m; distances of disks and their squares are finite."""

@@ -197,7 +197,7 @@ def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Fea
     search = rule.regime == "finite" and skin >= SKIN
     driven = rule.transmitter == "driven"
     features = choose_features(scene, rule.regime, lanes)
-    features = replace(features, recording=True, driven=driven, servo=False, search=search)
+    features = replace(features, recording=True, driven=driven, servo=False, search=search, midpoint=False)
     return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 
