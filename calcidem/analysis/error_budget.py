@@ -24,6 +24,7 @@ class ErrorBudget:
         Medians of the relative standard error of Vs and of its two parts; NaN where it is not known.
     scatter
         Root mean square of the reading errors, m/s: the part of the standard deviation of Vs that is reading error.
+        NaN where all velocities are the same: seeds without cement are one sample, and share one reading error.
     compared, departing
         Number of cells with both velocities, and of those whose velocities differ by more than their errors allow.
     """
@@ -46,11 +47,12 @@ def error_budget(cells: Mapping[Any, ArrayLike | xr.DataArray]) -> ErrorBudget:
     """
     vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
     absolute = (vs * reading)[np.isfinite(vs * reading)]
+    varies = np.unique(vs[np.isfinite(vs)]).size > 1
     return ErrorBudget(
         total=median_known(total),
         reading=median_known(reading),
         numerical=median_known(numerical),
-        scatter=float(np.sqrt(np.mean(absolute**2))) if absolute.size else np.nan,
+        scatter=float(np.sqrt(np.mean(absolute**2))) if varies and absolute.size else np.nan,
         compared=int(np.isfinite(departure).sum()),
         departing=int(departs(departure).sum()),
     )

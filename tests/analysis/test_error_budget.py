@@ -23,6 +23,13 @@ def test_budget_sums_up_the_cells_that_have_errors() -> None:
     assert budget_text(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %)"
 
 
+def test_one_sample_read_for_many_seeds_has_no_scatter_by_readings() -> None:
+    """Without cement all seeds are one sample: its reading error is no part of a standard deviation of zero."""
+    same = {name: values[[0, 0, 0]] for name, values in CELLS.items()}
+    assert np.isnan(error_budget(same).scatter)
+    assert error_budget(same).reading == pytest.approx(0.03)
+
+
 def test_a_budget_without_errors_is_unknown() -> None:
     """Cells of an old campaign have no error of the reading, and the text says so instead of showing a part."""
     old = {name: values[2:] for name, values in CELLS.items()}
