@@ -25,6 +25,7 @@ from calcidem.dem.wave.static_speed import static_speed
 
 _PACKINGS, _SEEDS = 24, 8
 _WRONG = 0.05  # of the velocity
+_STRONG = 0.5  # damping with which little arrives after two wavelengths
 
 
 def between(generator: np.random.Generator, low: float, high: float) -> float:
@@ -46,7 +47,7 @@ def packed(index: int) -> tuple[PackingRule, Sand, Packing]:
         friction_preparation=generator.uniform(0.0, 0.4),
         porosity=generator.uniform(0.17, 0.2),
     )
-    sand = Sand(shear_modulus=between(generator, 2e9, 5e10)) if generator.random() < 0.6 else Sand()
+    sand = Sand(shear_modulus=between(generator, 2e9, 5e10)) if generator.integers(2) else Sand()
     return rule, sand, make_packing(rule, sand, generator)
 
 
@@ -57,7 +58,7 @@ def drawn_scene(seed: int, *, stiff: bool) -> tuple[Experiment, float]:
     damping = generator.uniform(0.5, 0.7) if stiff else generator.uniform(0.02, 0.7)
     wave = WaveRule(
         amplitude=between(generator, 1e-5, 2e-3),
-        transmitter="wall" if generator.random() < 0.5 else "driven",
+        transmitter=("wall", "driven")[generator.integers(2)],
         transmitter_half_width=packing.height * generator.uniform(0.15, 0.48),
         receiver_half_width=packing.height * generator.uniform(0.15, 0.48),
         damping=damping,
@@ -86,7 +87,7 @@ def drawn_scene(seed: int, *, stiff: bool) -> tuple[Experiment, float]:
     )
     content = between(generator, 1.5, 2.5) if stiff else between(generator, 0.5, 2.5)
     speed = static_speed(experiment, experiment.ordering(0).at(content).bonded).speed * generator.uniform(0.8, 1.3)
-    frequency = generator.uniform(0.8, 2.0 if damping >= 0.5 else 4.0) * speed / rule.width
+    frequency = generator.uniform(0.8, 2.0 if damping >= _STRONG else 4.0) * speed / rule.width
     table = ((0.0, 20.0), (frequency, frequency))
     return replace(experiment, wave=replace(wave, slowest=speed / 4.0), frequencies=table), content
 
