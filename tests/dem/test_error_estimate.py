@@ -146,9 +146,9 @@ def test_a_damped_step_counts_more() -> None:
 def test_single_precision_rounds_the_forces_of_the_packing() -> None:
     """Five times 2^-24 of the mean overlap over the received stroke, times the shift by a change of the signal."""
     single, usual = waves(EXACT, precision="float32"), 1e-3
-    quiet = waves(single, amplitude=1e-3 * AMPLITUDE)
+    quiet = waves(single, amplitude=1e-3 * single.wave.amplitude)
     added = [parts(each).precision - usual for each in (single, quiet)]
-    stroke = AMPLITUDE / FREQUENCY * 2.0  # the received peak is 2 v0
+    stroke = single.wave.amplitude / FREQUENCY * 2.0  # the received peak is 2 v0
     # A pulse has amplitude over curvature 1 / (2 (pi f)^2), see `_shift_by_change`.
     shift = 1.0 / (np.pi * FREQUENCY * TRAVEL_TIME)
     assert added[0] == pytest.approx(shift * 5.0 * 2.0**-24 * PACKING.report.mean_overlap / stroke, rel=0.03)
