@@ -25,9 +25,10 @@ import calcidem
 from calcidem.app.campaign.display import LineDisplay, LiveDisplay, _CallbackDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.launch import channel
 from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 from calcidem.storage.records import CellStatus
-from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place, SweepEnd, SweepState, channel
+from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place, SweepEnd, SweepState
 
 if TYPE_CHECKING:
     from conftest import Workshop

@@ -3,8 +3,10 @@
 import csv
 import json
 import re
+import shutil
 import zlib
 from base64 import b64decode
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from places import TUTORIAL
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report import cell_data, show_cell, write_report
+from calcidem.app.report import analyse, cell_data, show_cell, write_report
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.comparison import disagreement_table, published_table
@@ -24,6 +26,8 @@ from calcidem.app.report.results import growth_table, outcome_table, velocity_ta
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.sql.store import open_store
 
 pytestmark = pytest.mark.slow
 
@@ -237,6 +241,25 @@ def test_analyse_writes_figures_tables_and_numbers(
         assert float(numbers["mean"].sel(content=0.66)) == pytest.approx(
             float(campaign.vs().sel(content=0.66).mean()), rel=1e-14
         )
+
+
+def test_no_table_that_analyse_writes_holds_a_formula(
+    small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reason and a host that a spreadsheet would evaluate begin with an apostrophe in CSV; numbers do not."""
+    monkeypatch.setattr("calcidem.app.report.folder.CAMPAIGN_FIGURES", ())  # pictures take seconds
+    formulas = "=cmd|' /C calc'!A0", "@SUM(1)"
+    database = Path(shutil.copy(small_database, tmp_path / "small.db"))
+    with open_store(database) as store:
+        store.use_campaign()
+        store.begin_run(replace(store.runs()[0][1], host=formulas[1]))
+        store.record_results([CellResult(CellKey(6, 0.34), CellStatus.FAILED, formulas[0])])
+    analyse(database, tmp_path / "analysis")
+    tables = sorted((tmp_path / "analysis").glob("table_*.csv"))
+    values = [value for file in tables for row in csv.reader(file.open(encoding="utf-8")) for value in row]
+    assert {f"'{formulas[0]}"} == {value for value in values if formulas[0] in value}
+    assert {value[:1] for value in values if formulas[1] in value} == {"'"}
+    assert not [value for value in values if value.startswith(("=", "+", "@"))]
 
 
 def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path) -> None:

@@ -246,6 +246,14 @@ def test_a_stack_is_over_the_largest_value_of_each_place() -> None:
     assert arrival_of(section(scaled, duration=24.0)).coherence == pytest.approx(found.coherence, abs=1e-4)
 
 
+@pytest.mark.parametrize(("before", "read"), [(2.1, True), (2.4, False)])
+def test_a_small_wave_after_a_large_motion_is_reverberation(before: float, read: bool) -> None:
+    """Stations that moved 9 / 4 times as far before, the other way, and the receiver make a stack of 1/2."""
+    earlier = at_stations(wave(1.0, -before))
+    found = read_section(section(total(earlier, wave(4.0)), duration=20.0), ANY_ERROR)
+    assert (found.peak is not None) == read
+
+
 @pytest.mark.parametrize(("ratio", "read"), [(1.5, 1.5), (1.95, 1.95), (2.25, 1.0), (2.8, 1.0)])
 def test_a_slower_wave_is_waited_for(ratio: float, read: float) -> None:
     """Up to 2.1 travel times of a faster one of the same kind, which is then taken for the P wave."""

@@ -344,6 +344,7 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
     """Ctrl-C ends the import of a file that the library never finishes, long before the time for it is over."""
     path = endless_file(tmp_path, ENDLESS[0])
     command = [sys.executable, "-m", "calcidem", "import", str(path), "--db", str(tmp_path / "new.db")]
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background of a shell ignore it, and so on
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while not (child := children.read_text().strip()):

@@ -74,9 +74,10 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
         lease = process.stdout.readline()
         assert lease.startswith("lease free" if attempt == 0 else "lease ")
         assert attempt == 0 or "last heard of" in lease
+        lines = [process.stdout.readline() for _ in range(attempt)]  # so that some are, however slow the machine is
         time.sleep(moments.uniform(0.0, 0.15))
         process.send_signal(signal.SIGKILL)
-        lines = process.stdout.readlines()
+        lines += process.stdout.readlines()
         said |= acknowledged(lines)
         with sqlite3.connect(database) as connection:
             assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
@@ -86,7 +87,7 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
             stored = {result.key for result in campaign.select()}
         assert said <= stored
         assert len(stored) <= len(said) + attempt + 1  # one row a kill may be stored and not yet acknowledged
-    assert said
+        assert len(said) >= attempt
 
 
 @pytest.mark.slow

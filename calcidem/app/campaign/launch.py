@@ -46,7 +46,7 @@ _TIME_TO_END = 5.0
 _TIME_FOR_LAST_WORDS = 10.0
 """Seconds in which it arrives how the ranks have ended, unless their host is lost."""
 
-_PATIENCE_OF_USERS = 2.0
+_PATIENCE_OF_USERS = 1.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
 
 _FORWARDED_VARIABLES = (
@@ -231,6 +231,7 @@ def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay
             why = "a signal asked for it"
         if why is None and relay.impatient:
             why = "a second signal asked for it"
+            watch.kill_ranks()  # mpirun would give them a second more, and wait for those that are stopped
         if why is not None:
             _end(process)
             return why

@@ -32,7 +32,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     packing, settled = None, 0
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):
-            statuses = store.statuses(Selection(plan.seed_numbers, plan.contents))
+            statuses = store.statuses(Selection(plan.seed_numbers))  # a content may be new
             settled = sum(statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING for key in own)
             if store.packing_indices():
                 packing = readable_packing(store, 0)

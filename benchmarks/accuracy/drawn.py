@@ -1,0 +1,135 @@
+"""Numerical errors of scenes drawn at random against a quarter of the step in double precision.
+
+    python benchmarks/accuracy/drawn.py [--first 3000] [--scenes 100] [--stiff]
+
+Boxes of 120 to 550 disks, any regime, precision and transmitter; stiffness, cement, damping, amplitude and frequency over
+decades. With `--stiff`: finite displacement, damping of 0.5 to 0.7 and bonds up to 1e5 times as stiff as the contacts. *Silent* is a
+velocity off by more than 5 % and by more than twice its standard error.
+"""
+
+import argparse
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from calcidem.dem.engine.fields import FieldError
+from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.cement import CementCapacityError, CementRule
+from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.static_speed import static_speed
+
+_PACKINGS, _SEEDS = 24, 8
+_WRONG = 0.05  # of the velocity
+_STRONG = 0.5  # damping with which little arrives after two wavelengths
+
+
+def between(generator: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(np.exp(generator.uniform(np.log(low), np.log(high))))
+
+
+@cache
+def packed(index: int) -> tuple[PackingRule, Sand, Packing]:
+    """One of some packings of sands of .5 to 8 mm."""
+    generator = np.random.default_rng([77, index])
+    diameter = between(generator, 0.5e-3, 5e-3)
+    width = diameter * generator.uniform(10.0, 22.0)
+    rule = PackingRule(
+        width=width,
+        height=width * generator.uniform(1.0, 1.8),
+        diameter=(diameter, diameter * generator.uniform(1.1, 1.6)),
+        stress=between(generator, 2e3, 1e5),
+        friction_preparation=generator.uniform(0.0, 0.4),
+        porosity=generator.uniform(0.17, 0.2),
+    )
+    sand = Sand(shear_modulus=between(generator, 2e9, 5e10)) if generator.integers(2) else Sand()
+    return rule, sand, make_packing(rule, sand, generator)
+
+
+def drawn_scene(seed: int, *, stiff: bool) -> tuple[Experiment, float]:
+    """A scene and its content, percent; its path has .8 to 4 wavelengths of a wave at the static speed."""
+    generator = np.random.default_rng([5, seed])
+    rule, sand, packing = packed(int(generator.integers(_PACKINGS)))
+    damping = generator.uniform(0.5, 0.7) if stiff else generator.uniform(0.02, 0.7)
+    wave = WaveRule(
+        amplitude=between(generator, 1e-5, 2e-3),
+        transmitter=("wall", "driven")[generator.integers(2)],
+        transmitter_half_width=packing.height * generator.uniform(0.15, 0.48),
+        receiver_half_width=packing.height * generator.uniform(0.15, 0.48),
+        damping=damping,
+        boundary_thickness=packing.height * generator.uniform(0.0, 0.2),
+        regime="finite" if stiff else ("finite", "linear", "small")[generator.integers(3)],
+        precision=("float64", "float32")[generator.integers(2)],
+        listening_depth=min(rule.diameter[1] * generator.uniform(1.5, 3.0), 0.25 * rule.width),
+    )
+    experiment = Experiment(
+        packing=packing,
+        sand=replace(sand, friction=max(generator.uniform(rule.friction_preparation, 1.1), 0.2)),
+        cement=Cement(
+            bond_modulus=between(generator, 1e9, 2e11),
+            bond_stiffness_ratio=between(generator, 0.5, 3.0),
+            tensile_strength=np.inf,
+            cohesion=np.inf,
+        ),
+        cement_rule=CementRule(
+            p_diameter=rule.diameter[0] * 0.5,
+            c_diameter=rule.diameter[0] * 0.62,
+            cluster_diameter=6.0 * rule.diameter[0],
+            threshold=(0.66, 3.0)[generator.integers(2)],
+        ),
+        wave=wave,
+        stiffness_factor=between(generator, 3e-4, 0.1) if stiff else between(generator, 1e-2, 1.5),
+    )
+    content = between(generator, 1.5, 2.5) if stiff else between(generator, 0.5, 2.5)
+    speed = static_speed(experiment, experiment.ordering(0).at(content).bonded).speed * generator.uniform(0.8, 1.3)
+    frequency = generator.uniform(0.8, 2.0 if damping >= _STRONG else 4.0) * speed / rule.width
+    table = ((0.0, 20.0), (frequency, frequency))
+    return replace(experiment, wave=replace(wave, slowest=speed / 4.0), frequencies=table), content
+
+
+def compared(one: Measurement, fine: Measurement) -> tuple[float, float, float] | None:
+    """Relative difference of a velocity, its bound and its standard error; None if one is missing."""
+    if one.vs is None or fine.vs is None or one.result.error is None or one.result.reading is None:
+        return None
+    error, reading = one.result.error, one.result.reading.error or 0.0
+    return abs(one.vs / fine.vs - 1.0), error.bound, float(np.hypot(reading, 1.5 / 1.96 * error.expected))
+
+
+def main() -> None:
+    """Draw, measure twice, compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=int, default=3000)
+    parser.add_argument("--scenes", type=int, default=100)
+    parser.add_argument("--stiff", action="store_true")
+    chosen = parser.parse_args()
+    found: list[tuple[float, float, float]] = []
+    impossible = 0
+    for seed in range(chosen.first, chosen.first + chosen.scenes):
+        try:
+            experiment, content = drawn_scene(seed, stiff=chosen.stiff)
+            coarse = measure(experiment, content, range(_SEEDS))
+        except (CementCapacityError, FieldError, ValueError):  # what the program refuses before a wave is sent
+            impossible += 1
+            continue
+        if not any(each.vs for each in coarse):
+            continue
+        wave = replace(experiment.wave, precision="float64", step_fraction=experiment.wave.step_fraction / 4.0)
+        exact = measure(replace(experiment, wave=wave), content, range(_SEEDS))
+        pairs = (compared(one, fine) for one, fine in zip(coarse, exact, strict=True))
+        found += [pair for pair in pairs if pair is not None]
+    table: Floats = np.array(found).reshape(-1, 3)
+    off, bound, error = table.T
+    silent = (off > _WRONG) & (off > 2.0 * error)
+    print(f"{chosen.scenes} scenes, {impossible} refused beforehand, {len(off)} velocities")
+    if len(off):
+        print(f"error: median {np.median(off):.1e}, 99 % {np.quantile(off, 0.99):.1e}, largest {off.max():.1e}")
+        print(f"outside of the bound: {np.mean(off > bound):.1%}; silent: {silent.sum()}")
+
+
+if __name__ == "__main__":
+    main()
