@@ -1,6 +1,6 @@
 """``calcidem run``: one campaign, in this process or on MPI ranks."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -63,6 +63,9 @@ def run_command(
     check: Annotated[
         bool, typer.Option("--check", help="Compute nothing: check the configuration and say what would be computed.")
     ] = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Show the run in the browser while it lasts; the address is printed.")
+    ] = False,
     packing_only: Annotated[
         bool,
         typer.Option(
@@ -74,6 +77,8 @@ def run_command(
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:
         raise typer.BadParameter("a part is no whole campaign; merge the parts first", param_hint="--report")
+    if serve and (check or packing_only):
+        raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve")
     if packing_only:
         from calcidem.app.campaign.packing import provide_packing
         from calcidem.app.cli.tables import packing_lines
@@ -91,28 +96,44 @@ def run_command(
         return
     if dask is not None and ranks is not None:
         raise typer.BadParameter("leave --ranks out: the workers of the cluster compute", param_hint="--dask")
-    if ranks is not None and ranks != 1:
-        from calcidem.app.campaign.launch import Launch, default_ranks
-
-        arguments = ["run", str(configuration)]
-        arguments += ["--db", database] if database is not None else []
-        arguments += ["--output", str(output)] if output is not None else []
-        arguments += ["--part", part] if part is not None else []
-        arguments += ["--report"] if with_report else []
-        restarts = 3 if restarts is None else restarts
-        raise typer.Exit(Launch(arguments, ranks or default_ranks(), restarts, start_timeout, silence_timeout).run())
-    if restarts is not None:
+    if restarts is not None and (ranks is None or ranks == 1):
         raise typer.BadParameter(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
-    from calcidem.app.campaign.dask_cluster import dask_executor
-    from calcidem.app.campaign.ranks import run_on_ranks
+    with _live_page(configuration, overrides) if serve else nullcontext():
+        if ranks is not None and ranks != 1:
+            from calcidem.app.campaign.launch import Launch, default_ranks
 
-    run_on_ranks(
-        partial(_read_overridden, configuration, overrides),
-        partial(_open_view, with_report=with_report, one_process=dask is None),
-        nullcontext if dask is None else partial(dask_executor, dask),
-    )
+            arguments = ["run", str(configuration)]
+            arguments += ["--db", database] if database is not None else []
+            arguments += ["--output", str(output)] if output is not None else []
+            arguments += ["--part", part] if part is not None else []
+            arguments += ["--report"] if with_report else []
+            launch = Launch(
+                arguments, ranks or default_ranks(), 3 if restarts is None else restarts, start_timeout, silence_timeout
+            )
+            raise typer.Exit(launch.run())
+        from calcidem.app.campaign.dask_cluster import dask_executor
+        from calcidem.app.campaign.ranks import run_on_ranks
+
+        run_on_ranks(
+            partial(_read_overridden, configuration, overrides),
+            partial(_open_view, with_report=with_report, one_process=dask is None),
+            nullcontext if dask is None else partial(dask_executor, dask),
+        )
+
+
+def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
+    """The live page of the campaign, for as long as the command runs."""
+    from calcidem.app.serve.beside_run import page_beside_run
+    from calcidem.sweep.environment import launcher
+
+    if launcher() is not None:
+        raise typer.BadParameter(
+            f"leave it out under {launcher()}: 'calcidem serve DB --wait' beside the run does it", param_hint="--serve"
+        )
+    wanted = _read_overridden(configuration, overrides)
+    return page_beside_run(wanted.database, wanted.campaign.name, lambda text: typer.echo(printable(text)))
 
 
 def _read_overridden(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":

@@ -40,7 +40,7 @@ def serve_command(
     wanted = [(database, name) for database in databases for name in names]
 
     def tell() -> None:
-        typer.echo(printable(f"Live page: {address}"))
+        typer.echo(printable(f"Live page: {address.url}"))
         sys.stdout.flush()
 
     LivePage(wanted, address).serve(tell, wait=wait)

@@ -6,7 +6,7 @@ import secrets
 import socket
 from dataclasses import dataclass, field
 
-_USUAL_HOST = "127.0.0.1"
+USUAL_HOST = "127.0.0.1"
 
 _NEEDED = ("starlette", "uvicorn")
 
@@ -27,25 +27,27 @@ class PageAddress:
         Its name, as it was given.
     token
         What opens the page.
+    port
+        Of the socket.
+    url
+        What to type into a browser.
     """
 
     listener: socket.socket
     host: str
     token: str = field(repr=False)
+    port: int = field(init=False)
+    url: str = field(init=False, repr=False)
 
-    @property
-    def port(self) -> int:
-        """Its port."""
-        port: int = self.listener.getsockname()[1]
-        return port
-
-    def __str__(self) -> str:
-        """Give what to type into a browser."""
+    def __post_init__(self) -> None:
+        """Note the port: the socket may be closed later."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}/?token={self.token}"
+        port = self.listener.getsockname()[1]
+        object.__setattr__(self, "port", port)
+        object.__setattr__(self, "url", f"http://{host}:{port}/?token={self.token}")
 
 
-def take_address(host: str, port: int) -> PageAddress:
+def take_address(host: str = USUAL_HOST, port: int = 0) -> PageAddress:
     """Listen on a port, 0 for any that is free.
 
     Raises
@@ -76,5 +78,5 @@ def _explained(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EACCES:
         return f"--port {port} needs more rights than you have; give one above 1023, or 0 for any that is free"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return f"--host {host} is no address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
+        return f"--host {host} is no address of this machine; give {USUAL_HOST}, or one that 'hostname -I' lists"
     return f"--host {host} --port {port}: {error.strerror}; give others"

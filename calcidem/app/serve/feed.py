@@ -6,6 +6,8 @@ from contextlib import suppress
 from threading import RLock
 from typing import Any
 
+import numpy as np
+
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.packing_graph import PackingGraph
@@ -20,7 +22,8 @@ from calcidem.app.report.cell_data import (
 )
 from calcidem.app.report.results import count_reasons
 from calcidem.app.serve.columns import CellColumns
-from calcidem.storage.errors import StoreError
+from calcidem.dem.engine.material import Sand
+from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.sql.engine import parse_address
@@ -50,7 +53,8 @@ class CampaignFeed:
         How often its cells have changed here.
     """
 
-    def __init__(self, number: int, database: str, name: str | None) -> None:
+    def __init__(self, number: int, database: str, name: str | None, *, wait: bool = False) -> None:
+        self._wait = wait
         self.number, self.database, self.name = number, database, name
         self.label = hide_passwords(str(parse_address(database)))
         self.sequence = 0
@@ -62,6 +66,7 @@ class CampaignFeed:
         self._columns: CellColumns | None = None
         self._shown: list[str] = []
         self._mark: StoreMark | None = None
+        self._run: tuple[bool, int, str | None] | None = None
         self._unchecked: list[tuple[int, ...]] = []
         self._checked = 0.0
 
@@ -96,6 +101,8 @@ class CampaignFeed:
             except StoreError as error:
                 self.close()
                 problem = hide_passwords(str(error))
+                if self._wait and isinstance(error, StoreUnavailableError | UnknownCampaignError):
+                    problem = f"Waiting for the campaign to begin: {error.problem}"
                 told = problem != self._problem
                 self._problem = problem
                 return [("status", self.status())] if told else []
@@ -150,7 +157,7 @@ class CampaignFeed:
             graphs = self._graphs(self._analyse())
             if not 0 <= index < len(graphs):
                 return None
-            return packing_block(self._analyse(), graphs[index])
+            return packing_block(self._analyse(), graphs[index]) | {"forces": _relative_forces(graphs[index])}
 
     def _open(self) -> Store:
         """Give the store, opened anew if its file is another one."""
@@ -188,14 +195,20 @@ class CampaignFeed:
         elif mark != self._mark:
             events += self._take_new(store, self._mark)
             events.append(("status", self.status()))
-        elif self._problem:
+        elif self._problem or self._run_state(store) != self._run:
             self._problem = ""
             events.append(("status", self.status()))
-        self._mark = mark
+        self._mark, self._run = mark, self._run_state(store)
         if self._unchecked:
             self._check_some(store)
             events.append(("status", self.status()))
         return events
+
+    @staticmethod
+    def _run_state(store: Store) -> tuple[bool, int, str | None]:
+        """Whether a run is at work, which is the last one, and how it has ended."""
+        holder, runs = store.lease_holder(), store.runs()
+        return holder is not None and holder.may_live(), len(runs), runs[-1][1].exit_state if runs else None
 
     def _begin(self, store: Store) -> None:
         """Read all cells: at once what takes no time, then piece by piece what is compared with checksums."""
@@ -258,6 +271,16 @@ class CampaignFeed:
             {"outcome": outcome, "reason": reason, "contents": contents, "cells": count}
             for outcome, reason, contents, count in found
         ]
+
+
+def _relative_forces(graph: PackingGraph) -> list[int]:
+    """Normal forces of the contacts before a wave is sent, in percent of the mean force, (M,)."""
+    packing, (first, second) = graph.packing, graph.graph.pairs.T
+    apart = np.hypot(packing.x[first] - packing.x[second], packing.y[first] - packing.y[second])
+    overlap = packing.radius[first] + packing.radius[second] - apart
+    force = Sand().hertz_coefficient(packing.radius[first], packing.radius[second]) * overlap**1.5
+    percent: list[int] = np.rint(100.0 * force / force.mean()).astype(int).tolist()
+    return percent
 
 
 def _told_status(status: CampaignStatus) -> dict[str, Any]:

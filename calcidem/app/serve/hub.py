@@ -4,6 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -16,8 +17,14 @@ T = TypeVar("T")
 _BETWEEN_LOOKS = 1.0
 """Seconds between two looks at a database, at least."""
 
+_LAST_LOOK = 0.5
+"""Seconds for a last look."""
+
 _SHARE = 0.1
-"""Of the time that may be spent on reading, at most: a large campaign is looked at less often."""
+"""Of the time that may be spent on reading: a large campaign is looked at less often."""
+
+_LONGEST_PAUSE = 4.0
+"""Seconds between two looks, at most: where a run has all cores, reading takes long, but not much of them."""
 
 _SIGN_OF_LIFE = 15.0
 """Seconds after which a browser hears something, for proxies between."""
@@ -51,7 +58,7 @@ class Hub:
             await self.refresh()
             spent = time.monotonic() - begin
             busy = any(feed.busy for feed in self.feeds)
-            await asyncio.sleep(0.01 if busy else max(_BETWEEN_LOOKS, spent / _SHARE))
+            await asyncio.sleep(0.01 if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _LONGEST_PAUSE))
 
     async def refresh(self) -> None:
         """Read all databases once, and tell what is new."""
@@ -69,7 +76,7 @@ class Hub:
                 if not feed.sequence:
                     await _in_thread(feed.refresh)
                 yield _as_event(("status", await _in_thread(feed.status)))
-            while not self._ended:
+            while True:
                 try:
                     text = await asyncio.wait_for(queue.get(), _SIGN_OF_LIFE)
                 except TimeoutError:
@@ -80,9 +87,12 @@ class Hub:
         finally:
             self._listeners.discard(queue)
 
-    def end(self) -> None:
-        """End all that listen."""
+    async def end(self) -> None:
+        """Tell for the last time what is new, if that takes no time, and end all that listen."""
         self._ended = True
+        if self._listeners:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.refresh(), _LAST_LOOK)
         for queue in self._listeners:
             if queue.full():
                 queue.get_nowait()

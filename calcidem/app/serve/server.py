@@ -59,7 +59,7 @@ class LivePage:
         StoreError
             If a database can't be read, and there is no waiting for it.
         """
-        feeds = [CampaignFeed(number, *campaign) for number, campaign in enumerate(self.campaigns)]
+        feeds = [CampaignFeed(number, *campaign, wait=wait) for number, campaign in enumerate(self.campaigns)]
         for feed in feeds if not wait else ():
             feed.refuse_unreadable()
         asyncio.run(self._serve(Hub(feeds), ready))
@@ -70,7 +70,7 @@ class LivePage:
         server = _Server(
             uvicorn.Config(
                 application,
-                log_level="warning",
+                log_level="error",
                 access_log=False,  # it would have the token
                 lifespan="off",
                 ws="none",
@@ -79,11 +79,16 @@ class LivePage:
             )
         )
 
-        def end() -> None:
-            server.should_exit = True
-            hub.end()
-
         loop = asyncio.get_running_loop()
+
+        async def end_in_order() -> None:
+            await hub.end()
+            server.should_exit = True
+
+        def end() -> None:
+            tasks.append(loop.create_task(end_in_order()))
+
+        tasks: list[asyncio.Task[None]] = []  # the loop itself would forget them
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end)
         watching = asyncio.create_task(hub.watch())

@@ -1,6 +1,7 @@
 // A closer look at one cell: signals, sample with cement and path, and record.
 let details = null; // what is drawn of the opened cell, to draw it again in other colours or sizes
 let zoom = 1;
+let showsForces = false; // where the packing has them
 
 async function openCell(place) {
   opened = cursor = place;
@@ -208,6 +209,20 @@ function drawSample() {
     });
     brush.stroke();
   }
+  const hasForces = showsForces && packing.forces;
+  if (hasForces) {
+    brush.strokeStyle = colours.ink;
+    brush.lineCap = "round";
+    packing.forces.forEach((percent, row) => {
+      if (percent < 50) return;
+      brush.lineWidth = clamp((percent / 100) * scale * 130, 0.4, 9);
+      brush.beginPath();
+      brush.moveTo(...at(first[row]));
+      brush.lineTo(...at(packing.second[row]));
+      brush.stroke();
+    });
+    brush.lineCap = "butt";
+  }
   const points = path.map(at);
   for (const [colour, thickness] of [["wash", 5], ["way", 2.4]]) {
     brush.strokeStyle = colours[colour];
@@ -250,5 +265,6 @@ function drawSample() {
   byId("sample-keys").innerHTML =
     `<div class="keys">${key("sand", "sand grain")}${key("cluster", "grain in a cluster")}${key("p", `P contact (${counts[1]})`)}${key("c", `C contact (${counts[2]})`)}` +
     `${key("way", "preferential path")}${key("bare", `uncemented on it (${bare})`)}${key("peak", "transmitter")}${key("first_arrival", "receiver")}</div>` +
+    (packing.forces ? `<p class="quiet"><label><input type="checkbox" id="forces"${showsForces ? " checked" : ""}> forces of the packing: lines as wide as the force of a contact, those of half the mean and more</label></p>` : "") +
     `<p class="pages"><button type="button" data-zoom="0.5">smaller</button><button type="button" data-zoom="2">larger</button></p>`;
 }

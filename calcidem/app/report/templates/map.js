@@ -353,6 +353,11 @@ function start(records) {
     sortRows();
   });
   byId("cell").addEventListener("click", (event) => {
+    if (event.target.id === "forces") {
+      showsForces = event.target.checked;
+      drawSample();
+      byId("forces").focus();
+    }
     if (!event.target.dataset.zoom) return;
     zoom = clamp(zoom * Number(event.target.dataset.zoom), 1, 4);
     drawSample();

@@ -3,6 +3,7 @@ const campaigns = new Map(); // by number: what was told last, cells, and the el
 const SERIES = ["received", "peak", "first_arrival", "cross_correlation", "bare", "c"];
 let current = null; // number of the campaign whose cells are shown
 let begun = false;
+let isChosenByUser = false;
 
 const colourOf = (campaign) => SERIES[campaign % SERIES.length];
 const element = (tag, properties = {}, ...children) => {
@@ -71,7 +72,7 @@ async function fetchRecords(campaign) {
   campaign.fetching = false;
   if (!campaign.records) return;
   drawMiniatures();
-  if (current === null || current === campaign.number) choose(campaign.number);
+  if (current === campaign.number || current === null || (!isChosenByUser && campaign.number < current)) choose(campaign.number);
   if (campaign.records.sequence < campaign.status.sequence) setTimeout(() => fetchRecords(campaign), 500);
 }
 function takeCells({ campaign: number, sequence, places, columns: changed }) {
@@ -107,11 +108,17 @@ function choose(number) {
     page = 0;
   }
   byId("cells-of").hidden = false;
-  byId("which").textContent = campaigns.size > 1 ? `Cells of ${campaign.status.name}, in ${campaign.status.database}.` : "";
-  for (const one of campaigns.values()) one.button?.setAttribute("aria-pressed", String(one.number === number));
+  markChosen();
   if (begun) take(campaign.records);
   else start(campaign.records);
   begun = true;
+}
+
+/** Say whose cells are shown, where there are several campaigns. */
+function markChosen() {
+  const shown = campaigns.get(current);
+  put(byId("which"), shown && campaigns.size > 1 ? `These are the cells of ${shown.status.name}, in ${shown.status.database}.` : "");
+  for (const { button, number } of campaigns.values()) button?.setAttribute("aria-pressed", String(number === current));
 }
 
 // Movies -------------------------------------------------------------------------------------------------------
@@ -150,6 +157,7 @@ function takeStatus(status) {
   const campaign = campaigns.get(status.campaign);
   campaign.status = status;
   showStatus(campaign);
+  markChosen();
   later("growth", showGrowth);
   if (status.sequence > (campaign.records?.sequence ?? 0)) fetchRecords(campaign);
 }
@@ -175,13 +183,14 @@ function addMiniature(campaign) {
     const box = campaign.canvas.getBoundingClientRect();
     const { seeds, contents } = campaign.records ?? {};
     if (!seeds) return;
+    isChosenByUser = true;
     choose(campaign.number);
     const seed = seeds[clamp(Math.floor(((event.clientX - box.left) / box.width) * seeds.length), 0, seeds.length - 1)];
     const content = contents[clamp(Math.floor((1 - (event.clientY - box.top) / box.height) * contents.length), 0, contents.length - 1)];
     location.hash = `#seed=${seed}&content=${content}`;
   });
   campaign.button = element("button", { type: "button", textContent: "Show its cells" });
-  campaign.button.addEventListener("click", () => [choose(campaign.number), byId("cells-of").scrollIntoView()]);
+  campaign.button.addEventListener("click", () => [(isChosenByUser = true), choose(campaign.number), byId("cells-of").scrollIntoView()]);
   campaign.card.append(campaign.canvas, campaign.button);
 }
 /** The maps of all campaigns, small, in the same colours: seeds to the right, contents upwards. */
@@ -189,13 +198,16 @@ function drawMiniatures() {
   const drawn = [...campaigns.values()].filter(({ canvas, records }) => canvas && records?.seeds.length);
   let [low, high] = [Infinity, -Infinity];
   for (const { records } of drawn) for (const vs of records.columns.vs) if (vs !== null) [low, high] = [Math.min(low, vs), Math.max(high, vs)];
+  const failed = paint("absent");
+  byId("shared").hidden = !drawn.length;
+  put(byId("shared"), `Maps above: seeds to the right, contents upwards, colours from ${number(low, 3)} (dark) to ${number(high, 3)} m/s (bright) in all campaigns; grey: no velocity.`);
   for (const { canvas, records, status } of drawn) {
     const [width, height] = [records.seeds.length, records.contents.length];
     [canvas.width, canvas.height] = [width, height];
     const brush = canvas.getContext("2d");
     records.columns.vs.forEach((vs, place) => {
       if (vs === null && !records.columns.status[place]) return;
-      brush.fillStyle = vs === null ? paint("quiet") : mix(RISING, (vs - low) / (high - low || 1));
+      brush.fillStyle = vs === null ? failed : mix(RISING, (vs - low) / (high - low || 1));
       brush.fillRect(Math.floor(place / height), height - 1 - (place % height), 1, 1);
     });
     const known = records.columns.vs.filter((vs) => vs !== null).length;
@@ -271,15 +283,16 @@ function showGrowth() {
 }
 function drawGrowth(shown, known) {
   const [width, height, left, bottom, top] = [Math.max(byId("chart").clientWidth, 280), 320, 62, 44, 12];
-  const reach = (one) => [one.mean - (one.sd ?? 0), one.mean + (one.sd ?? 0), ...(one.low === null ? [] : [one.low, one.high])];
+  // Of two or three samples the interval is so wide that it would leave nothing else to see: it is cut at the edge.
+  const reach = (one) => [-1, 1].map((side) => one.mean + side * Math.max(one.sd ?? 0, Math.min(2 * (one.sd ?? 0), (one.high ?? one.mean) - one.mean)));
   const values = known.flatMap(reach);
   const [least, most] = values.length ? [Math.min(...values), Math.max(...values)] : [0, 1];
   const margin = 0.05 * (most - least || most || 1);
-  const [low, high] = [least - margin, most + margin];
+  const [low, high] = [Math.max(0, least - margin), most + margin];
   const contents = shown.flatMap(({ status }) => status.contents.map(({ content }) => content));
   const [first, last] = [Math.min(...contents), Math.max(...contents)];
   const x = (content) => left + 14 + ((content - first) / (last - first || 1)) * (width - left - 38);
-  const y = (vs) => top + ((high - vs) / (high - low)) * (height - top - bottom);
+  const y = (vs) => top + ((high - clamp(vs, low, high)) / (high - low)) * (height - top - bottom);
   const upward = values.length ? ticks(low, high, 6).map((vs) => `<line x1="${left}" x2="${width - 10}" y1="${y(vs)}" y2="${y(vs)}" stroke="var(--line)"/><text x="${left - 6}" y="${y(vs) + 4}" text-anchor="end">${number(vs)}</text>`) : [];
   const across = ticks(first, last, width / 80).map((content) => `<text x="${x(content)}" y="${height - bottom + 18}" text-anchor="middle">${number(Number(content.toPrecision(6)))}</text>`);
   const marks = known.map((one) => {
@@ -310,4 +323,4 @@ stream.addEventListener("error", () => connection("The connection is lost: the s
 stream.addEventListener("status", (event) => takeStatus(JSON.parse(event.data)));
 stream.addEventListener("cells", (event) => takeCells(JSON.parse(event.data)));
 addEventListener("resize", () => later("growth", showGrowth));
-prefersDark.addEventListener("change", drawMiniatures);
+for (const place of [prefersDark, byId("theme")]) place.addEventListener(place === prefersDark ? "change" : "click", drawMiniatures);

@@ -1,0 +1,27 @@
+"""The live page beside a run: what it is to show comes on the standard input, and it ends with the run."""
+
+import json
+import os
+import socket
+import sys
+
+from calcidem.app.serve.address import PageAddress
+from calcidem.app.serve.server import LivePage
+from calcidem.launch.starter import die_with_parent
+
+_LOW_PRIORITY = 10
+
+
+def show_run() -> None:
+    """Serve the page until a signal, or the end of the process that started this one."""
+    if sys.platform == "linux":
+        die_with_parent()
+    os.nice(_LOW_PRIORITY)
+    told = json.load(sys.stdin)
+    address = PageAddress(socket.socket(fileno=told["descriptor"]), told["host"], told["token"])
+    LivePage([(told["database"], told["campaign"])], address).serve(wait=True)
+    os._exit(0)  # as in `calcidem serve`
+
+
+if __name__ == "__main__":
+    show_run()
