@@ -76,13 +76,17 @@ class Chromium:
         return message
 
     def show(self, page: Path, width: int, height: int = 900, *, dark: bool = False, anchor: str = "") -> None:
-        """Open a page at a size in pixels, and wait until it is there."""
+        """Open a report at a size in pixels, and wait until it is there."""
+        self.visit(page.as_uri() + anchor, width, height, dark=dark)
+        self.wait_for("document.readyState === 'complete' && document.querySelector('#cells tbody tr')")
+
+    def visit(self, url: str, width: int, height: int = 900, *, dark: bool = False) -> None:
+        """Open an address at a size in pixels."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
         self.send("Page.navigate", url="about:blank")
-        self.send("Page.navigate", url=page.as_uri() + anchor)
-        self.wait_for("document.readyState === 'complete' && document.querySelector('#cells tbody tr')")
+        self.send("Page.navigate", url=url)
 
     def evaluate(self, expression: str) -> Any:  # noqa: ANN401 - JSON
         """Give the value of an expression in the page, promises awaited."""

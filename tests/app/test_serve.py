@@ -1,22 +1,15 @@
 """The live page as a browser and its enemies see it: the real command, on loopback, on a real store."""
 
-import http.client
 import json
-import os
-import re
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
-from places import CHECKOUT
+from live_page import PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import read_status
 from calcidem.app.serve.columns import CellColumns
@@ -30,7 +23,6 @@ pytestmark = pytest.mark.slow
 HOSTILE = """<img src=x onerror=alert(1)>"'`&</script>"""
 SEEDS, CONTENTS = (1, 2, 3), (0.0, 5.0)
 NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000, "expected_error": 0.01}
-PATIENCE = 60.0
 
 
 def begin(database: Path, name: str = HOSTILE) -> None:
@@ -49,68 +41,19 @@ def record(database: Path, seed: int, content: float, vs: float | None, reason: 
         )
 
 
-@dataclass(frozen=True)
-class Live:
-    """A running server."""
-
-    process: "subprocess.Popen[str]"
-    port: int
-    token: str
-    database: Path
-
-    def ask(
-        self, path: str, method: str = "GET", *, cookie: bool = True, **headers: str
-    ) -> tuple[int, dict[str, str], bytes]:
-        """Give status, headers and content of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
-        with closing(connection):
-            known = {"Cookie": f"calcidem_{self.port}={self.token}"} if cookie else {}
-            connection.request(method, path, headers=known | headers)
-            answer = connection.getresponse()
-            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
-
-    def events(self) -> Iterator[tuple[str, dict[str, object]]]:
-        """Give what the server tells."""
-        with socket.create_connection(("127.0.0.1", self.port), PATIENCE) as connection:
-            cookie = f"Cookie: calcidem_{self.port}={self.token}"
-            connection.sendall(f"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode())
-            with connection.makefile(encoding="utf-8") as lines:
-                name = ""
-                for line in lines:
-                    if line.startswith("event: "):
-                        name = line.removeprefix("event: ").strip()
-                    elif line.startswith("data: "):
-                        yield name, json.loads(line.removeprefix("data: "))
-
-
-def start(*arguments: str) -> "subprocess.Popen[str]":
-    """Start the command."""
-    environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
-    command = [sys.executable, "-m", "calcidem", "serve", *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
-
-
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """Give a server of one campaign; at a SIGTERM it ends at once, with 0 and without a word."""
     database = tmp_path_factory.mktemp("live") / "campaign.db"
     begin(database)
-    process = start(str(database))
-    try:
-        assert process.stdout is not None
-        address = re.fullmatch(r"Live page: http://127\.0\.0\.1:(\d+)/\?token=([\w-]{43})\n", process.stdout.readline())
-        assert address, process.communicate()
-        running = Live(process, int(address[1]), address[2], database)
+    with serve(database) as running:
         yield running
         listening = running.events()
         next(listening)  # an open stream does not keep it
-        process.send_signal(signal.SIGTERM)
-        output, errors = process.communicate(timeout=5.0)
-        assert (process.returncode, output, errors) == (0, "", "")
-        assert list(database.parent.iterdir()) == [database]
-    finally:
-        process.kill()
-        process.wait()
+        running.process.send_signal(signal.SIGTERM)
+        output, errors = running.process.communicate(timeout=5.0)
+        assert (running.process.returncode, output, errors) == (0, "", "")
+    assert list(database.parent.iterdir()) == [database]
 
 
 def test_nobody_gets_in_without_the_token(live: Live) -> None:
@@ -144,15 +87,15 @@ def test_a_new_cell_is_told_within_seconds(live: Live) -> None:
     name, told = next(listening)
     assert (name, told["name"]) == ("status", HOSTILE)
     assert len(unpacked(live.ask("/campaigns/0/records")[2])["seeds"]) == 3
-    record(live.database, 2, 5.0, 1234.5)
+    record(live.databases[0], 2, 5.0, 1234.5)
     for name, told in listening:
         if name == "status" and told.get("cells") == {"done": 1, "pending": 5}:
             break
-    record(live.database, 3, 5.0, 1300.0)
+    record(live.databases[0], 3, 5.0, 1300.0)
     name, told = next((name, told) for name, told in listening if name == "cells")
     assert told["places"] == [2 * 2 + 1]
     assert told["columns"]["vs"] == [1300.0]
-    record(live.database, 1, 0.0, None, HOSTILE)
+    record(live.databases[0], 1, 0.0, None, HOSTILE)
     told = next(told for name, told in listening if name == "status" and told["reasons"])
     assert told["reasons"] == [{"outcome": "failed", "reason": HOSTILE, "contents": [0.0], "cells": 1}]
     records = unpacked(live.ask("/campaigns/0/records")[2])
@@ -191,7 +134,7 @@ def test_a_port_in_use_is_refused(tmp_path: Path, invoke: Callable[..., str]) ->
     begin(database)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        process = start(str(database), "--port", str(port))
+        process = start(database, "--port", str(port))
         errors = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 2
     assert errors == f"Error: --port {port} is in use on 127.0.0.1; give another, or 0 for any that is free\n"
