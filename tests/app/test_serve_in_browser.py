@@ -143,7 +143,7 @@ def test_the_other_campaign_can_be_chosen(browser: Chromium, live: Live) -> None
 @pytest.mark.mpi
 def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> None:
     """With --serve cells, means and status of a real run appear one after the other; it leaves no process."""
-    workshop.configure(seeds=10)
+    workshop.configure(seeds=16)
     process = workshop.start("run", "c.toml", "--serve", "--ranks", "3")
     assert process.stdout is not None
     address = ADDRESS.fullmatch(process.stdout.readline())
@@ -155,7 +155,7 @@ def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> 
         states.add(browser.evaluate("document.querySelector('.campaign p:nth-of-type(2)')?.textContent"))
         if share and (not counted or share != counted[-1]):
             counted.append(share)
-            maps.add(browser.evaluate("document.getElementById('map').toDataURL()"))
+        maps.add(browser.evaluate("document.getElementById('map').toDataURL()"))
     finished = workshop.wait(process)
     assert finished.code == 0, finished.errors
     assert len(counted) > 2
@@ -163,7 +163,7 @@ def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> 
     assert counted == sorted(counted, key=lambda text: int(text.split()[0]))
     assert any(state and state.startswith("Running on ") and "with 2 workers" in state for state in states)
     browser.wait_for("document.getElementById('connection').classList.contains('lost')")
-    assert browser.evaluate("document.querySelector('.campaign p:nth-of-type(3)').textContent").startswith("30 of 30")
+    assert browser.evaluate("document.querySelector('.campaign p:nth-of-type(3)').textContent").startswith("48 of 48")
     assert "refused" not in finished.output + finished.errors
     assert address[3] not in finished.output + finished.errors
     assert workshop.leaves_no_process()

@@ -12,7 +12,7 @@ from calcidem.launch.starter import die_with_parent
 _LOW_PRIORITY = 10
 
 
-def show_run() -> None:
+def _show_run() -> None:
     """Serve the page until a signal, or the end of the process that started this one."""
     if sys.platform == "linux":
         die_with_parent()
@@ -24,4 +24,4 @@ def show_run() -> None:
 
 
 if __name__ == "__main__":
-    show_run()
+    _show_run()

@@ -6,7 +6,7 @@ import secrets
 import socket
 from dataclasses import dataclass, field
 
-USUAL_HOST = "127.0.0.1"
+_USUAL_HOST = "127.0.0.1"
 
 _NEEDED = ("starlette", "uvicorn")
 
@@ -47,7 +47,7 @@ class PageAddress:
         object.__setattr__(self, "url", f"http://{host}:{port}/?token={self.token}")
 
 
-def take_address(host: str = USUAL_HOST, port: int = 0) -> PageAddress:
+def take_address(host: str = _USUAL_HOST, port: int = 0) -> PageAddress:
     """Listen on a port, 0 for any that is free.
 
     Raises
@@ -78,5 +78,5 @@ def _explained(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EACCES:
         return f"--port {port} needs more rights than you have; give one above 1023, or 0 for any that is free"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return f"--host {host} is no address of this machine; give {USUAL_HOST}, or one that 'hostname -I' lists"
+        return f"--host {host} is no address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
     return f"--host {host} --port {port}: {error.strerror}; give others"

@@ -23,7 +23,7 @@ _LAST_LOOK = 0.5
 _SHARE = 0.1
 """Of the time that may be spent on reading: a large campaign is looked at less often."""
 
-_LONGEST_PAUSE = 4.0
+_SELDOMEST_LOOK = 4.0
 """Seconds between two looks, at most: where a run has all cores, reading takes long, but not much of them."""
 
 _SIGN_OF_LIFE = 15.0
@@ -58,7 +58,7 @@ class Hub:
             await self.refresh()
             spent = time.monotonic() - begin
             busy = any(feed.busy for feed in self.feeds)
-            await asyncio.sleep(0.01 if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _LONGEST_PAUSE))
+            await asyncio.sleep(0.01 if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _SELDOMEST_LOOK))
 
     async def refresh(self) -> None:
         """Read all databases once, and tell what is new."""
