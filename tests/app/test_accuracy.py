@@ -17,7 +17,8 @@ from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto
 from calcidem.app.studies.explain import Explanation, _precision, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
-from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder

@@ -16,8 +16,8 @@ from calcidem.app.campaign.packing_import import ImportedPacking, import_packing
 from calcidem.app.campaign.run import run
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.packing_file import PackingFileError, _read_disks
+from calcidem.dem.sample.packing import Packing, PackingFileError
+from calcidem.dem.sample.packing_file import _read_disks
 
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 sys.path.append(str(PEERS))

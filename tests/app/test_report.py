@@ -17,10 +17,14 @@ from places import TUTORIAL
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report import analyse, cell_data, show_cell, write_report
+from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
+from calcidem.app.report.cell_figures import draw_cell
 from calcidem.app.report.comparison import disagreement_table, published_table
+from calcidem.app.report.folder import analyse
+from calcidem.app.report.one_cell import describe_cell
+from calcidem.app.report.page import write_report
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.wording import decimal, probability, significant, time_span
@@ -264,20 +268,21 @@ def test_no_table_that_analyse_writes_holds_a_formula(
 
 def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path) -> None:
     """A cell is described by its quantities and drawn with cement, path and signals."""
-    table, files = show_cell(small_database, 1, 0.66, tmp_path)
+    table = describe_cell(small_database, 1, 0.66)
+    files = draw_cell(small_database, 1, 0.66, tmp_path)
     assert dict(table.rows)["outcome of the cell"] == "done"
     assert {file.name for file in files if file.suffix == ".png"} == {
         f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals")
     }
     with pytest.raises(UnknownCellError):
-        show_cell(small_database, 6, 0.34)
+        describe_cell(small_database, 6, 0.34)
 
 
 def test_failed_cell_is_shown_without_pictures(small_database: Path, tmp_path: Path) -> None:
     """A cell without cement and signal is described by its reason."""
-    table, files = show_cell(small_database, 6, 9.0, tmp_path)
+    table = describe_cell(small_database, 6, 9.0)
     assert ("why the outcome is what it is", "the worker ran out of memory") in table.rows
-    assert files == []
+    assert draw_cell(small_database, 6, 9.0, tmp_path) == []
 
 
 @pytest.mark.parametrize(

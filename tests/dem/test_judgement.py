@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from calcidem.dem.engine.material import Sand
+from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.judgement import _densest_cover, _expected_overlap, deepest_overlap, judge_disks, judge_stress
-from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.sample.packing import Packing, PackingRule
 
 SMALL = 1.0e-3
 """Mean diameter, m."""

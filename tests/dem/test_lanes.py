@@ -5,8 +5,8 @@ import pytest
 from scenes import GROUPED, jumble, throw
 
 from calcidem.dem.engine import leapfrog
-from calcidem.dem.engine.leapfrog import Precision, State
-from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.scene import Bonds, Precision, Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.kernels.features import Features

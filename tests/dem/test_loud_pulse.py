@@ -11,7 +11,8 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import X, Y
-from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import problems_of
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure

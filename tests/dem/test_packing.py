@@ -19,19 +19,8 @@ from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import start
 from calcidem.dem.engine.statics import _contact_springs
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import (
-    WALL_NAMES,
-    Cost,
-    Packing,
-    PackingError,
-    PackingRule,
-    PackingStage,
-    _draw_radii,
-    _place_apart,
-    box_walls,
-    make_packing,
-    relax,
-)
+from calcidem.dem.sample.compaction import Cost, _draw_radii, _place_apart, box_walls, make_packing, relax
+from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingError, PackingRule, PackingStage
 
 pytestmark = pytest.mark.slow
 

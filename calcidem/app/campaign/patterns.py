@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.packing import readable_packing
+from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.campaign.task import pattern_of
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError

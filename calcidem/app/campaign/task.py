@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
-from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.provenance import version_of
+from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.layout import Flags

@@ -17,7 +17,7 @@ def report_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
-    from calcidem.app.report import write_report
+    from calcidem.app.report.page import write_report
     from calcidem.app.studies.frequency_and_damping import run_studies
     from calcidem.storage.files import refuse_to_replace
 

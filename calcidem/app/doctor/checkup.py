@@ -9,8 +9,8 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker, worker_text
 from calcidem.app.config.checks import can_make_files
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding

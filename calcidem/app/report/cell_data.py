@@ -16,7 +16,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.cell_section import describe_section
-from calcidem.app.report.wording import readable_unit
+from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
 from calcidem.storage.store import ALL_CELLS
@@ -36,9 +36,6 @@ _LEVELS = 2000
 """Times at which a signal is kept, and steps from zero to its largest value: both finer than a screen's pixels."""
 
 _MICROMETRES = 1e6
-
-EXCEPTIONAL = frozenset({"broken_bonds"})
-"""Quantities of which zero is nothing to tell."""
 
 
 @dataclass(frozen=True, slots=True)

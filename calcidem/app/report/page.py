@@ -13,11 +13,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.doubt import is_in_doubt
 from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
-from calcidem.analysis.outcomes import is_in_doubt
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.results import near_field_rows

@@ -7,7 +7,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, is_published_sand, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.campaign.workers import hosts_text, worker_text
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord

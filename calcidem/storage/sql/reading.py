@@ -248,8 +248,38 @@ def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) 
         try:
             yield outcome.result(row, None if arrays is None else arrays.get(row[0], {}))
         except UNREADABLE as error:
-            reason = error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
-            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, reason)
+            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, _problem_of(error))
+
+
+def select_cells_with_arrays(session: Session, campaign_id: int, selection: Selection) -> list[int]:
+    """Ids of the selected cells beside whose outcomes there are arrays, by seed, then content."""
+    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
+    named = statement.where(RESULT.c.checksum.contains(" "))  # the checksums of arrays follow that of the row
+    try:
+        return list(session.scalars(named.order_by(*_BY_KEY)))
+    except UNREADABLE as error:
+        if not may_be_damage(error):
+            raise
+    return select_cells(session, campaign_id, selection)
+
+
+def array_records_of(session: Session, cell_ids: Sequence[int]) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+    """Arrays beside the outcomes of the cells, or what is damaged of them; see `Store.arrays`."""
+    statement = join_results(select(CellRow.id, CellRow.seed, CellRow.content, RESULT.c.checksum))
+    statement = statement.where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+    arrays = _arrays_of(session, cell_ids)
+    for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
+        if row is None or not _has_key(row):
+            continue  # its numbers can't be read either
+        try:
+            yield CellKey(row[1], row[2]), rows.array_records(str(row[3] or ""), arrays.get(row[0], {}))
+        except UNREADABLE as error:
+            yield CellKey(row[1], row[2]), _problem_of(error)
+
+
+def _problem_of(error: Exception) -> str:
+    """What is damaged of a cell, as a clause."""
+    return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
 
 
 def _arrays_of(session: Session, cell_ids: Sequence[int]) -> dict[int, dict[str, bytes]]:

@@ -609,6 +609,23 @@ class Store(Closable):
 
         return fetch()
 
+    def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+        """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
+
+        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`.
+
+        Returns
+        -------
+        iterator of (CellKey, dict or str)
+            Records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
+        """
+        with self._reading() as session:
+            cells = reading.select_cells_with_arrays(session, self._campaign, selection)
+        for chunk in reading.chunks(cells):
+            with self._reading() as session:
+                found = list(reading.array_records_of(session, chunk))
+            yield from found
+
     def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, then let the caller fetch them piece by piece.
 
