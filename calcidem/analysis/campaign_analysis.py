@@ -326,7 +326,7 @@ class CampaignAnalysis:
             packing_index=cell.packing_index,
             kinds=kinds,
             path=path,
-            features=graph.features(path),
+            features=cell.features or graph.features(kinds > 0),
         )
 
 

@@ -192,7 +192,7 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
-    monkeypatch.setattr(cell_data, "_MOST_FULL_RECORDS", 10)
+    monkeypatch.setattr(cell_data, "MOST_FULL_RECORDS", 10)
     monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
     with open_campaign(small_database) as campaign:
         found = gather_cell_data(campaign.analyse())

@@ -107,8 +107,7 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
         tell("Packing: comes with calcidem.")
         return packing_from_bytes(archive)
     path = cache_folder() / _cached_name(packing_hash)
-    packing = _read_cache(path, tell)
-    if packing is not None:
+    if (packing := _read_cache(path, tell)) is not None:
         tell(f"Packing: taken from the cache, {path}.")
     return packing
 

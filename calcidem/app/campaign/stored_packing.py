@@ -30,9 +30,8 @@ class DamagedPackingError(ValueError):
 
 def cache_folder() -> Path:
     """Folder in which packings are kept between campaigns; need not exist yet."""
-    if own := os.environ.get(CACHE_VARIABLE):
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "calcidem"
+    own, shared = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
+    return Path(own) if own else Path(shared or Path.home() / ".cache") / "calcidem"
 
 
 def readable_packing(store: Store, index: int) -> Packing:

@@ -246,7 +246,7 @@ def _describe_graph(
     if summary.graph_gap_contacts is None:
         return None, None, summary
     path = packing.path(bonded)
-    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(path), summary
+    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(bonded), summary
 
 
 def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:

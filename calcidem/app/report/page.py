@@ -136,13 +136,14 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    record = analysis.store.record
+    record, cell_data = analysis.store.record, gather_cell_data(analysis)
     return environment.get_template("report.html").render(
         name=record.name,
         hash=record.hash,
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         facts=key_facts(analysis),
-        cell_data=gather_cell_data(analysis),
+        blocks=cell_data.blocks,
+        remarks=cell_data.remarks,
         sections=[section for section in sections if section.tables or section.pictures or section.folded],
     )
 

@@ -37,6 +37,7 @@ from calcidem.storage.sql import rows
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.models import (
     ARRAYS,
+    CELL,
     LOST,
     RESULT,
     STATUS,
@@ -47,7 +48,7 @@ from calcidem.storage.sql.models import (
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
-from calcidem.storage.store import Selection
+from calcidem.storage.store import Selection, StoreMark
 
 T = TypeVar("T")
 
@@ -55,6 +56,8 @@ _ROWS_READ_AT_ONCE = 10_000
 """Rows that are in memory as Python objects at a time while columns are read."""
 
 _KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
+
+_TABLES_OF_CELLS = (CellRow, AttemptRow, RESULT)
 
 _LARGEST_LIMIT = 2**63 - 1
 """Largest whole number that databases know."""
@@ -88,6 +91,8 @@ def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bo
         found.append(status.in_([s.value for s in selection.statuses]))
     if selection.where is not None:
         found.append(parse_where(selection.where))
+    if selection.since is not None:
+        found.append(CellRow.id.in_(select(AttemptRow.cell_id).where(AttemptRow.recorded >= selection.since)))
     return found
 
 
@@ -363,6 +368,34 @@ def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellS
     columns = table(session, campaign_id, ("content", "status"), Selection())
     counted = Counter(zip(columns["content"].tolist(), map(CellStatus, columns["status"]), strict=True))
     return dict(sorted(counted.items()))
+
+
+def mark(session: Session) -> StoreMark:
+    """See `Store.mark`."""
+    cells, attempts, results = (select(func.count()).select_from(table).scalar_subquery() for table in _TABLES_OF_CELLS)
+    recorded = select(func.max(AttemptRow.recorded)).scalar_subquery()
+    return StoreMark(*session.execute(select(cells, attempts, results, recorded)).one())
+
+
+def count_settled(session: Session, campaign_id: int) -> int:
+    """See `Store.settled`."""
+    statement = select(func.count()).select_from(RESULT).join(CELL, RESULT.c.cell_id == CELL.c.id)
+    return session.scalar(statement.where(CELL.c.campaign_id == campaign_id)) or 0
+
+
+def unchecked_velocities(session: Session, campaign_id: int) -> dict[str, NDArray[Any]]:
+    """See `Store.velocities`."""
+    statement = (
+        select(CellRow.seed, CellRow.content, RESULT.c.status, RESULT.c.vs)
+        .outerjoin(RESULT, RESULT.c.cell_id == CellRow.id)
+        .where(CellRow.campaign_id == campaign_id)
+    )
+    names, kinds = ("seed", "content", "status", "vs"), (np.int64, np.float64, np.object_, np.float64)
+    columns: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in kinds]]
+    for block in session.execute(statement, execution_options={"yield_per": _ROWS_READ_AT_ONCE}).partitions():
+        found = zip(*block, strict=True)
+        columns.append([np.array(values, dtype=kind) for values, kind in zip(found, kinds, strict=True)])
+    return {name: np.concatenate(parts) for name, parts in zip(names, zip(*columns, strict=True), strict=True)}
 
 
 def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
