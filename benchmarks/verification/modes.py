@@ -154,7 +154,7 @@ def _shortfall() -> float:
 
 @check(
     "Critical step of 60 random scenes with bonds across gaps up to 2 R, kappa 0.1 to 10: exceeds the exact one by",
-    source=_EIGEN, tolerance=0.0, reason="it is a bound", quick=True,
+    source=_EIGEN, tolerance=0.0, reason="it is a bound",
 )  # fmt: skip
 def _gaps() -> float:
     worst = 0.0

@@ -28,7 +28,8 @@ pytestmark = pytest.mark.slow
 SCENES = 512
 
 
-@pytest.mark.parametrize("scenes", [SCENES // 32, pytest.param(SCENES, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("scenes", [SCENES // 32, SCENES])
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
     judgements = [judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
@@ -64,6 +65,7 @@ def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
+@pytest.mark.full
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
     """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
     caught = _force_step(1.05, "linear")

@@ -53,6 +53,7 @@ def lattice_experiment(columns: float) -> Experiment:
     return Experiment(packing, sand=SOFT, wave=wave, frequencies=frequencies)
 
 
+@pytest.mark.full
 def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> None:
     """From 5 to 22 % of the width: within 1 % of each other and 6 % of theory; over the width they differ by 10 %."""
     measured = [measure(lattice_experiment(columns), 0.0, [1])[0] for columns in (1, 3, 5, 7)]

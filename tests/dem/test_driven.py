@@ -160,10 +160,8 @@ def test_the_power_put_in_by_driven_disks_is_the_energy_gained_and_lost() -> Non
     assert np.log(abs(coarse / fine)) / np.log(8.0) > 0.9  # first order: first touches, and slopes of slip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "regime", ["finite", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("small", "linear"))]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("regime", ["finite", "small", "linear"])
 def test_driven_disks_move_a_heap_as_in_its_slow_twin(regime: Regime) -> None:
     """Disks that follow a drive beside one another, in a bonded heap with friction, are those of a plain loop."""
     driven = [2, 7]

@@ -51,6 +51,7 @@ def measured(given: Experiment) -> list[Measurement]:
     return [measure(given, CONTENT, [seed], lanes=1)[0] for seed in SEEDS]
 
 
+@pytest.mark.full
 def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     """Samples of a batch share them, so neither cement nor time step of one may round them."""
     given = experiment()

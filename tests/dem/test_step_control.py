@@ -233,7 +233,7 @@ def test_the_limit_is_a_bound_where_cement_spans_gaps() -> None:
     assert min(ratios) > 0.5
 
 
-@pytest.mark.parametrize("rescaling", [True, False])
+@pytest.mark.parametrize("rescaling", [True, pytest.param(False, marks=pytest.mark.full)])
 def test_mode_1_forgets_the_shear_force_of_a_contact_that_vibrates(rescaling: bool) -> None:
     """A stuck contact whose overlap falls from d to e in each cycle keeps sqrt(e / d) of it; mode 0 keeps all."""
     depth, swing, cycles, stroke = 1e-6, 0.1, 5, 50
