@@ -43,11 +43,13 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
-def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
+@pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
+def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    judgements = [judge_scene(scene) for scene in draw_scenes(40, seed=3, box="plausible")]
+    scenes = [scene for scene in draw_scenes(40, seed=3, box="plausible") if scene.regime in regimes]
+    judgements = [judge_scene(scene) for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
-    assert sum(judgement.error is not None for judgement in judgements) >= 15
+    assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
 
 
 @pytest.mark.full

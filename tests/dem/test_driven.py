@@ -103,6 +103,7 @@ def rolling_row(drive: Floats, courant: float, heard: int) -> Floats:
     return np.asarray(velocity * growth ** np.arange(len(drive)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("heard", [1, 4, 15])
 def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int) -> None:
     """A disk held in x and in rotation and driven across its row makes the others roll as theory says."""

@@ -140,6 +140,7 @@ def test_what_is_missing_is_said(campaign: Campaign) -> None:
         Configuration.from_physics({"wave": {}})
 
 
+@pytest.mark.full
 def test_examples_of_the_documentation(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples in the docstrings give what they show."""
     monkeypatch.chdir(database.parent)
