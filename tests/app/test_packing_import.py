@@ -255,7 +255,7 @@ lanes = 2
 """
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_campaign_computes_on_an_imported_packing(
     small_packing: Packing, invoke: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

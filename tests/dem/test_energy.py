@@ -76,6 +76,7 @@ def test_shear_rescaling_keeps_a_cycle_of_loading_and_sliding_from_creating_ener
     assert energies(state).wall_work == pytest.approx(-expected, rel=1e-2)
 
 
+@pytest.mark.full
 def test_the_account_knows_the_energy_that_mode_0_creates() -> None:
     """Contact losses are positive in mode 1 and negative in mode 0; the balance closes in both.
 

@@ -65,7 +65,8 @@ def lane_bytes(state: State, lane: int) -> list[bytes]:
 
 
 @pytest.mark.parametrize(
-    ("lane", "features"), [(0, EIGHT), (3, EIGHT), (7, EIGHT), (3, replace(EIGHT, linear_group=False))]
+    ("lane", "features"),
+    [(0, EIGHT), (3, EIGHT), (7, EIGHT), pytest.param(3, replace(EIGHT, linear_group=False), marks=pytest.mark.full)],
 )
 def test_the_bits_of_a_lane_depend_neither_on_its_place_nor_on_the_other_lanes(lane: int, features: Features) -> None:
     """A sample gives the same bits alone in a batch, in any lane, and beside samples that are all different."""

@@ -52,6 +52,7 @@ def measured(given: Experiment) -> list[Measurement]:
     return [measure(given, CONTENT, [seed], lanes=1)[0] for seed in SEEDS]
 
 
+@pytest.mark.full
 def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     """Samples of a batch share them, so neither cement nor time step of one may round them."""
     given = experiment()
@@ -64,6 +65,7 @@ def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     assert all(np.array_equal(load, loads[0]) for load in loads[1:])
 
 
+@pytest.mark.full
 def test_a_sample_settles_before_its_disks_are_driven() -> None:
     """Cement that sets without force leaves contacts out of balance: the disks come to rest, driven ones with them."""
     given = replace(experiment(), installation="zero")

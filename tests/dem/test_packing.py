@@ -190,6 +190,7 @@ def test_a_packing_that_does_not_come_to_rest_is_given_up() -> None:
         make_packing(replace(SMALL, most_steps=800), SAND, generator())
 
 
+@pytest.mark.full
 def test_the_packing_of_the_paper_comes_out_loose_and_at_rest() -> None:
     """4,670 disks prepared with friction 0.2 at 5 kPa: porosity 0.192, coordination number 3.05, lid within 1 %."""
     rule = PackingRule()
