@@ -90,7 +90,12 @@ class OutcomeColumns:
                 return "its attempt was changed after it had been stored"
         return ""
 
-    def result(self, row: Sequence[Any], arrays: Mapping[str, bytes] | None = None) -> CellResult:
+    def result(
+        self,
+        row: Sequence[Any],
+        arrays: Mapping[str, bytes] | None = None,
+        wanted: Collection[str] = tuple(ARRAY_RECORDS),
+    ) -> CellResult:
         """Build the outcome of a cell; all tables must have been fetched.
 
         Parameters
@@ -98,6 +103,8 @@ class OutcomeColumns:
         row : sequence
         arrays : mapping, optional
             Arrays of the cell by name.
+        wanted : collection of str
+            Which of the arrays were asked for.
 
         Raises
         ------
@@ -106,7 +113,7 @@ class OutcomeColumns:
         """
         if damage := self.find_damage(row):
             raise DamagedStoreError(damage, "")
-        records = {} if arrays is None else array_records(row[self._blocks[RESULT.name]][0], arrays)
+        records = {} if arrays is None else array_records(row[self._blocks[RESULT.name]][0], arrays, wanted)
         return CellResult(
             key=CellKey(row[1], row[2]),
             features=self._part(row, PathFeatures),
@@ -122,15 +129,18 @@ class OutcomeColumns:
         return None if values[names[0]] is None else kind(**values)
 
 
-def array_records(checksum: str, arrays: Mapping[str, bytes]) -> dict[str, Any]:
-    """Build the records of the arrays of a cell, by name, from their stored bytes and the checksum of its outcome.
+def array_records(
+    checksum: str, arrays: Mapping[str, bytes], wanted: Collection[str] = tuple(ARRAY_RECORDS)
+) -> dict[str, Any]:
+    """Build records of the arrays of a cell, by name, from the stored bytes of these and the checksum of its outcome.
 
     Raises
     ------
     DamagedStoreError
         If one is not what was stored, or is missing.
     """
-    if changed := set(checksum.split(" ")[1:]) ^ set(arrays_text(arrays).split()):
+    stored = {word for word in checksum.split(" ")[1:] if word.partition(":")[0] in wanted}
+    if changed := stored ^ set(arrays_text(arrays).split()):
         names = ", ".join(sorted({word.partition(":")[0] for word in changed}))
         raise DamagedStoreError(f"its {names} was changed after it had been stored, or is missing", "")
     records: dict[str, Any] = {}

@@ -26,6 +26,7 @@ from calcidem.storage.errors import (
     UnknownCellError,
 )
 from calcidem.storage.records import (
+    ARRAY_RECORDS,
     AttemptCount,
     AttemptRecord,
     CampaignRecord,
@@ -606,21 +607,25 @@ class Store(Closable):
             "See 'pending' in the status, or extend the campaign.",
         )
 
-    def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
+    def results(
+        self, selection: Selection = ALL_CELLS, *, with_arrays: bool | Collection[str] = False
+    ) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
         Parameters
         ----------
         selection : Selection
-        with_arrays : bool
-            Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
+        with_arrays : bool or collection of str
+            Whether to load paths, sections and cement patterns, some 50 kB a cell, or which of them (`ARRAY_RECORDS`).
+            The others are None, and are neither read nor compared with their checksums.
         """
+        arrays = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
         chunks = self._chunks(selection)
 
         def fetch() -> Iterator[CellResult]:
             for chunk in chunks:
                 with self._reading() as session:
-                    found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
+                    found = list(reading.results_of(session, chunk, arrays))
                 for result in found:
                     # A damaged one was chosen by what it is no longer.
                     is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
