@@ -271,8 +271,9 @@ def expected_effort(configuration: Configuration, content: float) -> float:
     """
     steps_per_second = 10.0 if content > 0.0 else 1.0
     velocity = 200.0 + 210.0 * content
-    frequency = configuration.excitation.table.at(content)
-    return steps_per_second * (1.0 / frequency + 1.5 * configuration.packing.width / velocity)
+    table, width = configuration.excitation.table, configuration.packing.width
+    period = 0.4 * width / velocity if table is None else 1.0 / table.at(content)
+    return steps_per_second * (period + 1.5 * width / velocity)
 
 
 class EnoughSeenError(Exception):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.campaign.foreign_disks import ForeignDisks, read_foreign_disks
+from calcidem.app.disks.foreign_disks import ForeignDisks, read_foreign_disks
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.judgement import DEEP_OVERLAP, LARGEST_OVERLAP, deepest_overlap, judge_porosity
 from calcidem.dem.sample.packing import PackingFileError
