@@ -39,5 +39,5 @@ def test_a_content_is_looked_at_once(experiment: Experiment, monkeypatch: pytest
     """What was found is kept with the experiment."""
     fresh = replace(experiment)
     expected = fresh.frequency(0.66)
-    monkeypatch.setattr("calcidem.dem.wave.first_look.static_speed", None)
+    monkeypatch.setattr("calcidem.dem.wave.static_speed.static_speed", None)
     assert fresh.frequency(0.66) == expected
