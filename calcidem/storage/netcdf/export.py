@@ -168,6 +168,8 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
         is_text = kind is str  # of variable length, which is not compressed
         options = {} if is_text else COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
         variable = file.createVariable(quantity.name, kind, INDEX_NAMES, **options)
+        if not is_text:  # a block of seeds is written once; the library would keep 16 MB of each variable
+            variable.set_var_chunk_cache(size=2 * rows * contents.size * np.dtype(kind).itemsize)
         variable.setncatts(quantity_attributes(quantity))
 
 
