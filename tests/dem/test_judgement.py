@@ -42,6 +42,21 @@ def test_a_crushed_packing_is_refused_with_a_stress_that_would_do() -> None:
     assert not warning.refused
 
 
+def test_a_disk_pressed_into_a_wall_counts(small_packing: Packing) -> None:
+    """As a disk pressed into another one does."""
+    assert judge_disks(small_packing, Sand()) == ()
+    lowest = int(np.argmin(small_packing.y))
+    y = small_packing.y.copy()
+    y[lowest] = 0.88 * small_packing.radius[lowest]
+    apart = small_packing.pairs[(small_packing.pairs != lowest).all(axis=1)]
+    pressed = replace(
+        small_packing, y=y, pairs=apart, preload=replace(small_packing.preload, pairs=apart, shear=np.zeros(len(apart)))
+    )
+    (fault,) = judge_disks(pressed, Sand())
+    assert fault.refused
+    assert "12.0% of a radius" in fault.text
+
+
 def test_a_stress_that_crushes_is_known_beforehand() -> None:
     """It goes with the power 2/3 of stress over modulus, and the values named are let through."""
     sand = Sand()
