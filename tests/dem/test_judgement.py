@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.judgement import _densest_cover, _expected_overlap, deepest_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing, PackingRule
@@ -49,9 +50,7 @@ def test_a_disk_pressed_into_a_wall_counts(small_packing: Packing) -> None:
     y = small_packing.y.copy()
     y[lowest] = 0.88 * small_packing.radius[lowest]
     apart = small_packing.pairs[(small_packing.pairs != lowest).all(axis=1)]
-    pressed = replace(
-        small_packing, y=y, pairs=apart, preload=replace(small_packing.preload, pairs=apart, shear=np.zeros(len(apart)))
-    )
+    pressed = replace(small_packing, y=y, preload=Preload(apart, np.zeros(len(apart))))
     (fault,) = judge_disks(pressed, Sand())
     assert fault.refused
     assert "12.0% of a radius" in fault.text
