@@ -6,7 +6,8 @@ a sparse matrix with SciPy, because the scan over weights needs thousands of the
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from heapq import heapify, heappop, heappush
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -187,24 +188,127 @@ def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWe
     Dijkstra (1959), doi:10.1007/BF01386390, from all receiver grains at once; the path is then walked down
     the distances from the transmitter.
     """
-    mask = np.asarray(bonded, dtype=np.bool_)
-    lengths = graph.matrix(mask, weights)
-    distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
-    shortest = distance[graph.transmitter].min()
+    ways = _ShortestWays.search(graph, np.asarray(bonded, dtype=np.bool_), weights)
+    grains, kinds = [ways.starts[0]], []
+    while ways.distance[grains[-1]] > 0:
+        grain, kind = ways.onward(grains[-1])[0]
+        grains.append(grain)
+        kinds.append(kind)
+    return PreferentialPath(tuple(grains), tuple(kinds))
+
+
+def contacts_on_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> tuple[int, int]:
+    """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
+
+    Parameters
+    ----------
+    graph, bonded, weights
+        As in `preferential_path`, which raises the same errors and takes twice as long.
+    """
+    if weights.bond == weights.hertz:  # a length does not tell what made it
+        path = preferential_path(graph, bonded, weights)
+        return path.hertz_contacts, path.bonded_contacts
+    lengths = graph.matrix(bonded, weights)
+    distance, onward, _ = dijkstra(
+        lengths, directed=True, indices=graph.receiver, min_only=True, return_predecessors=True
+    )
+    grain = int(graph.transmitter[np.argmin(distance[graph.transmitter])])
+    _refuse_apart(distance[grain])
+    chain, following = [grain], onward.tolist()
+    while distance[chain[-1]] > 0:
+        chain.append(following[chain[-1]])
+    steps = -np.diff(distance[chain])
+    cemented = int(np.count_nonzero(np.abs(steps - weights.bond) < np.abs(steps - weights.hertz)))
+    return len(steps) - cemented, cemented
+
+
+def _refuse_apart(shortest: float) -> None:
+    """Raise a `ValueError` unless the length of the shortest path is finite."""
     if not np.isfinite(shortest):
         raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
-    slack = _RELATIVE_TIE * shortest
-    grain = int(graph.transmitter[distance[graph.transmitter] <= shortest + slack][0])
-    grains, kinds = [grain], []
-    while distance[grain] > 0:
-        entries = slice(lengths.indptr[grain], lengths.indptr[grain + 1])
-        neighbours = lengths.indices[entries]
-        onward = lengths.data[entries] + distance[neighbours] <= distance[grain] + slack
-        entry = entries.start + int(np.argmax(onward))  # the first one that is true
-        kinds.append(bool(mask[graph.entry_contacts[entry]]))
-        grain = int(lengths.indices[entry])
-        grains.append(grain)
-    return PreferentialPath(tuple(grains), tuple(kinds))
+
+
+def mean_longest_bonded_run(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> float:
+    """Give the mean, over all shortest paths, of the longest run of cemented contacts on a path.
+
+    Equally short paths have runs of different lengths, and which of them is found first is chance. Each of
+    them counts once here.
+
+    Parameters
+    ----------
+    graph, bonded, weights
+        As in `preferential_path`, which raises the same errors.
+
+    Notes
+    -----
+    The shortest paths are those of a graph without circles, since every step comes nearer to the receiver.
+    Going through its grains from the transmitter on, the number of paths is kept by the length of the run
+    that is going on (columns) and by a limit that no run of the path has passed (rows). Those that arrive
+    within each limit make the distribution of the longest run.
+    """
+    mask = np.asarray(bonded, dtype=np.bool_)
+    ways = _ShortestWays.search(graph, mask, weights)
+    # A path has as many cemented contacts as fit into its length.
+    rows = 1 + int(np.count_nonzero(mask) and ways.distance[ways.starts[0]] / weights.bond * (1 + _RELATIVE_TIE))
+    within = np.tri(rows)  # the run that is going on, too, is within the limit
+    nothing = np.zeros((rows, rows))
+    paths = {start: nothing + (np.arange(rows) == 0) for start in ways.starts}
+    arrived = np.zeros(rows)
+    waiting = [(-ways.distance[start], start) for start in ways.starts]
+    heapify(waiting)
+    while waiting:
+        _, grain = heappop(waiting)
+        here = paths.pop(grain)
+        if ways.distance[grain] == 0:
+            arrived += here.sum(axis=1)
+            continue
+        for following, cemented in ways.onward(grain):
+            if following not in paths:
+                heappush(waiting, (-ways.distance[following], following))
+                paths[following] = nothing.copy()
+            if cemented:
+                paths[following][:, 1:] += here[:, :-1] * within[:, 1:]
+            else:
+                paths[following][:, 0] += here.sum(axis=1)
+    return float(np.sum(1.0 - arrived / arrived[-1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ShortestWays:
+    """Distances to the receiver, and with them the grains that a shortest path goes on to.
+
+    Attributes
+    ----------
+    distance
+        Weighted distance of each grain from the nearest receiver grain, shape (N,).
+    starts
+        Grains of the transmitter from which a shortest path begins, ascending.
+    """
+
+    distance: NDArray[np.float64]
+    starts: tuple[int, ...]
+    _lengths: csr_array
+    _bonded: NDArray[np.bool_]
+    _slack: float
+
+    @classmethod
+    def search(cls, graph: ContactGraph, bonded: NDArray[np.bool_], weights: ContactWeights) -> Self:
+        """Search from all receiver grains at once; arguments and errors as `preferential_path`."""
+        lengths = graph.matrix(bonded, weights)
+        distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
+        shortest = distance[graph.transmitter].min()
+        _refuse_apart(shortest)
+        slack = _RELATIVE_TIE * shortest
+        starts = graph.transmitter[distance[graph.transmitter] <= shortest + slack]
+        return cls(distance, tuple(starts.tolist()), lengths, bonded[graph.entry_contacts], slack)
+
+    def onward(self, grain: int) -> list[tuple[int, bool]]:
+        """Give the grains that a shortest path goes on to, ascending, and whether cement leads there."""
+        entries = slice(self._lengths.indptr[grain], self._lengths.indptr[grain + 1])
+        neighbours = self._lengths.indices[entries]
+        shortest = self._lengths.data[entries] + self.distance[neighbours] <= self.distance[grain] + self._slack
+        kinds = self._bonded[entries][shortest].tolist()
+        return list(zip(neighbours[shortest].tolist(), kinds, strict=True))
 
 
 def _check(grain_count: int, pairs: NDArray[np.int64], lists: dict[str, NDArray[np.int64]]) -> None:

@@ -5,7 +5,6 @@ its figure. `FEATURES` defines each, in the order of the figures, and `measure_p
 """
 
 from dataclasses import dataclass
-from itertools import groupby
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
@@ -39,7 +38,7 @@ FEATURES = (
     Feature(
         "path_longest_bonded_run",
         "QLLC",
-        "largest number of cemented contacts that follow one another on the path",
+        "largest number of cemented contacts that follow one another on the path; mean over all shortest paths",
     ),
     Feature(
         "path_longest_bonded_run_fraction",
@@ -56,13 +55,17 @@ FEATURES = (
 )
 
 
-def measure_path(path: PreferentialPath, weights: ContactWeights, scale: PathScale) -> PathFeatures:
+def measure_path(
+    path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, scale: PathScale
+) -> PathFeatures:
     """Compute the eight features of a path.
 
     Parameters
     ----------
     path
-        The path, with at least one contact.
+        A shortest path, with at least one contact.
+    longest_bonded_run
+        Mean over all shortest paths, see `calcidem.analysis.contact_graph.mean_longest_bonded_run`.
     weights
         The weights it is shortest for.
     scale
@@ -74,15 +77,14 @@ def measure_path(path: PreferentialPath, weights: ContactWeights, scale: PathSca
         If the two weights are equal, where C_d,n is undefined.
     """
     contacts = len(path.bonded)
-    longest_run = max((sum(run) for _, run in groupby(path.bonded)), default=0)
     c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)
     return PathFeatures(
         path_contacts=contacts,
         path_hertz_contacts=path.hertz_contacts,
         path_bonded_contacts=path.bonded_contacts,
         path_bonded_fraction=path.bonded_contacts / contacts,
-        path_longest_bonded_run_fraction=longest_run / contacts,
-        path_longest_bonded_run=longest_run,
+        path_longest_bonded_run_fraction=longest_bonded_run / contacts,
+        path_longest_bonded_run=longest_bonded_run,
         path_connectivity=c_d,
         path_normalized_connectivity=normalized_connectivity(c_d, weights, scale),
     )

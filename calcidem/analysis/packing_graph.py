@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, mean_longest_bonded_run, preferential_path
 from calcidem.analysis.features import measure_path
 from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
@@ -84,9 +84,10 @@ class PackingGraph:
         flags = bonded[self._rows(np.array(list(pairwise(known))))]
         return PreferentialPath(known, tuple(flags.tolist()))
 
-    def features(self, path: PreferentialPath) -> PathFeatures:
-        """Give the features of a path."""
-        return measure_path(path, self.weights, self.scale)
+    def features(self, bonded: NDArray[np.bool_]) -> PathFeatures:
+        """Give the features of the shortest paths of one sample; argument and errors as `path`."""
+        run = mean_longest_bonded_run(self.graph, bonded, self.weights)
+        return measure_path(self.path(bonded), run, self.weights, self.scale)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair among the contacts, whose pairs are sorted."""

@@ -37,6 +37,8 @@ class Selection:
         May include `CellStatus.PENDING` for planned cells without an outcome.
     where : str, optional
         Filter expression (`calcidem.storage.sql.where.parse_where`).
+    since : datetime, optional
+        Only cells of which an attempt was recorded at this moment or later.
 
     Raises
     ------
@@ -48,6 +50,7 @@ class Selection:
     contents: tuple[float, ...] | None
     statuses: tuple[CellStatus, ...] | None
     where: str | None
+    since: datetime | None
 
     def __init__(
         self,
@@ -55,6 +58,7 @@ class Selection:
         contents: float | Collection[float] | None = None,
         statuses: str | Collection[str] | None = None,
         where: str | None = None,
+        since: datetime | None = None,
     ) -> None:
         seeds = seeds if isinstance(seeds, Collection) or seeds is None else (seeds,)
         contents = contents if isinstance(contents, Collection) or contents is None else (contents,)
@@ -66,12 +70,31 @@ class Selection:
             "contents": None if contents is None else tuple(sorted(set(map(canonical_content, contents)))),
             "statuses": None if statuses is None else tuple(map(CellStatus, statuses)),
             "where": where,
+            "since": since,
         }
         for name, value in normal.items():
             object.__setattr__(self, name, value)
 
 
 ALL_CELLS = Selection()
+
+
+@dataclass(frozen=True, slots=True)
+class StoreMark:
+    """Numbers of a whole database, one of which is another as soon as any cell has.
+
+    Attributes
+    ----------
+    cells, attempts, results : int
+        How many are planned, were made, and are stored.
+    recorded : datetime or None
+        When the latest attempt was recorded (UTC).
+    """
+
+    cells: int
+    attempts: int
+    results: int
+    recorded: datetime | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path, mean_longest_bonded_run, preferential_path
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 PHYSICAL = ContactWeights(0.475, 0.328)
@@ -25,6 +25,16 @@ def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
     assert path.grains == (5, 6, 7, 8, 9)
     assert path.bonded == (True, True, False, True)
     assert (path.hertz_contacts, path.bonded_contacts) == (1, 3)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
+def test_contacts_are_counted_as_on_the_path(drawn_sample: Sample, ratio: float) -> None:
+    """The counts alone are those of the path, also where cement and sand have the same weight."""
+    weights = ContactWeights.from_ratio(ratio)
+    path = preferential_path(*drawn_sample, weights)
+    counted = contacts_on_path(*drawn_sample, weights)
+    assert connectivity(*counted, weights) == connectivity(path.hertz_contacts, path.bonded_contacts, weights)
+    assert counted == (path.hertz_contacts, path.bonded_contacts)
 
 
 def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:
@@ -49,6 +59,42 @@ def test_search_finds_the_shortest_of_all_paths(
     shortest = min(lengths.values())
     tied = [path for path, length in lengths.items() if length <= shortest * (1 + 1e-9)]
     assert preferential_path(graph, bonded, weights).grains == min(tied)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("ratio", [0.5, 0.83, 1.0])
+def test_the_longest_run_is_the_mean_over_all_shortest_paths(
+    seed: int,
+    ratio: float,
+    random_sample: Callable[..., Sample],
+    naive_paths: Callable[[ContactGraph], Iterator[tuple[int, ...]]],
+    path_length: Callable[..., float],
+) -> None:
+    """Where every path can be listed, each of the equally short ones counts once."""
+    graph, bonded = random_sample(seed, 16)
+    weights = ContactWeights.from_ratio(ratio)
+    lengths = {path: path_length(graph, bonded, weights, path) for path in naive_paths(graph)}
+    tied = [path for path, length in lengths.items() if length <= min(lengths.values()) * (1 + 1e-9)]
+    kinds = {tuple(pair): kind for pair, kind in zip(graph.pairs.tolist(), bonded.tolist(), strict=True)}
+    runs = []
+    for path in tied:
+        steps = "".join("b" if kinds[min(pair), max(pair)] else " " for pair in itertools.pairwise(path))
+        runs.append(max((len(run) for run in steps.split()), default=0))
+    assert mean_longest_bonded_run(graph, bonded, weights) == pytest.approx(np.mean(runs), rel=1e-12)
+
+
+def test_the_longest_run_does_not_depend_on_the_numbers_of_the_grains(random_sample: Callable[..., Sample]) -> None:
+    """Numbered anew, the same sample may have another path found first, but the same longest run."""
+    graph, bonded = random_sample(2, 900)
+    runs, found = set(), set()
+    for seed in range(10):
+        number = np.random.default_rng(seed).permutation(graph.grain_count)
+        other = ContactGraph(graph.grain_count, *(number[a] for a in (graph.pairs, graph.transmitter, graph.receiver)))
+        runs.add(round(mean_longest_bonded_run(other, bonded, PHYSICAL), 9))
+        path = preferential_path(other, bonded, PHYSICAL)
+        found.add(tuple(np.argsort(number)[list(path.grains)].tolist()))
+    assert len(found) > 1
+    assert len(runs) == 1
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -1,4 +1,5 @@
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, mean_longest_bonded_run, preferential_path
 from calcidem.analysis.features import FEATURES, measure_path
 from calcidem.storage.records import PathFeatures
 
@@ -17,7 +18,8 @@ WEIGHTS = ContactWeights.from_ratio(0.5)
 def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np.bool_]]) -> None:
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     path = preferential_path(*drawn_sample, WEIGHTS)
-    found = measure_path(path, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
+    run = mean_longest_bonded_run(*drawn_sample, WEIGHTS)
+    found = measure_path(path, run, WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
     assert path.grains == (5, 6, 7, 8, 9)
     assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
     assert found.path_bonded_fraction == 3 / 4
@@ -38,9 +40,12 @@ def test_each_feature_is_defined_once() -> None:
 @given(bonded=st.lists(st.booleans(), min_size=1, max_size=60))
 @settings(deadline=None)
 def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
-    """Counts add up, shares lie in [0, 1], and the longest run is the longest word of the path as text."""
+    """Counts add up, shares lie in [0, 1], and the longest run of a chain is its longest word as text."""
     path = PreferentialPath(tuple(range(len(bonded) + 1)), tuple(bonded))
-    found = measure_path(path, WEIGHTS, PathScale(0.1, 2.5e-3))
+    chain = ContactGraph(
+        len(path.grains), np.array(list(pairwise(path.grains))), np.array([0]), np.array([len(bonded)])
+    )
+    found = measure_path(path, mean_longest_bonded_run(chain, bonded, WEIGHTS), WEIGHTS, PathScale(0.1, 2.5e-3))
     text = "".join("b" if kind else " " for kind in bonded)
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)

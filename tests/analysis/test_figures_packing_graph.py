@@ -7,13 +7,13 @@ import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.packing import _stored_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.storage.records import CementPattern
 
 
 def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalysis) -> None:
     """Found again from positions and radii, the contacts are those that the packing was made with."""
-    made = np.sort(_stored_packing(analysis.store.packing()).pairs, axis=1)
+    made = np.sort(stored_packing(analysis.store.packing()).pairs, axis=1)
     found = analysis.graphs[0].graph.pairs
     assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
 
@@ -38,13 +38,13 @@ def test_cement_of_the_samples_is_what_the_cells_report(analysis: CampaignAnalys
 
 
 def test_stored_features_give_the_same_as_a_search(analysis: CampaignAnalysis) -> None:
-    """Features computed from a stored path equal those of the search that found the path."""
+    """The stored path and features equal those of a search."""
     graph = analysis.graphs[0]
     for sample in analysis.samples[::5]:
         bonded = sample.kinds > 0
         again = graph.path(bonded, sample.path.grains)
         assert again == sample.path == graph.path(bonded)
-        assert graph.features(again) == sample.features
+        assert graph.features(bonded) == sample.features
 
 
 def test_path_contacts_are_cemented_where_the_sample_is(analysis: CampaignAnalysis) -> None:

@@ -180,7 +180,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
             f"$C_{{d,n}}$ = {features.path_normalized_connectivity:.2f}",
             f"path of {features.path_contacts} contacts:",
             f"{features.path_bonded_contacts} cemented, {features.path_hertz_contacts} not,",
-            f"longest cemented run {features.path_longest_bonded_run}",
+            f"longest cemented run {features.path_longest_bonded_run:.3g}",
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     letter_panels(panels)

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
-from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
+
+STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
+"""What the status needs of each cell."""
 
 _TROUBLES = (
     *(CellStatus.DAMAGED, CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
@@ -145,20 +148,21 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
         If the database can't be read or has no such campaign.
     """
     with read_campaign(database, campaign_name) as store:
-        return _campaign_status(store, running=_is_being_written(store))
+        return campaign_status(store, store.table(STATUS_QUANTITIES), _troubles_of(store))
 
 
-def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
+def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
     """Gather how far a campaign is, in a few short queries.
 
     Parameters
     ----------
     store
         With a campaign chosen.
-    running
-        Whether a process writes it (`_is_being_written`).
+    columns
+        `STATUS_QUANTITIES` of its planned cells, as `Store.table` gives them.
+    troubles
+        What went wrong in its cells.
     """
-    columns = store.table(("seed", "content", "status", "seconds", *BUDGET_QUANTITIES))
     contents = np.unique(columns["content"])
     rows = [columns["content"] == content for content in contents]
     seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
@@ -183,10 +187,10 @@ def _campaign_status(store: Store, *, running: bool) -> CampaignStatus:
         contents=statuses,
         counts=counts,
         budget=error_budget(columns),
-        troubles=_troubles_of(store),
+        troubles=troubles,
         last_run=last,
         run_number=number,
-        running=running,
+        running=_is_being_written(store),
         workers=workers,
         seconds_left=sum(status.seconds_left for status in statuses) / workers,
     )

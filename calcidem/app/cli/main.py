@@ -28,6 +28,7 @@ PANELS = {
     },
     "Look": {
         "status": "Progress of a campaign, even while it runs.",
+        "serve": "A live page of campaigns in the browser.",
         "query": "Cells that meet some conditions, as a table or a file.",
         "show": "One cell, with figures.",
         "diagnose": "Why cells have no velocity, and what to try.",

@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.error_budget import median_known
@@ -128,20 +129,33 @@ def outcome_table(analysis: CampaignAnalysis) -> Table | None:
     """Cells without a velocity by outcome and reason, the most frequent first; None if there are none."""
     status, reason = analysis.status.to_numpy(), analysis.cells["reason"].to_numpy()
     contents = np.broadcast_to(analysis.vs["content"].to_numpy(), status.shape)
+    rows = tuple(
+        (outcome.replace("_", " "), text, ", ".join(f"{c:g}" for c in where), str(count))
+        for outcome, text, where, count in count_reasons(status.ravel(), reason.ravel(), contents.ravel())
+    )
+    if not rows:
+        return None
+    return Table("Cells that gave no velocity, and why.", ("outcome", "reason", "contents (%)", "cells"), rows)
+
+
+def count_reasons(
+    status: NDArray[np.object_], reason: NDArray[np.object_], content: NDArray[np.float64]
+) -> list[tuple[str, str, list[float], int]]:
+    """Give outcome, reason, contents (percent) and number of cells without a velocity, the most frequent first.
+
+    Parameters
+    ----------
+    status, reason, content
+        Of each cell, (N,); the status is empty where there is no outcome.
+    """
+    failed = np.flatnonzero((status != "") & (status != "done"))
     found: Counter[tuple[str, str]] = Counter()
     where: dict[tuple[str, str], set[float]] = {}
-    for outcome, text, content in zip(status.ravel(), reason.ravel(), contents.ravel(), strict=True):
-        if outcome not in {"", "done"}:
-            key = (str(outcome), str(text))
-            found[key] += 1
-            where.setdefault(key, set()).add(float(content))
-    if not found:
-        return None
-    rows = tuple(
-        (outcome.replace("_", " "), text, ", ".join(f"{c:g}" for c in sorted(where[outcome, text])), str(count))
-        for (outcome, text), count in found.most_common(_MOST_REASONS)
-    )
-    return Table("Cells that gave no velocity, and why.", ("outcome", "reason", "contents (%)", "cells"), rows)
+    for outcome, text, at in zip(status[failed], reason[failed], content[failed], strict=True):
+        key = (str(outcome), str(text))
+        found[key] += 1
+        where.setdefault(key, set()).add(float(at))
+    return [(*key, sorted(where[key]), count) for key, count in found.most_common(_MOST_REASONS)]
 
 
 def growth_table(analysis: CampaignAnalysis) -> Table | None:

@@ -135,7 +135,9 @@ class PathFeatures:
     path_longest_bonded_run_fraction: Annotated[
         float, Quantity("1", "longest run of cemented contacts over all contacts on it (PLLC)", "path")
     ]
-    path_longest_bonded_run: Annotated[int, Quantity("1", "longest run of cemented contacts on it (QLLC)", "path")]
+    path_longest_bonded_run: Annotated[
+        float, Quantity("1", "longest run of cemented contacts, mean over all shortest paths (QLLC)", "path")
+    ]
     path_connectivity: Annotated[float, Quantity("1", "weighted shortest distance (C_d)", "path")]
     path_normalized_connectivity: Annotated[
         float | None, Quantity("1", "normalized connectivity per unit distance (C_d,n)", "path")

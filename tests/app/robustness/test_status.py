@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy import stats
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.status import _campaign_status, _is_being_written, read_status
+from calcidem.app.campaign.status import _is_being_written, read_status
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
@@ -72,8 +72,7 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
     with open_store(complete) as store:
         store.use_campaign()
         store.extend((1,), (7.0,))
-    with open_campaign(complete) as campaign:
-        found = _campaign_status(campaign.store, running=False)
+    found = read_status(str(complete))
     costs = {content.content: content.seconds_per_cell for content in found.contents}
     assert np.isnan(costs[7.0])
     assert found.seconds_left == pytest.approx((costs[5.0] + costs[9.0]) / 2)

@@ -1,20 +1,10 @@
-// What map and cells need: data, numbers, colours and the theme. Data are in <script> elements of this page: JSON,
-// compressed, in base64; see cell_data.py.
+// What map and cells need: numbers, colours and the theme.
 const byId = (id) => document.getElementById(id);
 const escape = (text) => String(text).replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const METHODS = ["peak", "first_arrival", "cross_correlation"];
 const MISSING = "–";
 
-const cache = new Map();
-function load(id) {
-  if (!cache.has(id)) cache.set(id, decompress(byId(id).textContent));
-  return cache.get(id);
-}
-async function decompress(text) {
-  const bytes = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).json();
-}
 function sums(steps) {
   let sum = 0;
   return steps.map((step) => (sum += step));

@@ -4,23 +4,23 @@ let zoom = 1;
 
 async function openCell(place) {
   opened = cursor = place;
-  const id = `seed-${seedOf(place)}`;
-  const cells = byId(id) ? await load(id) : [];
+  const { cells, sections, problem } = await source.cell(place);
   const cell = cells.find((one) => one.content === contentOf(place));
-  const sections = `sections-${seedOf(place)}`;
-  const ofSeed = byId(sections) ? await load(sections) : [];
-  details = { signal: cell?.signal, section: ofSeed.find((one) => one.content === contentOf(place)), packing: null };
+  const section = sections.find((one) => one.content === contentOf(place));
+  const found = { signal: cell?.signal, section, packing: null, problem };
   if (cell?.cement) {
-    const packing = await load(`packing-${cell.packing}`);
+    const packing = await source.packing(cell.packing);
     const kinds = new Uint8Array(packing.second.length);
     for (const one of cells) {
       if (one.packing !== cell.packing || !one.cement) continue;
       one.cement.forEach((rows, kind) => sums(rows).forEach((row) => (kinds[row] = kind)));
       if (one === cell) break;
     }
-    Object.assign(details, { packing, kinds, path: sums(cell.path ?? []) });
+    Object.assign(found, { packing, kinds, path: sums(cell.path ?? []) });
   }
-  if (opened === place) showCell(place);
+  if (opened !== place) return;
+  details = found;
+  showCell(place);
 }
 function showCell(place) {
   const vs = columns.vs[place];
@@ -31,8 +31,7 @@ function showCell(place) {
     [place + 1, (place + 1) % contents.length > 0],
   ].filter(([, there]) => there);
   const reason = columns.reason[place];
-  const hasBlock = byId(`seed-${seedOf(place)}`);
-  const absent = (what) => `<p class="quiet">${hasBlock ? `No ${what} is stored.` : "Not in this page; see above."}</p>`;
+  const absent = (what) => `<p class="quiet">${details.problem ? escape(details.problem) : source.holds(place) ? `No ${what} is stored.` : "Not in this page; see above."}</p>`;
   const rows = quantities
     .map(({ name, unit, meaning }) => [meaning, withUnit(valueOf(name, place), unit, 6)])
     .filter(([, text]) => text !== MISSING);
@@ -43,13 +42,14 @@ function showCell(place) {
       <li><a href="#explore">map</a></li></ul></nav>
     <div class="columns">
       <div class="signals"><h4>Signals</h4>${details.signal ? `<div id="signal"></div>` : absent("signal")}
-        ${details.section ? `<h4>Section</h4><div id="section"></div>` : ""}</div>
+        ${details.section ? `<h4>Section</h4><div id="section"></div>` : ""}<div id="more"></div></div>
       <div class="sample"><h4>Sample</h4>${details.packing ? `<div id="sample-keys"></div><div id="sample" tabindex="0" role="region" aria-label="Sample"><canvas role="img"></canvas></div>` : absent("cement pattern")}</div>
       <div class="record"><h4>Record</h4><div class="scroll"><table id="record"><tbody>
         ${rows.map(([meaning, text]) => `<tr><th scope="row">${escape(meaning)}</th><td>${escape(text)}</td></tr>`).join("")}
       </tbody></table></div></div>
     </div>`;
   byId("cell").hidden = false;
+  source.extend(place, byId("more"));
   drawDetails();
   drawMap();
 }

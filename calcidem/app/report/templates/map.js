@@ -43,7 +43,6 @@ function readFilters() {
     chosen.push(place);
     isChosen[place] = 1;
   }
-  page = 0;
   sortRows();
   drawMap();
 }
@@ -86,6 +85,7 @@ function showRows() {
     return `<th scope="col" aria-sort="${sorted}"><button type="button" data-sort="${name}">${HEADINGS[name]}${arrow}</button></th>`;
   });
   const focused = document.activeElement?.dataset?.sort;
+  const followed = byId("cells").tBodies[0].contains(document.activeElement) && document.activeElement.getAttribute("href");
   byId("cells").tHead.innerHTML = `<tr>${head.join("")}</tr>`;
   if (focused) byId("cells").querySelector(`[data-sort="${focused}"]`).focus();
   const rows = chosen.slice(page * ROWS, (page + 1) * ROWS).map((place) => {
@@ -97,7 +97,9 @@ function showRows() {
     return `<tr>${values.join("")}</tr>`;
   });
   byId("cells").tBodies[0].innerHTML = rows.join("") || `<tr><td colspan="${shownColumns.length}">No cell is like this.</td></tr>`;
+  if (followed) byId("cells").querySelector(`[href="${followed}"]`)?.focus({ preventScroll: true });
   const pages = Math.max(1, Math.ceil(chosen.length / ROWS));
+  page = Math.min(page, pages - 1);
   const count = chosen.length.toLocaleString("en");
   byId("count").textContent = `${count} of ${cellCount.toLocaleString("en")} cells. A heading sorts, a seed opens its cell.`;
   byId("pages").textContent = `page ${page + 1} of ${pages.toLocaleString("en")}`;
@@ -161,6 +163,7 @@ function layOutMap() {
   const room = byId("viewport").clientWidth - LEFT - EDGE;
   cellWidth = clamp(room / seeds.length, 8, 44);
   cellHeight = contents.length > 40 ? 12 : 24;
+  byId("heat").style.setProperty("--widest", `${LEFT + seeds.length * 44 + EDGE + 2}px`);
   const extent = byId("extent").style;
   extent.width = `${Math.max(LEFT + seeds.length * cellWidth + EDGE, 1)}px`;
   extent.height = `${EDGE + contents.length * cellHeight + BOTTOM}px`;
@@ -300,26 +303,48 @@ function followLink(event) {
 function option(value, text) {
   return `<option value="${escape(value)}">${escape(text)}</option>`;
 }
-async function start() {
-  ({ seeds, contents, columns, quantities, normal95, mostDeparture } = await load("records"));
+/** Take over the cells of a campaign, and what the controls offer of them; what is chosen stays as far as it is there. */
+function take(records) {
+  ({ seeds, contents, columns, quantities, normal95, mostDeparture } = records);
   cellCount = seeds.length * contents.length;
+  cursor = Math.min(cursor, cellCount - 1);
   const there = (name) => name in HEADINGS && ["seed", "content", "status", "vs"].concat(quantities.map((one) => one.name)).includes(name);
   shownColumns = [...SHOWN, ...SHOWN_LATER].filter(there);
   const numeric = quantities.filter(({ name, kind }) => kind !== "text" && name !== "vs");
-  byId("colour").innerHTML =
+  offer("colour",
     option("vs", "Vs") + option("deviation", "Vs against the mean of its content") + option("status", "outcome") +
-    numeric.map(({ name, meaning }) => option(name, meaning)).join("");
-  byId("content").innerHTML = option("", "all") + contents.map((content) => option(content, `${content} %`)).join("");
-  byId("outcome").innerHTML = option("", "all") + outcomes().map((outcome) => option(outcome, number(outcome))).join("");
-  const refreshColours = () => {
-    shade();
-    showScale();
-    byId("map").setAttribute("aria-label", `Map of ${shades.label} over ${seeds.length} seeds (across) and ${contents.length} contents (upwards). Arrow keys move, Enter opens a cell.`);
-    drawMap();
-  };
-  byId("filters").addEventListener("input", (event) => (event.target.id === "colour" ? refreshColours() : readFilters()));
+    numeric.map(({ name, meaning }) => option(name, meaning)).join(""));
+  offer("content", option("", "all") + contents.map((content) => option(content, `${content} %`)).join(""));
+  refresh();
+  layOutMap();
+}
+function offer(id, options) {
+  const wanted = byId(id).value;
+  if (byId(id).innerHTML === options) return;
+  byId(id).innerHTML = options;
+  if ([...byId(id).options].some(({ value }) => value === wanted)) byId(id).value = wanted;
+}
+/** Show what is in the columns now. */
+function refresh() {
+  offer("outcome", option("", "all") + outcomes().map((outcome) => option(outcome, number(outcome))).join(""));
+  refreshColours();
+  readFilters();
+}
+function refreshColours() {
+  shade();
+  showScale();
+  byId("map").setAttribute("aria-label", `Map of ${shades.label} over ${seeds.length} seeds (across) and ${contents.length} contents (upwards). Arrow keys move, Enter opens a cell.`);
+  drawMap();
+}
+function start(records) {
+  take(records);
+  byId("filters").addEventListener("input", (event) => {
+    if (event.target.id === "colour") return refreshColours();
+    page = 0;
+    readFilters();
+  });
   byId("filters").addEventListener("submit", (event) => event.preventDefault());
-  byId("filters").addEventListener("reset", () => setTimeout(() => [refreshColours(), readFilters()]));
+  byId("filters").addEventListener("reset", () => setTimeout(() => [(page = 0), refreshColours(), readFilters()]));
   byId("cells").addEventListener("click", (event) => {
     const name = event.target.dataset.sort;
     if (!name) return;
@@ -349,8 +374,6 @@ async function start() {
     if (place !== null) location.hash = link(place);
   });
   byId("viewport").addEventListener("scroll", () => [showTip(null), drawMap()]);
-  refreshColours();
-  readFilters();
   let width = 0;
   new ResizeObserver(() => {
     if (byId("viewport").clientWidth === width) return;
@@ -361,4 +384,3 @@ async function start() {
   addEventListener("hashchange", followLink);
   followLink();
 }
-start();

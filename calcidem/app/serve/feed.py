@@ -1,0 +1,301 @@
+"""What the live page shows of one campaign, kept up with its database by short queries."""
+
+import math
+import os
+from contextlib import suppress
+from threading import RLock
+from typing import Any
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES
+from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus, campaign_status
+from calcidem.app.report.cell_data import (
+    MOST_FULL_RECORDS,
+    SHORT_RECORD,
+    describe_cells,
+    describe_sections,
+    packing_block,
+)
+from calcidem.app.report.results import count_reasons
+from calcidem.app.serve.columns import CellColumns
+from calcidem.storage.errors import StoreError
+from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.store import Store, read_campaign
+from calcidem.storage.store import Selection, StoreMark
+
+_CELLS_AT_ONCE = 4000
+"""Cells that are compared with their checksums in one query, which takes a third of a second."""
+
+_MOST_TOLD = 1000
+"""Cells whose changes are told one by one; of more the browser asks for all."""
+
+Event = tuple[str, dict[str, Any]]
+"""Name and content of what is told to browsers."""
+
+
+class CampaignFeed:
+    """A campaign as the page sees it. Methods may be called by any thread; one at a time reads the database.
+
+    Attributes
+    ----------
+    database, name
+        Where it is, and which it is, where there are several.
+    label
+        The database as it may be shown.
+    sequence
+        How often its cells have changed here.
+    """
+
+    def __init__(self, number: int, database: str, name: str | None) -> None:
+        self.number, self.database, self.name = number, database, name
+        self.label = hide_passwords(str(parse_address(database)))
+        self.sequence = 0
+        self._lock = RLock()
+        self._problem = "not read yet"
+        self._store: Store | None = None
+        self._file: os.stat_result | None = None
+        self._analysis: CampaignAnalysis | None = None
+        self._columns: CellColumns | None = None
+        self._shown: list[str] = []
+        self._mark: StoreMark | None = None
+        self._unchecked: list[tuple[int, ...]] = []
+        self._checked = 0.0
+
+    def refuse_unreadable(self) -> None:
+        """Open the database.
+
+        Raises
+        ------
+        StoreError
+            If it can't be read, or has no such campaign.
+        """
+        with self._lock:
+            self._open()
+
+    def close(self) -> None:
+        """Leave the database."""
+        with self._lock:
+            if self._store is not None:
+                self._store.close()
+            self._store = self._analysis = self._mark = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether cells are still to be compared with their checksums."""
+        return bool(self._unchecked)
+
+    def refresh(self) -> list[Event]:
+        """Read what is new, and give what browsers have to know of it."""
+        with self._lock:
+            try:
+                return self._refresh()
+            except StoreError as error:
+                self.close()
+                problem = hide_passwords(str(error))
+                told = problem != self._problem
+                self._problem = problem
+                return [("status", self.status())] if told else []
+
+    def status(self) -> dict[str, Any]:
+        """Give how far the campaign is, in JSON's types."""
+        with self._lock:
+            told: dict[str, Any] = {
+                "campaign": self.number,
+                "database": self.label,
+                "name": self.name or self.label.rpartition("/")[2],
+                "problem": self._problem,
+                "sequence": self.sequence,
+                "checked": self._checked,
+            }
+            if self._store is None or self._columns is None:
+                return told
+            with suppress(StoreError):  # the next refresh tells it
+                found = campaign_status(self._store, self._columns.rows(STATUS_QUANTITIES), ())
+                told |= _told_status(found) | {"reasons": self._reasons(self._columns)}
+            return told
+
+    def records(self) -> bytes:
+        """Give all cells (`CellColumns.packed`); nothing as long as the database can't be read."""
+        with self._lock:
+            if self._columns is None:
+                self.refresh()
+            return b"" if self._columns is None else self._columns.packed(self.sequence, self._shown)
+
+    def cell(self, seed: int, content: float) -> dict[str, Any]:
+        """Give signals, section, cement and path of one cell, as the report has them.
+
+        Raises
+        ------
+        UnknownCellError
+            If it has no outcome.
+        """
+        with self._lock:
+            self._open()
+            analysis = self._analyse()
+            found = analysis.cell(seed, content)
+            found.refuse_damage()
+            return {
+                "cells": list(describe_cells(analysis, [found], self._graphs(analysis))),
+                "sections": describe_sections(analysis, [found]),
+            }
+
+    def packing(self, index: int) -> dict[str, Any] | None:
+        """Give a packing as the report has it, with what its contacts carry; None if there is none of that index."""
+        with self._lock:
+            self._open()
+            graphs = self._graphs(self._analyse())
+            if not 0 <= index < len(graphs):
+                return None
+            return packing_block(self._analyse(), graphs[index])
+
+    def _open(self) -> Store:
+        """Give the store, opened anew if its file is another one."""
+        path = parse_address(self.database).path
+        found = path.stat() if path is not None and path.exists() else None
+        same = found is not None and self._file is not None and os.path.samestat(found, self._file)
+        if self._store is not None and path is not None and not same:
+            self.close()
+        if self._store is None:
+            self._store = read_campaign(self.database, self.name)
+            self._file = found
+        return self._store
+
+    def _analyse(self) -> CampaignAnalysis:
+        """Give what makes data of single cells; packings are read once."""
+        store = self._open()
+        if self._analysis is None or len(self._graphs(self._analysis)) != len(store.packing_indices()):
+            self._analysis = CampaignAnalysis(store, None, with_patterns)
+        return self._analysis
+
+    @staticmethod
+    def _graphs(analysis: CampaignAnalysis) -> tuple[PackingGraph, ...]:
+        try:
+            return analysis.graphs
+        except UnavailableError:
+            return ()
+
+    def _refresh(self) -> list[Event]:
+        store = self._open()
+        events: list[Event] = []
+        mark = store.mark()
+        if self._columns is None or self._mark is None or mark.cells != self._mark.cells:
+            self._begin(store)
+            events.append(("status", self.status()))
+        elif mark != self._mark:
+            events += self._take_new(store, self._mark)
+            events.append(("status", self.status()))
+        elif self._problem:
+            self._problem = ""
+            events.append(("status", self.status()))
+        self._mark = mark
+        if self._unchecked:
+            self._check_some(store)
+            events.append(("status", self.status()))
+        return events
+
+    def _begin(self, store: Store) -> None:
+        """Read all cells: at once what takes no time, then piece by piece what is compared with checksums."""
+        store.use_campaign(self.name)
+        rows = store.velocities()
+        names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
+        if len(rows["seed"]) > MOST_FULL_RECORDS:
+            names = [name for name in names if name in {*SHORT_RECORD, *BUDGET_QUANTITIES}]
+        self._columns = CellColumns.empty(rows, names)
+        self._columns.put(rows)
+        self._problem = ""
+        seeds = self._columns.seeds.tolist()
+        stride = max(1, _CELLS_AT_ONCE // max(1, self._columns.contents.size))
+        self._unchecked = [tuple(seeds[at : at + stride]) for at in range(0, len(seeds), stride)]
+        self._changed()
+        if len(self._unchecked) == 1:
+            self._check_some(store)
+
+    def _check_some(self, store: Store) -> None:
+        """Read the next cells with all that is told of them, compared with their checksums."""
+        assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
+        before = len(self._unchecked)
+        seeds = self._unchecked.pop(0)
+        self._columns.put(store.table(("seed", "content", *self._columns.values), Selection(seeds=seeds)))
+        self._checked += (1.0 - self._checked) / before
+        if not self._unchecked:
+            self._changed()
+
+    def _take_new(self, store: Store, before: StoreMark) -> list[Event]:
+        """Read the cells that were recorded since, or all where that is not what has changed."""
+        assert self._columns is not None  # noqa: S101 - cells can only be new where there are others
+        since = Selection(since=before.recorded) if before.recorded is not None else Selection()
+        names = ("seed", "content", *self._columns.values)
+        places = self._columns.put(store.table(names, since))
+        if self._columns.settled() != store.settled():  # some are pending again, or were brought from elsewhere
+            self._begin(store)
+            return []
+        if not places:
+            return []
+        if len(places) > _MOST_TOLD or set(self._columns.shown()) - set(self._shown):
+            self._changed()
+            return []
+        self.sequence += 1
+        told = self._columns.described(places, self._shown)
+        return [("cells", {"campaign": self.number, "sequence": self.sequence, "places": places, "columns": told})]
+
+    def _changed(self) -> None:
+        """Have browsers ask for all cells, of whose quantities there may be more than before."""
+        assert self._columns is not None  # noqa: S101 - as above
+        self.sequence += 1
+        self._shown = ["status", "reason", "vs"]
+        self._shown += [name for name in self._columns.shown() if name not in self._shown]
+        self._checked = 0.0 if self._unchecked else 1.0
+
+    @staticmethod
+    def _reasons(columns: CellColumns) -> list[dict[str, Any]]:
+        content = columns.contents[[*range(columns.contents.size)] * columns.seeds.size]
+        found = count_reasons(columns.values["status"], columns.values["reason"], content)
+        return [
+            {"outcome": outcome, "reason": reason, "contents": contents, "cells": count}
+            for outcome, reason, contents, count in found
+        ]
+
+
+def _told_status(status: CampaignStatus) -> dict[str, Any]:
+    """What the page shows of a status; a number that is not known is None."""
+    run = status.last_run
+    return {
+        "name": status.name,
+        "hash": status.hash,
+        "running": status.running,
+        "workers": status.workers,
+        "seconds_left": _finite(status.seconds_left),
+        "vs_error": _finite(status.budget.total),
+        "cells": {str(kind): number for kind, number in sorted(status.counts.items())},
+        "run": run
+        and {
+            "number": status.run_number,
+            "host": run.host,
+            "ranks": run.ranks,
+            "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
+            "exit_state": hide_passwords(run.exit_state or ""),
+        },
+        "contents": [
+            {
+                "content": one.content,
+                "planned": len(one.statuses),
+                "done": one.counts.get(CellStatus.DONE, 0),
+                "pending": one.counts.get(CellStatus.PENDING, 0),
+                "mean": _finite(one.mean),
+                "sd": _finite(one.deviation),
+                "low": _finite(one.interval.low),
+                "high": _finite(one.interval.high),
+                "seconds": _finite(one.seconds_per_cell),
+                "seconds_left": _finite(one.seconds_left / status.workers),
+            }
+            for one in status.contents
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,111 @@
+"""Whoever looks at the page is told what changes; while nobody does, no database is read."""
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from anyio import to_thread
+
+from calcidem.app.serve.feed import CampaignFeed, Event
+
+T = TypeVar("T")
+
+_BETWEEN_LOOKS = 1.0
+"""Seconds between two looks at a database, at least."""
+
+_SHARE = 0.1
+"""Of the time that may be spent on reading, at most: a large campaign is looked at less often."""
+
+_SIGN_OF_LIFE = 15.0
+"""Seconds after which a browser hears something, for proxies between."""
+
+_LONGEST_QUEUE = 200
+"""Messages that a slow browser is behind; then it is told to begin anew."""
+
+
+@dataclass(eq=False)
+class Hub:
+    """Feeds of campaigns, and the browsers that listen.
+
+    Attributes
+    ----------
+    feeds
+        By the number of their campaign on the page.
+    """
+
+    feeds: Sequence[CampaignFeed]
+    _listeners: set["asyncio.Queue[str | None]"] = field(default_factory=set)
+    _wake: asyncio.Event = field(default_factory=asyncio.Event)
+    _ended: bool = False
+
+    async def watch(self) -> None:
+        """Read what is new, for as long as somebody listens; to be cancelled in the end."""
+        while not self._ended:
+            if not self._listeners:
+                self._wake.clear()
+                await self._wake.wait()
+            begin = time.monotonic()
+            await self.refresh()
+            spent = time.monotonic() - begin
+            busy = any(feed.busy for feed in self.feeds)
+            await asyncio.sleep(0.01 if busy else max(_BETWEEN_LOOKS, spent / _SHARE))
+
+    async def refresh(self) -> None:
+        """Read all databases once, and tell what is new."""
+        for feed in self.feeds:
+            for event in await _in_thread(feed.refresh):
+                self._tell(event)
+
+    async def listen(self) -> AsyncIterator[str]:
+        """Give how each campaign stands, and from then on what changes, as server-sent events."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue(_LONGEST_QUEUE)
+        self._listeners.add(queue)
+        self._wake.set()
+        try:
+            for feed in self.feeds:
+                if not feed.sequence:
+                    await _in_thread(feed.refresh)
+                yield _as_event(("status", await _in_thread(feed.status)))
+            while not self._ended:
+                try:
+                    text = await asyncio.wait_for(queue.get(), _SIGN_OF_LIFE)
+                except TimeoutError:
+                    text = ": still here\n\n"
+                if text is None:
+                    break
+                yield text
+        finally:
+            self._listeners.discard(queue)
+
+    def end(self) -> None:
+        """End all that listen."""
+        self._ended = True
+        for queue in self._listeners:
+            if queue.full():
+                queue.get_nowait()
+            queue.put_nowait(None)
+
+    def close(self) -> None:
+        """Leave all databases."""
+        for feed in self.feeds:
+            feed.close()
+
+    def _tell(self, event: Event) -> None:
+        text = _as_event(event)
+        for queue in self._listeners:
+            if queue.full():  # whoever missed a change sees a gap in the sequence, and asks for all cells
+                queue.get_nowait()
+            queue.put_nowait(text)
+
+
+async def _in_thread(read: Callable[[], T]) -> T:
+    """Read a database; nobody waits for it when the server ends."""
+    return await to_thread.run_sync(read, abandon_on_cancel=True)
+
+
+def _as_event(event: Event) -> str:
+    name, content = event
+    return f"event: {name}\ndata: {json.dumps(content, allow_nan=False)}\n\n"

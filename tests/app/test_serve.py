@@ -1,0 +1,246 @@
+"""The live page as a browser and its enemies see it: the real command, on loopback, on a real store."""
+
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CHECKOUT
+
+from calcidem.app.campaign.status import read_status
+from calcidem.app.serve.columns import CellColumns
+from calcidem.app.serve.feed import CampaignFeed
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.sql.store import open_store
+
+pytestmark = pytest.mark.slow
+
+HOSTILE = """<img src=x onerror=alert(1)>"'`&</script>"""
+SEEDS, CONTENTS = (1, 2, 3), (0.0, 5.0)
+NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000, "expected_error": 0.01}
+PATIENCE = 60.0
+
+
+def begin(database: Path, name: str = HOSTILE) -> None:
+    """Make a database of a campaign none of whose cells is computed."""
+    with open_store(database) as store:
+        store.begin_campaign(CampaignRecord(canonical_hash({}), name, "{}", CONTENTS, SEEDS, datetime.now(UTC)))
+
+
+def record(database: Path, seed: int, content: float, vs: float | None, reason: str = "") -> None:
+    """Store an outcome as another process does."""
+    status = CellStatus.FAILED if vs is None else CellStatus.DONE
+    with open_store(database) as store:
+        store.use_campaign()
+        store.record_results(
+            [CellResult(CellKey(seed, content), status, reason, vs=vs, **({} if vs is None else NUMERICS))]
+        )
+
+
+@dataclass(frozen=True)
+class Live:
+    """A running server."""
+
+    process: "subprocess.Popen[str]"
+    port: int
+    token: str
+    database: Path
+
+    def ask(
+        self, path: str, method: str = "GET", *, cookie: bool = True, **headers: str
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Give status, headers and content of an answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
+        with closing(connection):
+            known = {"Cookie": f"calcidem_{self.port}={self.token}"} if cookie else {}
+            connection.request(method, path, headers=known | headers)
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+    def events(self) -> Iterator[tuple[str, dict[str, object]]]:
+        """Give what the server tells."""
+        with socket.create_connection(("127.0.0.1", self.port), PATIENCE) as connection:
+            cookie = f"Cookie: calcidem_{self.port}={self.token}"
+            connection.sendall(f"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n{cookie}\r\n\r\n".encode())
+            with connection.makefile(encoding="utf-8") as lines:
+                name = ""
+                for line in lines:
+                    if line.startswith("event: "):
+                        name = line.removeprefix("event: ").strip()
+                    elif line.startswith("data: "):
+                        yield name, json.loads(line.removeprefix("data: "))
+
+
+def start(*arguments: str) -> "subprocess.Popen[str]":
+    """Start the command."""
+    environment = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+    command = [sys.executable, "-m", "calcidem", "serve", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """Give a server of one campaign; at a SIGTERM it ends at once, with 0 and without a word."""
+    database = tmp_path_factory.mktemp("live") / "campaign.db"
+    begin(database)
+    process = start(str(database))
+    try:
+        assert process.stdout is not None
+        address = re.fullmatch(r"Live page: http://127\.0\.0\.1:(\d+)/\?token=([\w-]{43})\n", process.stdout.readline())
+        assert address, process.communicate()
+        running = Live(process, int(address[1]), address[2], database)
+        yield running
+        listening = running.events()
+        next(listening)  # an open stream does not keep it
+        process.send_signal(signal.SIGTERM)
+        output, errors = process.communicate(timeout=5.0)
+        assert (process.returncode, output, errors) == (0, "", "")
+        assert list(database.parent.iterdir()) == [database]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_nobody_gets_in_without_the_token(live: Live) -> None:
+    """Every address answers 403 without the cookie, with a wrong token, and under a foreign name."""
+    for path in ("/", "/page.js", "/events", "/campaigns/0/records", "/campaigns/0/cell?seed=1&content=0", "/nothing"):
+        assert live.ask(path, cookie=False)[0] == 403
+        assert live.ask(path, cookie=False, Cookie=f"calcidem_{live.port}={'x' * 43}")[0] == 403
+        assert live.ask(path, Host="rebound.example")[0] == 403
+    assert live.ask("/?token=", cookie=False)[0] == 403
+    assert live.ask(f"/?token={live.token[:-1]}%C3%A9", cookie=False)[0] == 403
+    foreign = {"Origin": "http://elsewhere.example", "Sec-Fetch-Site": "cross-site"}
+    assert live.ask("/campaigns/0/movie?seed=1&content=0", "POST", **foreign)[0] == 403
+
+
+def test_the_token_opens_the_page_once_and_then_hides(live: Live) -> None:
+    """The printed address gives a cookie that no script reads, and leads to an address without the token."""
+    status, headers, _ = live.ask(f"/?token={live.token}", cookie=False)
+    assert (status, headers["location"]) == (303, "/")
+    assert headers["set-cookie"].startswith(f"calcidem_{live.port}={live.token}; HttpOnly;")
+    status, headers, text = live.ask("/")
+    assert status == 200
+    assert live.token.encode() not in text
+    assert headers["referrer-policy"] == "no-referrer"
+    assert "default-src 'none'; script-src 'self';" in headers["content-security-policy"]
+    assert live.ask("/", Host="localhost:1234")[0] == 200  # through a tunnel
+
+
+def test_a_new_cell_is_told_within_seconds(live: Live) -> None:
+    """An outcome that another process stores comes with its numbers, and the status counts it; a name stays data."""
+    listening = live.events()
+    name, told = next(listening)
+    assert (name, told["name"]) == ("status", HOSTILE)
+    assert len(unpacked(live.ask("/campaigns/0/records")[2])["seeds"]) == 3
+    record(live.database, 2, 5.0, 1234.5)
+    for name, told in listening:
+        if name == "status" and told.get("cells") == {"done": 1, "pending": 5}:
+            break
+    record(live.database, 3, 5.0, 1300.0)
+    name, told = next((name, told) for name, told in listening if name == "cells")
+    assert told["places"] == [2 * 2 + 1]
+    assert told["columns"]["vs"] == [1300.0]
+    record(live.database, 1, 0.0, None, HOSTILE)
+    told = next(told for name, told in listening if name == "status" and told["reasons"])
+    assert told["reasons"] == [{"outcome": "failed", "reason": HOSTILE, "contents": [0.0], "cells": 1}]
+    records = unpacked(live.ask("/campaigns/0/records")[2])
+    assert records["columns"]["vs"] == pytest.approx([np.nan, np.nan, np.nan, 1234.5, np.nan, 1300.0], nan_ok=True)
+    assert records["columns"]["status"] == ["failed", "", "", "done", "", "done"]
+    assert HOSTILE.encode() not in live.ask("/")[2]
+
+
+def unpacked(packed: bytes) -> dict[str, dict[str, list[object]]]:
+    """Take records apart as the browser does."""
+    length = int.from_bytes(packed[:4], "little")
+    records = json.loads(packed[4 : 4 + length])
+    count = len(records["seeds"]) * len(records["contents"])
+    types = {"Float32": "<f4", "Float64": "<f8", "Uint32": "<u4"}
+    columns = {}
+    for one in records["columns"]:
+        assert (4 + length + one["offset"]) % 8 == 0
+        values = np.frombuffer(packed, types[one["type"]], count, 4 + length + one["offset"]).tolist()
+        columns[one["name"]] = [one["texts"][value] for value in values] if one["type"] == "Uint32" else values
+    return records | {"columns": columns}
+
+
+@pytest.mark.parametrize(
+    "path", ["cell?seed=x&content=5", "cell?seed=1", "cell?seed=-1&content=5", "movie?content=nan&seed=1"]
+)
+def test_nonsense_is_refused(live: Live, path: str) -> None:
+    """What names no cell is answered with 400, another campaign or packing with 404."""
+    assert live.ask(f"/campaigns/0/{path}")[0] == 400
+    assert live.ask("/campaigns/7/records")[0] == 404
+    assert live.ask("/campaigns/0/packings/3")[0] == 404
+
+
+def test_a_port_in_use_is_refused(tmp_path: Path, invoke: Callable[..., str]) -> None:
+    """The message has option, value and cure; so has that of a database which is not there."""
+    database = tmp_path / "campaign.db"
+    begin(database)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        process = start(str(database), "--port", str(port))
+        errors = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 2
+    assert errors == f"Error: --port {port} is in use on 127.0.0.1; give another, or 0 for any that is free\n"
+    assert "less than or equal to 65535" in invoke("serve", database, "--port", "70000", exit_code=2)
+
+
+def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None:
+    """Cells that are pending again, a wider plan and a file in the place of another are seen; a status is the same."""
+    database = tmp_path / "campaign.db"
+    feed = CampaignFeed(0, str(database), None)
+    feed.refresh()
+    assert "does not exist" in feed.status()["problem"]
+    begin(database, "first")
+    record(database, 1, 5.0, None, "no memory")
+    record(database, 2, 5.0, 1000.0)
+    feed.refresh()
+    assert feed.status()["problem"] == ""
+    assert feed.status()["cells"] == read_status(database).counts == {"done": 1, "failed": 1, "pending": 4}
+    with open_store(database) as store:
+        store.use_campaign()
+        store.retry([CellStatus.FAILED])
+    feed.refresh()
+    assert feed.status()["cells"] == {"done": 1, "pending": 5}
+    with open_store(database) as store:
+        store.use_campaign()
+        store.extend((4, 5), (9.0,))
+    feed.refresh()
+    assert sum(feed.status()["cells"].values()) == 8
+    database.unlink()
+    begin(database, "second")
+    feed.refresh()
+    assert (feed.status()["name"], feed.status()["cells"]) == ("second", {"pending": 6})
+    feed.close()
+
+
+def test_columns_are_those_of_the_store(tmp_path: Path) -> None:
+    """Cells put in piece by piece are what a query of all gives, in its order."""
+    database = tmp_path / "campaign.db"
+    begin(database)
+    for seed in SEEDS:
+        record(database, seed, 5.0, 1000.0 + seed)
+    names = ("seed", "content", "status", "vs", "reason", "steps")
+    with open_store(database, read_only=True) as store:
+        store.use_campaign()
+        rows = store.table(names)
+        columns = CellColumns.empty(store.velocities(), names[2:])
+        assert columns.put(rows) == [1, 3, 5]
+    found = columns.rows(names)
+    for name in names[:4]:
+        np.testing.assert_array_equal(found[name], rows[name])
+    assert columns.put(rows) == []
+    assert columns.settled() == 3
