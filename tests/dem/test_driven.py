@@ -119,9 +119,10 @@ def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int)
         np.testing.assert_allclose(found[:90, lane], expected[:90], rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("regime", "precision"),
-    [("linear", "float64"), *(pytest.param(*kind, marks=pytest.mark.full) for kind in FULL_KINDS)],
+    [("linear", "float64"), *FULL_KINDS],
 )
 def test_a_driven_sample_gives_the_same_bits_alone_and_beside_others(regime: Regime, precision: Precision) -> None:
     """One lane alone and the same lane of eight give the same bits."""

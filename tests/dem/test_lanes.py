@@ -107,6 +107,7 @@ def test_one_lane_gives_what_eight_give() -> None:
     np.testing.assert_array_equal(narrow.velocity(), wide.velocity())
 
 
+@pytest.mark.full
 def test_single_precision_follows_double_precision() -> None:
     """In float32 the same heap moves the same to 1e-3 of its speed."""
     scene = scene_of()
