@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     __version__: str
     from calcidem import dem
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
-    from calcidem.app.campaign.packing_import import import_packing
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
     from calcidem.app.config.errors import ConfigurationError
     from calcidem.app.config.presets import PRESETS, preset_text
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.config.schema import Configuration
+    from calcidem.app.disks.packing_import import import_packing
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
     from calcidem.sweep import LaunchError, WorkersLostError
@@ -62,7 +62,7 @@ _HOMES = {
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
     "WorkersLostError": "calcidem.sweep",
-    "import_packing": "calcidem.app.campaign.packing_import",
+    "import_packing": "calcidem.app.disks.packing_import",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",

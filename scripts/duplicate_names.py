@@ -1,7 +1,7 @@
 """List names that more than one module of the package defines: one concept has one name, and one name one concept.
 
 Counted are functions, classes and constants at the top of a module, with or without an underscore before them. Left out
-are `__all__` and type variables. `tests/test_dialect.py` runs this.
+are type variables and what Python itself names, such as a module's `__getattr__`. `tests/test_dialect.py` runs this.
 """
 
 import ast
@@ -40,7 +40,7 @@ def duplicate_names(package: Path = PACKAGE) -> dict[str, list[str]]:
     modules = defaultdict(set)
     for path in package.rglob("*.py"):
         for name in defined_names(path.read_text(encoding="utf-8")):
-            if name != "__all__":
+            if not name.startswith("__"):
                 modules[name.lstrip("_")].add(str(path.relative_to(package)))
     return {name: sorted(where) for name, where in sorted(modules.items()) if len(where) > 1}
 

@@ -12,13 +12,8 @@ import tempfile
 from pathlib import Path
 
 from calcidem.app.campaign.opened import PAPER_CAMPAIGN
-from calcidem.app.campaign.packing import (
-    CACHE_VARIABLE,
-    identify_packing,
-    packing_from_bytes,
-    packing_to_bytes,
-    provide_packing,
-)
+from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, identify_packing, packing_from_bytes, packing_to_bytes
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration

@@ -24,7 +24,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import full_text, key_references, written
 from calcidem.dem import UnstableRunError
 from calcidem.dem.sample.cement import CementCapacityError
-from calcidem.dem.sample.packing_file import PackingFileError
+from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.reading import Verdict
 from calcidem.storage.records import CellStatus

@@ -17,7 +17,8 @@ from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError, CementRule
-from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.rule import WaveRule

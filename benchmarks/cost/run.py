@@ -43,8 +43,7 @@ from scenes import (
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.leapfrog import Precision
-from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.engine.state import choose_features
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure

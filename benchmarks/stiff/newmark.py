@@ -37,7 +37,7 @@ SAMPLES = 400  # in a period of the pulse
 SETTLED = 0.01  # part of the record that is left out at its start, where a spline has nothing to lean on
 
 
-def springs(state: State) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
+def springs(state: State, lane: int = 0) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
     """Stiffness matrix, force on the disks for a unit rise of the transmitter, and inertia, in memory order."""
     pairs, wall_pairs, walls, scene = (
         state.assembly.pairs,
@@ -47,7 +47,7 @@ def springs(state: State) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
     )
     radius, size = state.assembly.grains.radius, 3 * scene.count
     normal, shear, twist = (
-        k[:, 0] for k in pair_stiffness(state.assembly, state.features, scene.sand.shear_ratio, None)
+        k[:, lane] for k in pair_stiffness(state.assembly, state.features, scene.sand.shear_ratio, None)
     )
     i, j, n = pairs.first, pairs.second, pairs.geometry[:, [NORMAL_X, NORMAL_Y]]
     half = 0.5 * pairs.geometry[:, OVERLAP]

@@ -56,7 +56,7 @@ def _rotation() -> float:
 
 @check(
     "Cantilever of 8 bonds, finite displacement: deflection and rotation", source=_STATICS, tolerance=1e-5,
-    reason="the beam turns by 1e-6, which counts squared; forces are sums of 30,000 increments", quick=True,
+    reason="the beam turns by 1e-6, which counts squared; forces are sums of 30,000 increments",
 )  # fmt: skip
 def _finite_beam() -> float:
     return max(_bent("finite"))

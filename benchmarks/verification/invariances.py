@@ -192,7 +192,7 @@ def _imbalance(fraction: float) -> float:
 @check(
     "Energy of the packing: work of walls and loads = kinetic + elastic + friction + damping, at 1/50 of the critical step",
     source="first law; Hertz 2/5 F d, springs F^2 / (2 k)", tolerance=1e-4,
-    reason="second order in the step, 1e-5 here; contacts that part and meet add a little", quick=True,
+    reason="second order in the step, 1e-5 here; contacts that part and meet add a little",
 )  # fmt: skip
 def _energy() -> float:
     return abs(_imbalance(0.02))
@@ -200,7 +200,7 @@ def _energy() -> float:
 
 @check(
     "Energy of the packing: order 2 in the step, from 1/25 to 1/50", source="leapfrog", tolerance=0.3,
-    reason="where contacts begin to touch and to slide within a step the order is lower", quick=True,
+    reason="where contacts begin to touch and to slide within a step the order is lower",
 )  # fmt: skip
 def _energy_order() -> float:
     return abs(float(np.log2(_imbalance(0.04) / _imbalance(0.02))) - 2.0)
@@ -208,7 +208,7 @@ def _energy_order() -> float:
 
 @check(
     "Reciprocity: disk i answers a kick at disk j as j does one at i, 10 random pairs and components",
-    source="Maxwell and Betti; K and M are symmetric", tolerance=1e-10, reason="rounding over 400 steps", quick=True,
+    source="Maxwell and Betti; K and M are symmetric", tolerance=1e-10, reason="rounding over 400 steps",
 )  # fmt: skip
 def _reciprocal() -> float:
     scene = _scene(0.5)

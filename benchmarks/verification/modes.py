@@ -138,7 +138,7 @@ def _gapped_scenes() -> Iterator[tuple[Scene, Springs]]:
 
 @check(
     "Critical step of the packing, bare and bonded, damped or not: the reported one exceeds the exact one by",
-    source=_EIGEN, tolerance=0.0, reason="it is a bound", quick=True,
+    source=_EIGEN, tolerance=0.0, reason="it is a bound",
 )  # fmt: skip
 def _bound() -> float:
     return max(0.0, float(_limits_of_packings().max()) - 1.0)
@@ -146,7 +146,7 @@ def _bound() -> float:
 
 @check(
     "Critical step of the packing, linear: the reported one falls short of the exact one by", source=_EIGEN, tolerance=0.5,
-    reason="a bound for each disk by itself: a tight one costs nothing, a loose one costs steps", quick=True,
+    reason="a bound for each disk by itself: a tight one costs nothing, a loose one costs steps",
 )  # fmt: skip
 def _shortfall() -> float:
     return 1.0 - float(_limits_of_packings()[::2].min())  # without what the finite regime adds for impacts
@@ -154,7 +154,7 @@ def _shortfall() -> float:
 
 @check(
     "Critical step of 60 random scenes with bonds across gaps up to 2 R, kappa 0.1 to 10: exceeds the exact one by",
-    source=_EIGEN, tolerance=0.0, reason="it is a bound", quick=True,
+    source=_EIGEN, tolerance=0.0, reason="it is a bound",
 )  # fmt: skip
 def _gaps() -> float:
     worst = 0.0

@@ -66,7 +66,7 @@ _TWIN = "tests/dem/naive.py: one pair at a time, plain floats"
 
 @check(
     "Corner of the packing (30 disks, damping, loads, moving wall): kernel against its slow twin, sand", source=_TWIN,
-    tolerance=1e-7, reason="rounding of overlaps, stretched by impacts; order of sums", quick=True,
+    tolerance=1e-7, reason="rounding of overlaps, stretched by impacts; order of sums",
 )  # fmt: skip
 def _sand() -> float:
     return _worst(bonded=False, regime="finite")
@@ -74,7 +74,7 @@ def _sand() -> float:
 
 @check(
     "Corner of the packing: kernel against its slow twin, half of it cemented with linear groups, bonds that break",
-    source=_TWIN, tolerance=1e-7, reason="as above; the approach in a step is taken to second order in its turn", quick=True,
+    source=_TWIN, tolerance=1e-7, reason="as above; the approach in a step is taken to second order in its turn",
 )  # fmt: skip
 def _cemented() -> float:
     return _worst(bonded=True, regime="finite")
@@ -82,7 +82,7 @@ def _cemented() -> float:
 
 @check(
     "Corner of the packing: kernel against its slow twin, cemented, linear", source=_TWIN, tolerance=1e-10,
-    reason="order of sums", quick=True,
+    reason="order of sums",
 )  # fmt: skip
 def _linear() -> float:
     return _worst(bonded=True, regime="linear")

@@ -1,7 +1,7 @@
 """Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -180,10 +180,9 @@ class CampaignAnalysis:
     @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
         """All computed cells of these seeds whose cement pattern is stored, by seed, then content."""
-        samples = tuple(self._read_samples())
-        if not samples:
+        if not self._read_samples:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
-        return samples
+        return self._read_samples
 
     @cached_property
     def table(self) -> xr.Dataset:
@@ -249,9 +248,9 @@ class CampaignAnalysis:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
 
-    def outcomes_of(self, selection: Selection) -> Iterator[CellResult]:
-        """Give the outcomes of the selected cells with their arrays and, where it can be known, their cement."""
-        return self.with_cement(self.store, self.store.results(selection, with_arrays=True))
+    def outcomes_of(self, selection: Selection, arrays: bool | Collection[str] = True) -> Iterator[CellResult]:
+        """Give the outcomes of the selected cells with these of their arrays and, where it is known, their cement."""
+        return self.with_cement(self.store, self.store.results(selection, with_arrays=arrays))
 
     def cell(self, seed: int, content: float) -> CellResult:
         """Give one of these; raises `UnknownCellError` if the cell has no outcome."""
@@ -281,7 +280,7 @@ class CampaignAnalysis:
             column = self.cells.sel(content=row.content)
             with suppress(ValueError):  # too few sections
                 done = Selection(contents=row.content, statuses=CellStatus.DONE)
-                spectrum = dispersion_of_cells(self.store.results(done, with_arrays=True))
+                spectrum = dispersion_of_cells(self.store.results(done, with_arrays=("section",)))
                 medians = (median_known(column[name]) for name in ("vs", "static_speed"))
                 found.append(ContentDispersion(row.content, spectrum, *medians))
         if not found:
@@ -309,11 +308,11 @@ class CampaignAnalysis:
             raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
         return [self.store.packing(index) for index in indices]
 
-    def _read_samples(self) -> Iterator[MeasuredSample]:
+    @cached_property
+    def _read_samples(self) -> tuple[MeasuredSample, ...]:
+        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
         with _translate_refusals():
-            for cell in self.outcomes_of(Selection(self.analysed_seeds)):
-                if cell.cement is not None:
-                    yield self._sample(cell, cell.cement)
+            return tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
 
     def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]

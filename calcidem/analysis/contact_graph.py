@@ -197,6 +197,37 @@ def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWe
     return PreferentialPath(tuple(grains), tuple(kinds))
 
 
+def contacts_on_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> tuple[int, int]:
+    """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
+
+    Parameters
+    ----------
+    graph, bonded, weights
+        As in `preferential_path`, which raises the same errors and takes twice as long.
+    """
+    if weights.bond == weights.hertz:  # a length does not tell what made it
+        path = preferential_path(graph, bonded, weights)
+        return path.hertz_contacts, path.bonded_contacts
+    lengths = graph.matrix(bonded, weights)
+    distance, onward, _ = dijkstra(
+        lengths, directed=True, indices=graph.receiver, min_only=True, return_predecessors=True
+    )
+    grain = int(graph.transmitter[np.argmin(distance[graph.transmitter])])
+    _refuse_apart(distance[grain])
+    chain, following = [grain], onward.tolist()
+    while distance[chain[-1]] > 0:
+        chain.append(following[chain[-1]])
+    steps = -np.diff(distance[chain])
+    cemented = int(np.count_nonzero(np.abs(steps - weights.bond) < np.abs(steps - weights.hertz)))
+    return len(steps) - cemented, cemented
+
+
+def _refuse_apart(shortest: float) -> None:
+    """Raise a `ValueError` unless the length of the shortest path is finite."""
+    if not np.isfinite(shortest):
+        raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
+
+
 def mean_longest_bonded_run(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> float:
     """Give the mean, over all shortest paths, of the longest run of cemented contacts on a path.
 
@@ -266,8 +297,7 @@ class _ShortestWays:
         lengths = graph.matrix(bonded, weights)
         distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
         shortest = distance[graph.transmitter].min()
-        if not np.isfinite(shortest):
-            raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
+        _refuse_apart(shortest)
         slack = _RELATIVE_TIE * shortest
         starts = graph.transmitter[distance[graph.transmitter] <= shortest + slack]
         return cls(distance, tuple(starts.tolist()), lengths, bonded[graph.entry_contacts], slack)

@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
 from calcidem.analysis.intervals import (
     Interval,
     mean,
@@ -226,3 +227,22 @@ def _numbers(value: object, *names: str) -> list[float]:
 
 def _unit(name: str) -> str:
     return "m/s" if name.startswith(("mean", "standard_deviation", "prediction")) else "1"
+
+
+def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
+    """Arrange the error budgets of the contents of a campaign along content."""
+    budgets = [error_budget({name: cells[name].sel(content=c) for name in BUDGET_QUANTITIES}) for c in cells["content"]]
+    named = {
+        "vs_error": ("1", "median relative standard error of vs", [one.total for one in budgets]),
+        "reading_error": ("1", "median relative standard error of vs by the reading", [one.reading for one in budgets]),
+        "numerical_error": (
+            *("1", "median relative standard error of vs by the simulation"),
+            [one.numerical for one in budgets],
+        ),
+        "reading_scatter": ("m/s", "root mean square of the reading errors", [one.scatter for one in budgets]),
+        "departing": ("1", "cells whose path_vs departs from vs", [one.departing for one in budgets]),
+    }
+    return xr.Dataset(
+        {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},
+        coords={"content": cells["content"]},
+    )

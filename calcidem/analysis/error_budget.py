@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from calcidem.storage.records.error_budget import departs
@@ -37,7 +36,7 @@ class ErrorBudget:
     departing: int
 
 
-def error_budget(cells: Mapping[Any, ArrayLike | xr.DataArray]) -> ErrorBudget:
+def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
     """Sum up the errors of some cells.
 
     Parameters
@@ -58,30 +57,11 @@ def error_budget(cells: Mapping[Any, ArrayLike | xr.DataArray]) -> ErrorBudget:
     )
 
 
-def median_known(given: ArrayLike | xr.DataArray) -> float:
+def median_known(given: ArrayLike) -> float:
     """Median of the finite values, NaN without any."""
     values = np.asarray(given, dtype=float)
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else np.nan
-
-
-def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
-    """Arrange the error budgets of the contents of a campaign along content."""
-    budgets = [error_budget({name: cells[name].sel(content=c) for name in BUDGET_QUANTITIES}) for c in cells["content"]]
-    named = {
-        "vs_error": ("1", "median relative standard error of vs", [one.total for one in budgets]),
-        "reading_error": ("1", "median relative standard error of vs by the reading", [one.reading for one in budgets]),
-        "numerical_error": (
-            *("1", "median relative standard error of vs by the simulation"),
-            [one.numerical for one in budgets],
-        ),
-        "reading_scatter": ("m/s", "root mean square of the reading errors", [one.scatter for one in budgets]),
-        "departing": ("1", "cells whose path_vs departs from vs", [one.departing for one in budgets]),
-    }
-    return xr.Dataset(
-        {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},
-        coords={"content": cells["content"]},
-    )
 
 
 def budget_text(budget: ErrorBudget) -> str:

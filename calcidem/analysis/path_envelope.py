@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.connectivity import ContactWeights
-from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path
 
 
 class PathLine(NamedTuple):
@@ -104,8 +104,7 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
     mask = np.asarray(bonded, dtype=np.bool_)
 
     def shortest(ratio: float) -> PathLine:
-        path = preferential_path(graph, mask, ContactWeights.from_ratio(ratio))
-        return PathLine(path.hertz_contacts, path.bonded_contacts)
+        return PathLine(*contacts_on_path(graph, mask, ContactWeights.from_ratio(ratio)))
 
     def between(left: PathLine, right: PathLine) -> list[PathLine]:
         if left == right or not low < _corner(left, right) < high:

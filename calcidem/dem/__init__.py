@@ -7,25 +7,29 @@ The rooms: ``kernels`` holds the compiled loop and the contact laws, ``engine`` 
 states, ``sample`` makes packings and cements them, ``wave`` sends a pulse through a sample and picks its arrival.
 """
 
-from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.readout import (
-    ContactForces,
-    Energies,
-    WallForces,
-    contact_forces,
-    energies,
-    net_forces,
-    overlaps,
-    unbalanced_ratio,
-    wall_contacts,
-    wall_overlaps,
-    wall_reactions,
-)
-from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
-from calcidem.dem.engine.stability import critical_time_step
-from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.engine.step_control import UnstableRunError
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calcidem.dem.engine.leapfrog import State
+    from calcidem.dem.engine.material import Cement, Sand
+    from calcidem.dem.engine.readout import (
+        ContactForces,
+        Energies,
+        WallForces,
+        contact_forces,
+        energies,
+        net_forces,
+        overlaps,
+        unbalanced_ratio,
+        wall_contacts,
+        wall_overlaps,
+        wall_reactions,
+    )
+    from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+    from calcidem.dem.engine.stability import critical_time_step
+    from calcidem.dem.engine.state import advance, choose_features, start
+    from calcidem.dem.engine.step_control import UnstableRunError
 
 __all__ = [
     "Bonds",
@@ -52,3 +56,41 @@ __all__ = [
     "wall_overlaps",
     "wall_reactions",
 ]
+
+_MODULES = {
+    "Bonds": "calcidem.dem.engine.scene",
+    "Cement": "calcidem.dem.engine.material",
+    "ContactForces": "calcidem.dem.engine.readout",
+    "Energies": "calcidem.dem.engine.readout",
+    "Preload": "calcidem.dem.engine.scene",
+    "Sand": "calcidem.dem.engine.material",
+    "Scene": "calcidem.dem.engine.scene",
+    "State": "calcidem.dem.engine.leapfrog",
+    "UnstableRunError": "calcidem.dem.engine.step_control",
+    "Wall": "calcidem.dem.engine.scene",
+    "WallForces": "calcidem.dem.engine.readout",
+    "advance": "calcidem.dem.engine.state",
+    "choose_features": "calcidem.dem.engine.state",
+    "contact_forces": "calcidem.dem.engine.readout",
+    "critical_time_step": "calcidem.dem.engine.stability",
+    "energies": "calcidem.dem.engine.readout",
+    "net_forces": "calcidem.dem.engine.readout",
+    "overlaps": "calcidem.dem.engine.readout",
+    "start": "calcidem.dem.engine.state",
+    "unbalanced_ratio": "calcidem.dem.engine.readout",
+    "wall_contacts": "calcidem.dem.engine.readout",
+    "wall_overlaps": "calcidem.dem.engine.readout",
+    "wall_reactions": "calcidem.dem.engine.readout",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import on first use: whoever needs a rule or a packing as data does not wait for the engine."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'calcidem.dem' has no attribute '{name}'")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Names of what there is, imported or not."""
+    return sorted({*(name for name in globals() if name.startswith("_")), *__all__})

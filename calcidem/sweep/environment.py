@@ -17,6 +17,9 @@ LAUNCHER_VARIABLES = {
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Must be 1 before numpy is imported: each rank has one core, threads would fight for it."""
 
+TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
+"""Tells the ranks the columns of the terminal that reads them; not set if none does."""
+
 NO_DEVICE_SEARCH = {"OMPI_MCA_btl": "^ofi"}
 """Where nothing else is said: Open MPI's search for devices for one-sided messages, of which there are none here, takes
 a second."""

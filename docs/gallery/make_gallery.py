@@ -9,8 +9,7 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report import write_report
-from calcidem.app.report.page import key_facts
+from calcidem.app.report.page import key_facts, write_report
 from calcidem.app.report.provenance import CHOSEN, value_text
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.records.canonical import flat_parameters

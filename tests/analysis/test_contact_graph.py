@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, mean_longest_bonded_run, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path, mean_longest_bonded_run, preferential_path
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 PHYSICAL = ContactWeights(0.475, 0.328)
@@ -25,6 +25,16 @@ def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
     assert path.grains == (5, 6, 7, 8, 9)
     assert path.bonded == (True, True, False, True)
     assert (path.hertz_contacts, path.bonded_contacts) == (1, 3)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
+def test_contacts_are_counted_as_on_the_path(drawn_sample: Sample, ratio: float) -> None:
+    """The counts alone are those of the path, also where cement and sand have the same weight."""
+    weights = ContactWeights.from_ratio(ratio)
+    path = preferential_path(*drawn_sample, weights)
+    counted = contacts_on_path(*drawn_sample, weights)
+    assert connectivity(*counted, weights) == connectivity(path.hertz_contacts, path.bonded_contacts, weights)
+    assert counted == (path.hertz_contacts, path.bonded_contacts)
 
 
 def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:

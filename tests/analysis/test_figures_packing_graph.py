@@ -7,13 +7,13 @@ import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.packing import _stored_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.storage.records import CementPattern
 
 
 def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalysis) -> None:
     """Found again from positions and radii, the contacts are those that the packing was made with."""
-    made = np.sort(_stored_packing(analysis.store.packing()).pairs, axis=1)
+    made = np.sort(stored_packing(analysis.store.packing()).pairs, axis=1)
     found = analysis.graphs[0].graph.pairs
     assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
 

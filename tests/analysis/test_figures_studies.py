@@ -9,7 +9,7 @@ import xarray as xr
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import _stored_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.frequency_and_damping import _damping_study, _frequency_study, _pulse_frequency
 from calcidem.dem.wave.experiment import Experiment
@@ -25,7 +25,7 @@ SEEDS = (1, 2, 3, 4, 5)
 def experiment(small_database: Path) -> Experiment:
     """Experiment of the small campaign."""
     with open_campaign(small_database) as campaign:
-        return Configuration.from_physics(campaign.config).experiment(_stored_packing(campaign.packing()))
+        return Configuration.from_physics(campaign.config).experiment(stored_packing(campaign.packing()))
 
 
 @pytest.fixture(scope="module")

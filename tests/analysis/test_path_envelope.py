@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis import path_envelope as module
 from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path, preferential_path
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine, path_envelope
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
@@ -85,9 +85,9 @@ def test_few_searches_are_needed(random_sample: Callable[..., Sample], monkeypat
     def counted(*arguments: object) -> object:
         nonlocal searches
         searches += 1
-        return preferential_path(*arguments)  # type: ignore[arg-type]
+        return contacts_on_path(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "preferential_path", counted)
+    monkeypatch.setattr(module, "contacts_on_path", counted)
     envelope = path_envelope(*random_sample(1, 800, share=0.2))
     assert searches <= 2 * len(envelope.lines) + 1
 

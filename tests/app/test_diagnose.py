@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calcidem.analysis.outcomes import _bias_of_failed, is_in_doubt
+from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import diagnose
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import new_packing, packing_record
+from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.remedies import Case, Remedy, explain_refusal, look_at_packing
 from calcidem.app.campaign.remedy_trials import RemedyTrial, TrialOutcome, rank_trials
+from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.changed import change_configuration

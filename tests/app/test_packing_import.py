@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing_import import ImportedPacking, import_packing
 from calcidem.app.campaign.run import run
 from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.app.disks.packing_import import ImportedPacking, import_packing
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.packing_file import PackingFileError, _read_disks
+from calcidem.dem.sample.packing import Packing, PackingFileError
+from calcidem.dem.sample.packing_file import _read_disks
 
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 sys.path.append(str(PEERS))
@@ -255,7 +255,7 @@ lanes = 2
 """
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_campaign_computes_on_an_imported_packing(
     small_packing: Packing, invoke: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,17 +13,16 @@ from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
 from calcidem.app.campaign.opened import PAPER_CAMPAIGN
-from calcidem.app.campaign.packing import (
+from calcidem.app.campaign.packing import _cached_name, provide_packing
+from calcidem.app.campaign.stored_packing import (
     DamagedPackingError,
-    _cached_name,
-    _stored_packing,
     cache_folder,
     identify_packing,
     packing_from_bytes,
     packing_record,
     packing_to_bytes,
-    provide_packing,
     readable_packing,
+    stored_packing,
 )
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
@@ -75,7 +74,7 @@ def test_an_archive_gives_the_same_bits_back(packing: Packing) -> None:
 def test_a_record_gives_the_same_bits_back(packing: Packing) -> None:
     """What the database keeps of a packing is enough to restore it."""
     record = packing_record(packing, index=0, packing_hash="h")
-    assert same_bits(_stored_packing(record), packing)
+    assert same_bits(stored_packing(record), packing)
     assert record.wall_stress["lid"] == packing.report.wall_stress[3]
     # The store's overlaps are relative to the mean diameter.
     assert record.mean_relative_overlap == pytest.approx(packing.report.mean_overlap / (2.0 * packing.radius.mean()))
@@ -180,7 +179,7 @@ def test_a_damaged_state_is_replaced_by_the_same_packing(store: Store, told: lis
     assert "the one in the database has been replaced" in told[-1]
     record = store.packing()
     assert record is not None
-    assert same_bits(_stored_packing(record), packing)
+    assert same_bits(stored_packing(record), packing)
 
 
 @pytest.mark.parametrize("column", ["grains", "width", "state"])
@@ -198,7 +197,7 @@ def test_a_changed_row_is_replaced_by_the_same_packing(
     assert "the one in the database has been replaced" in told[-1]
     record = store.packing()
     assert record is not None
-    assert same_bits(_stored_packing(record), packing)
+    assert same_bits(stored_packing(record), packing)
 
 
 def test_a_damaged_state_is_not_replaced_by_another_packing(store: Store, told: list[str], packing: Packing) -> None:

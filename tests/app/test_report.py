@@ -17,10 +17,14 @@ from places import TUTORIAL
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report import analyse, cell_data, show_cell, write_report
+from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
+from calcidem.app.report.cell_figures import draw_cell
 from calcidem.app.report.comparison import disagreement_table, published_table
+from calcidem.app.report.folder import analyse
+from calcidem.app.report.one_cell import describe_cell
+from calcidem.app.report.page import write_report
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.wording import decimal, probability, significant, time_span
@@ -30,6 +34,9 @@ from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
 
 pytestmark = pytest.mark.slow
+
+ROOM = 10_000_000
+"""Bytes that hold every cell of a small campaign."""
 
 VOID = {"meta", "link", "img", "br", "input"}
 """A campaign on the published sand; the small one is on a sand of its own."""
@@ -82,8 +89,10 @@ def test_page_has_every_figure_or_says_why_not(page: str) -> None:
     for entry in CAMPAIGN_FIGURES:
         block = re.search(rf'<figure id="figure-{entry.name}">(.*?)</figure>', page, re.DOTALL)
         assert block
-        assert 'src="data:image/' in block[1] or "Not drawn: " in block[1]
-    assert page.count('src="data:image/') == len(CAMPAIGN_FIGURES)
+        assert "<img" in block[1] or "Not drawn: " in block[1]
+    packed = set(re.findall(r'data-packed="([^"]+)"', page))
+    assert page.count('src="data:image/') + len(packed) == len(CAMPAIGN_FIGURES)
+    assert packed <= set(re.findall(r'<script type="application/octet-stream" id="([^"]+)"', page))
 
 
 def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: Path) -> None:
@@ -125,7 +134,7 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     """Signals to a step of the screen, arrivals, paths and every cemented contact come back from the page's blocks."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        blocks = gather_cell_data(analysis).blocks
+        blocks = gather_cell_data(analysis, ROOM).blocks
         done = list(campaign.select(status="done", with_arrays=True))
         cell = max(done, key=lambda cell: cell.key.content)
         seed_number, content = cell.key.seed, cell.key.content
@@ -157,7 +166,7 @@ def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) 
     """Traces come back to a step of the drawing, and the marked peak has the travel time of the stored velocity."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        blocks = gather_cell_data(analysis).blocks
+        blocks = gather_cell_data(analysis, ROOM).blocks
         cell = next(cell for cell in campaign.select(status="done", with_arrays=True) if cell.section is not None)
     assert cell.section is not None
     sections = json.loads(zlib.decompress(b64decode(blocks[f"sections-{cell.key.seed}"])))
@@ -173,15 +182,16 @@ def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) 
     assert max(len(text) for name, text in blocks.items() if name.startswith("sections-")) < 6 * 3000
 
 
-def test_sections_end_where_the_page_is_full(small_database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the room for sections later seeds have none, and the page says where they are drawn."""
-    monkeypatch.setattr(cell_data, "_ROOM_FOR_SECTIONS", 12_000)
+def test_sections_end_where_the_page_is_full(small_database: Path) -> None:
+    """What is left of the page is for sections: later seeds have none, and the page says where they are drawn."""
     with open_campaign(small_database) as campaign:
-        found = gather_cell_data(campaign.analyse())
-    kept = [text for name, text in found.blocks.items() if name.startswith("sections-")]
-    assert sum(map(len, kept)) <= 12_000
-    assert f"Space-time sections of the first {len(kept)} seeds" in found.remarks[-1]
-    assert 0 < len(kept) < 6
+        analysis = campaign.analyse()
+        whole = gather_cell_data(analysis, ROOM).blocks
+        sections = [name for name in whole if name.startswith("sections-")]
+        room = sum(map(len, whole.values())) - len(whole[sections[-1]])
+        found = gather_cell_data(analysis, room)
+    assert list(found.blocks) == [name for name in whole if name != sections[-1]]
+    assert f"Space-time sections of the first {len(sections) - 1} seeds" in found.remarks[-1]
 
 
 def test_large_campaigns_leave_out_what_a_page_cannot_hold(
@@ -189,16 +199,18 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
 ) -> None:
     """Beyond the limits a page has fewer quantities and samples of fewer seeds, and says so."""
     monkeypatch.setattr(cell_data, "MOST_FULL_RECORDS", 10)
-    monkeypatch.setattr(cell_data, "_ROOM_FOR_SAMPLES", 20_000)
     with open_campaign(small_database) as campaign:
-        found = gather_cell_data(campaign.analyse())
+        analysis = campaign.analyse()
+        whole = gather_cell_data(analysis, ROOM).blocks
+        always = sum(len(text) for name, text in whole.items() if not name.startswith(("seed-", "sections-")))
+        room = always + len(whole["seed-1"]) + len(whole["seed-2"])
+        found = gather_cell_data(analysis, room)
         analysis = campaign.analyse(most_samples=12)
         assert {sample.seed for sample in analysis.samples} == set(analysis.analysed_seeds) == {1, 2}
-    shown = [name for name in found.blocks if name.startswith("seed-")]
-    assert 0 < len(shown) < 6
-    assert sum(len(found.blocks[name]) for name in shown) <= 20_000
+    assert [name for name in found.blocks if name.startswith("seed-")] == ["seed-1", "seed-2"]
+    assert sum(map(len, found.blocks.values())) <= room
     assert found.remarks[0].startswith("Of each of the 36 cells only 6 quantities")
-    assert found.remarks[1].startswith(f"Signals and samples of {len(shown)} of 6 seeds")
+    assert found.remarks[1].startswith("Signals and samples of 2 of 6 seeds")
 
 
 def test_published_table_stands_beside_the_published_sand() -> None:
@@ -264,20 +276,21 @@ def test_no_table_that_analyse_writes_holds_a_formula(
 
 def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path) -> None:
     """A cell is described by its quantities and drawn with cement, path and signals."""
-    table, files = show_cell(small_database, 1, 0.66, tmp_path)
+    table = describe_cell(small_database, 1, 0.66)
+    files = draw_cell(small_database, 1, 0.66, tmp_path)
     assert dict(table.rows)["outcome of the cell"] == "done"
     assert {file.name for file in files if file.suffix == ".png"} == {
         f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals")
     }
     with pytest.raises(UnknownCellError):
-        show_cell(small_database, 6, 0.34)
+        describe_cell(small_database, 6, 0.34)
 
 
 def test_failed_cell_is_shown_without_pictures(small_database: Path, tmp_path: Path) -> None:
     """A cell without cement and signal is described by its reason."""
-    table, files = show_cell(small_database, 6, 9.0, tmp_path)
+    table = describe_cell(small_database, 6, 9.0)
     assert ("why the outcome is what it is", "the worker ran out of memory") in table.rows
-    assert files == []
+    assert draw_cell(small_database, 6, 9.0, tmp_path) == []
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from chromium import Chromium, find_chromium, open_chromium
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report import write_report
+from calcidem.app.report.page import write_report
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store

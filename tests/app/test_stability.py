@@ -28,7 +28,8 @@ pytestmark = pytest.mark.slow
 SCENES = 512
 
 
-@pytest.mark.parametrize("scenes", [SCENES // 32, pytest.param(SCENES, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("scenes", [SCENES // 32, SCENES])
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
     judgements = [judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
@@ -42,11 +43,13 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
-def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
+@pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
+def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    judgements = [judge_scene(scene) for scene in draw_scenes(40, seed=3, box="plausible")]
+    scenes = [scene for scene in draw_scenes(40, seed=3, box="plausible") if scene.regime in regimes]
+    judgements = [judge_scene(scene) for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
-    assert sum(judgement.error is not None for judgement in judgements) >= 15
+    assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
 
 
 @pytest.mark.full
@@ -64,6 +67,7 @@ def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
 
 
+@pytest.mark.full
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
     """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
     caught = _force_step(1.05, "linear")

@@ -16,6 +16,7 @@ SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what 
 
 # Each combination of features is compiled once, some seconds each, so tests share a few.
 HERTZ = Features(search=True)
+SERVO = Features(search=True, servo=True)
 ACCOUNT = Features(search=True, account=True)
 BONDED = Features(bonds=True, breakage=True, search=True)
 GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True)

@@ -128,6 +128,7 @@ def test_a_broken_bond_leaves_the_linear_group() -> None:
     assert not len(contact_forces(advance(state, 1000)).pairs)
 
 
+@pytest.mark.full
 def test_bonds_break_in_the_lanes_that_are_strained() -> None:
     """Each lane has its own bonds: pulling one lane apart leaves the others whole."""
     scene = pair_scene(sand=SOFT, bonds=Bonds(PAIRS, WEAK), held=HELD)

@@ -9,8 +9,8 @@ from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble,
 
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.bundles import plan_bundles
-from calcidem.dem.engine.leapfrog import Precision, State
-from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.scene import Precision, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features
 

@@ -53,6 +53,7 @@ def lattice_experiment(columns: float) -> Experiment:
     return Experiment(packing, sand=SOFT, wave=wave, frequencies=frequencies)
 
 
+@pytest.mark.full
 def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> None:
     """From 5 to 22 % of the width: within 1 % of each other and 6 % of theory; over the width they differ by 10 %."""
     measured = [measure(lattice_experiment(columns), 0.0, [1])[0] for columns in (1, 3, 5, 7)]
@@ -63,6 +64,19 @@ def test_the_velocity_of_a_lattice_does_not_depend_on_how_deep_is_listened() -> 
     np.testing.assert_allclose(velocity, shear_speed(), rtol=0.06)
     over_width = velocity * square_lattice().width / np.array([found.record.section.distance for found in measured])
     assert np.ptp(over_width) > 0.1 * shear_speed()
+
+
+@pytest.mark.full
+def test_a_velocity_is_the_distance_over_the_travel_time() -> None:
+    """The distance is that of the experiment, and the places of the section are its places."""
+    experiment = lattice_experiment(3)
+    found = measure(experiment, 0.0, [1])[0]
+    assert found.vs is not None
+    assert found.result.reading is not None
+    assert found.result.reading.arrival is not None
+    assert found.record.section.places == experiment.places
+    travel_time = found.result.reading.arrival.travel_time
+    assert found.vs * travel_time == pytest.approx(experiment.distance, rel=1e-14)
 
 
 def test_the_distance_is_the_mean_place_of_what_is_listened_to(small_packing: Packing) -> None:
@@ -77,13 +91,6 @@ def test_the_distance_is_the_mean_place_of_what_is_listened_to(small_packing: Pa
     assert experiment.distance == pytest.approx(sum(heard) / len(heard), rel=1e-14)
     assert 0.024 < experiment.distance < 0.0288  # at least the smallest radius from the wall
     assert (np.diff(experiment.places) > 0.0).all()
-    found = measure(lattice_experiment(3), 0.0, [1])[0]
-    assert found.vs is not None
-    assert found.result.reading is not None
-    assert found.result.reading.arrival is not None
-    assert found.record.section.places == lattice_experiment(3).places
-    distance = lattice_experiment(3).distance
-    assert found.vs * found.result.reading.arrival.travel_time == pytest.approx(distance, rel=1e-14)
 
 
 def test_driven_disks_send_a_wave_from_where_they_are(small_packing: Packing) -> None:

@@ -10,7 +10,8 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.step_control import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
-from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.domain import domain_of, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Outcome, measure

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_stiffness, jumble, throw
 
-from calcidem.dem.engine.leapfrog import Precision, State, run_in_place
+from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import energies, overlaps, wall_overlaps
-from calcidem.dem.engine.scene import Regime, Scene, Wall
+from calcidem.dem.engine.scene import Precision, Regime, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
@@ -103,6 +103,7 @@ def rolling_row(drive: Floats, courant: float, heard: int) -> Floats:
     return np.asarray(velocity * growth ** np.arange(len(drive)))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("heard", [1, 4, 15])
 def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int) -> None:
     """A disk held in x and in rotation and driven across its row makes the others roll as theory says."""
@@ -118,9 +119,10 @@ def test_a_driven_end_of_a_row_sends_the_shear_wave_of_rolling_disks(heard: int)
         np.testing.assert_allclose(found[:90, lane], expected[:90], rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("regime", "precision"),
-    [("linear", "float64"), *(pytest.param(*kind, marks=pytest.mark.full) for kind in FULL_KINDS)],
+    [("linear", "float64"), *FULL_KINDS],
 )
 def test_a_driven_sample_gives_the_same_bits_alone_and_beside_others(regime: Regime, precision: Precision) -> None:
     """One lane alone and the same lane of eight give the same bits."""
@@ -160,10 +162,8 @@ def test_the_power_put_in_by_driven_disks_is_the_energy_gained_and_lost() -> Non
     assert np.log(abs(coarse / fine)) / np.log(8.0) > 0.9  # first order: first touches, and slopes of slip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "regime", ["finite", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("small", "linear"))]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("regime", ["finite", "small", "linear"])
 def test_driven_disks_move_a_heap_as_in_its_slow_twin(regime: Regime) -> None:
     """Disks that follow a drive beside one another, in a bonded heap with friction, are those of a plain loop."""
     driven = [2, 7]

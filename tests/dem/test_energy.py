@@ -5,11 +5,14 @@ import pytest
 from scenes import ACCOUNT, RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Preload, Scene, Wall
-from calcidem.dem.engine.state import advance, start
+from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.scene import wave_scene
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:
@@ -76,6 +79,7 @@ def test_shear_rescaling_keeps_a_cycle_of_loading_and_sliding_from_creating_ener
     assert energies(state).wall_work == pytest.approx(-expected, rel=1e-2)
 
 
+@pytest.mark.full
 def test_the_account_knows_the_energy_that_mode_0_creates() -> None:
     """Contact losses are positive in mode 1 and negative in mode 0; the balance closes in both.
 
@@ -137,3 +141,27 @@ def test_energy_balances_from_time_zero_where_friction_cuts_the_forces_at_the_st
     assert begun.contact_loss > 0.05 * begun.elastic
     # At a tenth of the limit the balance of this heap is good to 2e-5 with forces that friction allows.
     assert change_from_the_start(scene, features, preload) < 1e-3
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("share_bonded", [0.0, 0.3])
+def test_energy_balances_in_a_packing_whose_friction_or_cement_is_too_weak(
+    small_packing: Packing, friction: float, share_bonded: float
+) -> None:
+    """At the default step, in a packing made with more friction, and with bonds that break under what they carry."""
+    drawn = np.random.default_rng(1).random(len(small_packing.pairs)) < share_bonded
+    weak = Cement(tensile_strength=1e3, cohesion=1e3)
+    bonds = Bonds(small_packing.pairs[drawn], weak) if share_bonded else None
+    rule = WaveRule(damping=0.0, boundary_thickness=0.012)
+    scene = wave_scene(small_packing, replace(Sand(), friction=friction), rule, bonds)
+    state = start(scene, features=choose_features(scene, "finite", account=True), preload=small_packing.preload)
+    first = energies(state)
+    for _ in range(4):
+        state = advance(state, 125)
+        now = energies(state)
+        # 2e-4 where friction is missing everywhere and all grains move, 1e-5 and less elsewhere.
+        assert abs(now.imbalance - first.imbalance) < 1e-3 * (first.elastic + abs(first.contact_loss))
+    if friction < 0.2 or share_bonded:
+        assert abs(first.contact_loss) > 3e-3 * first.elastic
+        assert now.kinetic > 1e-4 * first.elastic

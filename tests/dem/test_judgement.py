@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Preload
+from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.judgement import _densest_cover, _expected_overlap, deepest_overlap, judge_disks, judge_stress
-from calcidem.dem.sample.packing import Packing, PackingRule, make_packing
+from calcidem.dem.sample.packing import Packing, PackingRule
 
 SMALL = 1.0e-3
 """Mean diameter, m."""
@@ -39,6 +41,19 @@ def test_a_crushed_packing_is_refused_with_a_stress_that_would_do() -> None:
     deep = replace(crushed, radius=crushed.radius - (largest(crushed) - 0.08) / 2.0 * crushed.radius.min())
     warning = next(fault for fault in judge_disks(deep, sand) if fault.key == "stress")
     assert not warning.refused
+
+
+def test_a_disk_pressed_into_a_wall_counts(small_packing: Packing) -> None:
+    """As a disk pressed into another one does."""
+    assert judge_disks(small_packing, Sand()) == ()
+    lowest = int(np.argmin(small_packing.y))
+    y = small_packing.y.copy()
+    y[lowest] = 0.88 * small_packing.radius[lowest]
+    apart = small_packing.pairs[(small_packing.pairs != lowest).all(axis=1)]
+    pressed = replace(small_packing, y=y, preload=Preload(apart, np.zeros(len(apart))))
+    (fault,) = judge_disks(pressed, Sand())
+    assert fault.refused
+    assert "12.0% of a radius" in fault.text
 
 
 def test_a_stress_that_crushes_is_known_beforehand() -> None:

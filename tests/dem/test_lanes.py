@@ -5,8 +5,8 @@ import pytest
 from scenes import GROUPED, jumble, throw
 
 from calcidem.dem.engine import leapfrog
-from calcidem.dem.engine.leapfrog import Precision, State
-from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.scene import Bonds, Precision, Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.kernels.features import Features
@@ -65,7 +65,8 @@ def lane_bytes(state: State, lane: int) -> list[bytes]:
 
 
 @pytest.mark.parametrize(
-    ("lane", "features"), [(0, EIGHT), (3, EIGHT), (7, EIGHT), (3, replace(EIGHT, linear_group=False))]
+    ("lane", "features"),
+    [(0, EIGHT), (3, EIGHT), (7, EIGHT), pytest.param(3, replace(EIGHT, linear_group=False), marks=pytest.mark.full)],
 )
 def test_the_bits_of_a_lane_depend_neither_on_its_place_nor_on_the_other_lanes(lane: int, features: Features) -> None:
     """A sample gives the same bits alone in a batch, in any lane, and beside samples that are all different."""
@@ -106,6 +107,7 @@ def test_one_lane_gives_what_eight_give() -> None:
     np.testing.assert_array_equal(narrow.velocity(), wide.velocity())
 
 
+@pytest.mark.full
 def test_single_precision_follows_double_precision() -> None:
     """In float32 the same heap moves the same to 1e-3 of its speed."""
     scene = scene_of()

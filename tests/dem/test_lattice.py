@@ -56,6 +56,7 @@ def signals(state: State, disk: int, duration: float) -> Floats:
     return np.array(history)
 
 
+@pytest.mark.full
 def test_waves_in_a_hexagonal_lattice_travel_at_the_speeds_of_theory() -> None:
     """c_s^2 = 3/8 (k_n + k_s) a^2 / m and c_p^2 = 3/8 (3 k_n + k_s) a^2 / m, along x as along y."""
     normal, shear = contact_stiffness()

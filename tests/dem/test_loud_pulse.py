@@ -11,7 +11,8 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import X, Y
-from calcidem.dem.sample.packing import PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import problems_of
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
@@ -51,6 +52,7 @@ def measured(given: Experiment) -> list[Measurement]:
     return [measure(given, CONTENT, [seed], lanes=1)[0] for seed in SEEDS]
 
 
+@pytest.mark.full
 def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     """Samples of a batch share them, so neither cement nor time step of one may round them."""
     given = experiment()
@@ -63,6 +65,7 @@ def test_loads_that_hold_a_packing_are_those_of_the_packing() -> None:
     assert all(np.array_equal(load, loads[0]) for load in loads[1:])
 
 
+@pytest.mark.full
 def test_a_sample_settles_before_its_disks_are_driven() -> None:
     """Cement that sets without force leaves contacts out of balance: the disks come to rest, driven ones with them."""
     given = replace(experiment(), installation="zero")

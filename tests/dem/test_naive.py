@@ -27,7 +27,7 @@ KINDS: list[tuple[str, Regime, bool, Cement | None]] = [
     ("small bonds", "small", True, WEAK),
     ("linear", "linear", True, SOFT_CEMENT),
 ]
-FOR_FULL_RUNS = ("hertz, old rescaling",)
+FOR_FULL_RUNS = ("hertz", "hertz, old rescaling", "bonds", "small bonds")
 
 
 def random_scene(
@@ -53,7 +53,7 @@ def random_scene(
 
 @pytest.mark.parametrize(
     ("regime", "rescaling", "cement"),
-    # Each is a kernel of its own; "bonds and linear group" has the old rescaling in it, "bonds" the new one.
+    # Each is a kernel of its own; "bonds and linear group" has the most in it.
     [pytest.param(*k[1:], marks=pytest.mark.full if k[0] in FOR_FULL_RUNS else ()) for k in KINDS],
     ids=[kind[0] for kind in KINDS],
 )

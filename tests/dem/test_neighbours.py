@@ -62,14 +62,15 @@ def test_what_samples_share_is_what_each_would_find(regime: Regime, across: bool
     Also where cement spans a gap, of which the packing's list knows nothing.
     """
     bare = replace(jumble(1, 25), load=None)
-    single = start(bare, regime=regime, skin_fraction=0.01)
+    unwatched = {"skin_fraction": 0.01, "steps_per_contact": 0.0}  # which needs no kernel
+    single = start(bare, regime=regime, **unwatched)
     pairs = single.assembly.order[listed_pairs(single.assembly)][::2]
     first, second = ([0, 24] if across else pairs[0]), pairs[-1]
     bonds = Bonds(np.vstack([pairs, first, second]), SOFT_CEMENT, lanes=np.arange(len(pairs) + 2) % 7 + 1)
     scene = replace(bare, bonds=bonds, load=np.full((25, 3), 1e-3))
     features = choose_features(scene, regime, 2)
-    alone = start(scene, features=features, skin_fraction=0.01)
-    shared = start(scene, features=features, skin_fraction=0.01, single=single)
+    alone = start(scene, features=features, **unwatched)
+    shared = start(scene, features=features, single=single, **unwatched)
     np.testing.assert_array_equal(shared.time_step, alone.time_step)
     for name in ("grains", "pairs", "wall_pairs", "walls"):
         for ours, theirs in zip(getattr(shared.assembly, name), getattr(alone.assembly, name), strict=True):
@@ -105,6 +106,7 @@ def test_renewing_the_pair_list_changes_no_bit(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(renewed.spin(), complete.spin())
 
 
+@pytest.mark.full
 def test_lanes_that_go_different_ways_share_a_list_that_serves_both(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two samples that drift apart each still moves as with a list of all pairs."""
     renewed, complete = colliding(monkeypatch, 0.2, lanes=2), colliding(monkeypatch, 60.0, lanes=2)

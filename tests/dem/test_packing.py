@@ -19,19 +19,8 @@ from calcidem.dem.engine.stability import critical_time_step, scaled_densities
 from calcidem.dem.engine.state import start
 from calcidem.dem.engine.statics import _contact_springs
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import (
-    WALL_NAMES,
-    Cost,
-    Packing,
-    PackingError,
-    PackingRule,
-    PackingStage,
-    _draw_radii,
-    _place_apart,
-    box_walls,
-    make_packing,
-    relax,
-)
+from calcidem.dem.sample.compaction import Cost, _draw_radii, _place_apart, box_walls, make_packing, relax
+from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingError, PackingRule, PackingStage
 
 pytestmark = pytest.mark.slow
 
@@ -201,6 +190,7 @@ def test_a_packing_that_does_not_come_to_rest_is_given_up() -> None:
         make_packing(replace(SMALL, most_steps=800), SAND, generator())
 
 
+@pytest.mark.full
 def test_the_packing_of_the_paper_comes_out_loose_and_at_rest() -> None:
     """4,670 disks prepared with friction 0.2 at 5 kPa: porosity 0.192, coordination number 3.05, lid within 1 %."""
     rule = PackingRule()

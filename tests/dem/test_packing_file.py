@@ -10,9 +10,10 @@ import pytest
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.step_control import UnstableRunError
-from calcidem.dem.sample import packing as packing_module
-from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingRule, make_packing
-from calcidem.dem.sample.packing_file import PackingFileError, _read_disks, packing_from_csv, write_packing_csv
+from calcidem.dem.sample import compaction
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
+from calcidem.dem.sample.packing_file import _read_disks, packing_from_csv, write_packing_csv
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()
@@ -90,7 +91,7 @@ def test_a_packing_that_blows_up_or_comes_no_nearer_to_rest_says_so(
     def blow_up(*_: object) -> State:
         raise UnstableRunError("after 400 steps disk 3 moves at 1e9 m/s: choose a smaller time_step")
 
-    monkeypatch.setattr(packing_module, "advance", blow_up)
+    monkeypatch.setattr(compaction, "advance", blow_up)
     with pytest.raises(
         PackingError, match="rest, after 400 steps disk 3 moves at 1e9 m/s: lower stress, raise damping"
     ):

@@ -173,6 +173,7 @@ def difference(first: str, second: str, speed: float) -> float:
     return float(np.abs(moved[0] - moved[1]).max() / np.abs(moved[0]).max())
 
 
+@pytest.mark.full
 def test_linear_and_small_agree_the_better_the_smaller_the_motion() -> None:
     """Without slip their difference, relative to the motion, falls with the first power of the amplitude."""
     coarse, fine = difference("linear", "small", 1e-4), difference("linear", "small", 1e-5)
@@ -180,6 +181,7 @@ def test_linear_and_small_agree_the_better_the_smaller_the_motion() -> None:
     assert np.log10(coarse / fine) == pytest.approx(1.0, abs=0.02)  # the next power is 1e-5 times smaller
 
 
+@pytest.mark.full
 def test_small_and_finite_agree_but_for_the_turning_of_loaded_contacts() -> None:
     """What is left at small amplitude is F_n / (k_n R): a loaded contact pushes sideways when it turns."""
     # 2/3 of an overlap of 0.01 radii over a spacing of 2 radii is 0.3 %; it does not depend on the amplitude.

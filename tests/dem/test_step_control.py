@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ACCOUNT, BONDED, HERTZ, LINEAR, RADIUS, SOFT, jumble, pair_scene, throw
+from scenes import ACCOUNT, BONDED, HERTZ, LINEAR, RADIUS, SERVO, SOFT, jumble, pair_scene, throw
 
 from calcidem.app.studies.stability.limits import fastest_mode
 from calcidem.dem.engine.leapfrog import State, change_step, look_ahead
@@ -44,7 +44,7 @@ def test_the_default_step_resolves_an_impact() -> None:
     scene, radius = pair_scene(sand=Sand()), np.array([RADIUS])
     coefficient = float(Sand().hertz_coefficient(radius, radius)[0])
     for speed in (1e-4, 1e-2, 1.0):
-        state = start(scene, velocity=np.array([[speed, 0.0], [-speed, 0.0]]))
+        state = start(scene, features=HERTZ, velocity=np.array([[speed, 0.0], [-speed, 0.0]]))
         deepest = (5.0 * scene.mass[0] / 2.0 * (2.0 * speed) ** 2 / (4.0 * coefficient)) ** 0.4
         assert 35.0 < 2.943275 * deepest / (2.0 * speed) / state.time_step[0] < 45.0
 
@@ -76,7 +76,7 @@ def test_a_column_that_just_touches_bounces_under_its_weight_without_gaining_ene
 def test_a_servo_lid_comes_to_rest_on_disks_that_just_touch() -> None:
     """Lid and floor bear the target, though the first contacts had no stiffness to choose a step by."""
     lid = Wall((0.0, 6.0 * RADIUS), (0.0, -1.0), servo_force=100.0)
-    state = advance(start(column(walls=(FLOOR, lid), damping=0.5)), 4000)
+    state = advance(start(column(walls=(FLOOR, lid), damping=0.5), features=SERVO), 4000)
     np.testing.assert_allclose(wall_reactions(state)[:, 0], 100.0, rtol=1e-3)
 
 
@@ -233,7 +233,7 @@ def test_the_limit_is_a_bound_where_cement_spans_gaps() -> None:
     assert min(ratios) > 0.5
 
 
-@pytest.mark.parametrize("rescaling", [True, False])
+@pytest.mark.parametrize("rescaling", [True, pytest.param(False, marks=pytest.mark.full)])
 def test_mode_1_forgets_the_shear_force_of_a_contact_that_vibrates(rescaling: bool) -> None:
     """A stuck contact whose overlap falls from d to e in each cycle keeps sqrt(e / d) of it; mode 0 keeps all."""
     depth, swing, cycles, stroke = 1e-6, 0.1, 5, 50

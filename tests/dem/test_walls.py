@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import HERTZ, LINEAR, RADIUS, SOFT, jumble
+from scenes import HERTZ, LINEAR, RADIUS, SERVO, SOFT, jumble
 
 from calcidem.dem.engine.leapfrog import State, no_recording, run_in_place, run_kernel
 from calcidem.dem.engine.readout import net_forces, wall_reactions
@@ -59,7 +59,7 @@ def test_a_servo_brings_its_wall_to_the_force_it_is_to_hold() -> None:
         Wall((0.0, -RADIUS), (0.0, 1.0)),
         Wall((0.0, top), (0.0, -1.0), servo_force=0.2, servo_speed=0.05),
     )
-    state = start(replace(heap, walls=walls, damping=0.7), step_fraction=0.3)
+    state = start(replace(heap, walls=walls, damping=0.7), features=SERVO, step_fraction=0.3)
     state = advance(state, 40_000)
     assert state.assembly.walls.motion[3, NORMAL_PATH, 0] > 0.2 * RADIUS
     assert wall_reactions(state)[3, 0] == pytest.approx(0.2, rel=1e-6)

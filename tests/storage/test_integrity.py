@@ -151,3 +151,16 @@ def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "R
             store.save_packing(records.packing(content_hash="another"), replace_state=True)
         store.save_packing(records.packing(content_hash="it"), replace_state=True)
         assert store.packing() == records.packing(content_hash="it")
+
+
+def test_arrays_that_are_not_asked_for_are_not_judged(database: Path, records: "Records") -> None:
+    """A cell whose section is damaged gives its path; whoever asks for the section learns that it is damaged."""
+    execute(database, f"UPDATE arrays SET content = x'' WHERE cell_id = {SECTION}")  # noqa: S608 - a test's own
+    with open_store(database, read_only=True) as store:
+        store.use_campaign()
+        found = {result.key: result for result in store.results(with_arrays=("path",))}
+        assert found[BAD].path == records.with_arrays(1).path
+        assert found[BAD].section is None
+        damaged = {result.key for result in store.results(with_arrays=("path", "section")) if result.section is None}
+        assert damaged == {BAD}
+        assert [key for key, arrays in store.arrays() if isinstance(arrays, str)] == [BAD]

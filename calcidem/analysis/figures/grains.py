@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from calcidem.analysis.contact_graph import PreferentialPath
@@ -65,12 +65,15 @@ def draw_grains(
         in_cluster[pairs[kinds == C_CONTACT]] = True
     for members, colour in ((chosen & ~in_cluster, SAND_GRAIN), (chosen & in_cluster, CLUSTER_GRAIN)):
         # Thousands of circles are drawn as pixels in vector files, which keeps these small.
+        diameters = 2.0 * packing.radius[members] * MM
         axes.add_collection(
-            PatchCollection(
-                [
-                    Circle((x * MM, y * MM), r * MM)
-                    for x, y, r in zip(packing.x[members], packing.y[members], packing.radius[members], strict=True)
-                ],
+            EllipseCollection(
+                diameters,
+                diameters,
+                0.0,
+                units="xy",
+                offsets=np.column_stack([packing.x[members], packing.y[members]]) * MM,
+                offset_transform=axes.transData,
                 facecolor=colour,
                 edgecolor="white",
                 linewidth=0.25,

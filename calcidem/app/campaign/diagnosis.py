@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.patterns import stored_experiment
+from calcidem.app.campaign.patterns import section_of, stored_experiment
 from calcidem.app.campaign.remedies import Case, Remedy, explain_refusal, look_at_packing
 from calcidem.app.campaign.status import UNREAD
-from calcidem.app.campaign.task import section_of
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all

@@ -19,14 +19,17 @@ from calcidem.launch.leftovers import remove_leftovers
 from calcidem.launch.rank_watch import RankWatch
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
-from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher, refuse_ranks_off_linux
+from calcidem.sweep.environment import (
+    TERMINAL_VARIABLE,
+    THREAD_VARIABLES,
+    available_cores,
+    launcher,
+    refuse_ranks_off_linux,
+)
 from calcidem.sweep.signals import SignalHandlers, find_signals
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""
-
-TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
-"""Tells the ranks the columns of the terminal that reads them; not set if none does."""
 
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that goes on when a rank is lost."""

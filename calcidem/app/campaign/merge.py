@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord

@@ -22,18 +22,18 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
 from calcidem.analysis.dispersion import Dispersion
-from calcidem.analysis.distribution import describe_contents, tabulate
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_dataset
+from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
-from calcidem.app.campaign.packing import content_hash_of
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
 from calcidem.app.campaign.remedy_trials import RemedyTrial, rank_trials, try_remedies
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene

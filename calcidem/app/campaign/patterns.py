@@ -1,17 +1,20 @@
-"""Cement of stored cells: as it is stored, and drawn again from the seed where it is not."""
+"""Cement and sections as the store keeps them and as the wave has them; cement that is not stored is drawn again."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 
+import numpy as np
+
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.packing import readable_packing
-from calcidem.app.campaign.task import pattern_of
+from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
-from calcidem.dem.sample.cement import CementCapacityError
+from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import CellResult
+from calcidem.storage.records import CellResult, CementPattern, RecordedSection
 from calcidem.storage.sql.store import Store
 
 
@@ -42,3 +45,37 @@ def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[Cell
         known = outcome.content_reached, outcome.p_contacts, outcome.c_contacts, outcome.clusters
         packing = experiment(outcome.packing_index).packing
         yield replace(outcome, cement=pattern_of(packing, cement)) if drawn == known else outcome
+
+
+def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
+    """Cement as the store keeps it."""
+    contacts = packing.pairs[cement.bonded].astype(np.int32)
+    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
+
+
+def stored_section(section: Section) -> RecordedSection:
+    """Section as the store keeps it."""
+    return RecordedSection(
+        sampling_interval=section.sampling_interval,
+        start_time=section.start_time,
+        pulse_frequency=section.frequency,
+        resolution=section.amplitude * RESOLUTION,
+        aperture=section.aperture,
+        places=np.array(section.places),
+        across=section.across,
+        along=section.along,
+    )
+
+
+def section_of(stored: RecordedSection) -> Section:
+    """Section as it is read: with the same bits as when it was recorded."""
+    return Section(
+        sampling_interval=stored.sampling_interval,
+        start_time=stored.start_time,
+        frequency=stored.pulse_frequency,
+        amplitude=stored.resolution / RESOLUTION,
+        aperture=stored.aperture,
+        places=tuple(stored.places.tolist()),
+        across=stored.across,
+        along=stored.along,
+    )

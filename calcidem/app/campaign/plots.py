@@ -14,7 +14,7 @@ from calcidem.analysis.figures.film import draw_film, frame_shower, movie_writer
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, read_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
-from calcidem.app.campaign.task import stored_section
+from calcidem.app.campaign.patterns import stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.film import film_wave
 from calcidem.storage.files import write_atomically

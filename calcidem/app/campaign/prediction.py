@@ -5,12 +5,13 @@ from dataclasses import asdict
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction, PredictorCheck, check_predictor, fit_predictor
-from calcidem.app.campaign.task import pattern_of
+from calcidem.app.campaign.patterns import pattern_of
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.dataset import campaign_dataset
@@ -62,7 +63,8 @@ def predict_velocity(
         raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
     shares = _column_shares(analysis, [content], names)
     names = _known_of(names, shares)
-    table, vs, seeds = _velocities_at(analysis, content, names, shares)
+    cells = campaign_dataset(analysis.store, ("vs", *(name for name in names if name != COLUMN)))
+    table, vs, seeds = _velocities_at(cells, content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
     if others.sum() < _FEWEST_VELOCITIES:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
@@ -79,10 +81,11 @@ def check_predictions(
 
     Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
     """
-    contents = campaign_dataset(analysis.store, ("vs",))["content"].to_numpy().tolist()
+    cells = campaign_dataset(analysis.store, ("vs", *(name for name in names if name != COLUMN)))
+    contents = cells["content"].to_numpy().tolist()
     shares = _column_shares(analysis, contents, names)
     names = _known_of(names, shares)
-    samples = {content: _velocities_at(analysis, content, names, shares) for content in contents}
+    samples = {content: _velocities_at(cells, content, names, shares) for content in contents}
     return {
         content: check_predictor(table, vs, level, _choices(names))
         for content, (table, vs, _) in samples.items()
@@ -154,7 +157,7 @@ def _column_shares(
     if COLUMN not in names:
         return shares
     graphs = analysis.graphs
-    for cell in analysis.outcomes_of(Selection(contents=contents, statuses=CellStatus.DONE)):
+    for cell in analysis.outcomes_of(Selection(contents=contents, statuses=CellStatus.DONE), ("cement",)):
         if cell.cement is not None:
             graph = graphs[cell.packing_index]
             shares[cell.key.seed, cell.key.content] = graph.column_share(graph.bonded(cell.cement))
@@ -162,18 +165,16 @@ def _column_shares(
 
 
 def _velocities_at(
-    analysis: CampaignAnalysis, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
+    cells: xr.Dataset, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
-    stored = [name for name in names if name != COLUMN]
-    cells = campaign_dataset(analysis.store, ("vs", *stored))
     contents = cells["content"].to_numpy()
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
     cells = cells.isel(content=int(np.argmin(np.abs(contents - content))))
     vs, seeds = cells["vs"].to_numpy().astype(float), cells["seed"].to_numpy()
-    found = {name: cells[name].to_numpy() for name in stored}
+    found = {name: cells[name].to_numpy() for name in names if name != COLUMN}
     found[COLUMN] = np.array([shares.get((seed, float(cells["content"])), np.nan) for seed in seeds.tolist()])
     table = np.array([found[name] for name in names], dtype=float).reshape(len(names), len(vs))
     known = np.isfinite(vs) & np.isfinite(table).all(axis=0)

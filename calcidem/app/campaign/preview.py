@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 
 from calcidem.app.campaign.identity import choose_campaign
-from calcidem.app.campaign.packing import kept_packing, readable_packing
+from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing, packing_warnings
 from calcidem.app.config.schema import Configuration

@@ -9,14 +9,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import Any, Protocol, Self
 
+from calcidem.dem.sample.packing import PackingStage
 from calcidem.sweep import Batch, BatchOutcome, Place, Progress, SweepEnd
 from calcidem.sweep.forecast import Forecast
 from calcidem.sweep.progress import end_line, pluralize
-
-if TYPE_CHECKING:
-    from calcidem.dem.sample.packing import PackingStage  # loads numba
 
 _SHORTEST_INTERVAL = 0.2
 """Seconds between two pictures of the same stage, at least."""
@@ -126,7 +124,7 @@ class ProgressReporter(Progress):
         """Tell that a stage begins of which there is no more to tell."""
         self._tell(RunProgress(stage))
 
-    def on_packing(self, packing: "PackingStage") -> None:
+    def on_packing(self, packing: PackingStage) -> None:
         """Tell how far the packing is."""
         seconds = time.monotonic() - self._began
         self._tell(

@@ -186,9 +186,12 @@ def frequency_table(
 ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Contents (percent) and frequencies (Hz) of a campaign, with the highest that is the first remedy of a cell.
 
-    Where remedies were tried it is the frequency that was best, if it helps. None where no other frequency is left.
+    Where remedies were tried it is the frequency that was best, if it helps. None where no other frequency is left, or
+    the campaign chooses its own.
     """
-    present = Configuration.from_physics(record.parameters).excitation.table.at
+    table = Configuration.from_physics(record.parameters).excitation.table
+    if table is None:
+        return None
     wanted: defaultdict[float, list[float]] = defaultdict(list)
     tried = {trial.content for trial in trials}
     for diagnosis in diagnoses:
@@ -199,4 +202,4 @@ def frequency_table(
         if trial.remedy.name == "wave.frequency" and trial.outcome in useful:
             wanted[trial.content] = wanted[trial.content] or [float(trial.remedy.value)]
     contents = record.contents
-    return (contents, tuple(max(wanted.get(at) or [present(at)]) for at in contents)) if wanted else None
+    return (contents, tuple(max(wanted.get(at) or [table.at(at)]) for at in contents)) if wanted else None

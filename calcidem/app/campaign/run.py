@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
 from calcidem.app.campaign.identity import choose_campaign, record_of
-from calcidem.app.campaign.packing import Tell, packing_record, provide_packing, readable_packing
+from calcidem.app.campaign.packing import Tell, provide_packing
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.stored_packing import packing_record, readable_packing
 from calcidem.app.campaign.task import CellComputation, expected_effort, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing, packing_warnings

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
-from calcidem.app.campaign.packing import content_hash_of
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection

@@ -17,18 +17,18 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
-from calcidem.app.campaign.packing import packing_record
+from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.campaign.provenance import version_of
+from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.layout import Flags
-from calcidem.dem.sample.cement import CementOrdering, PlacedCement, content_of_contacts
+from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
-from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
@@ -39,7 +39,6 @@ from calcidem.storage.records import (
     GraphSummary,
     PackedResult,
     PathFeatures,
-    RecordedSection,
 )
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
@@ -200,40 +199,6 @@ def _median_diameter(packing: Packing) -> float:
     return median_diameter_by_mass(packing.radius)
 
 
-def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
-    """Cement as the store keeps it."""
-    contacts = packing.pairs[cement.bonded].astype(np.int32)
-    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
-
-
-def stored_section(section: Section) -> RecordedSection:
-    """Section as the store keeps it."""
-    return RecordedSection(
-        sampling_interval=section.sampling_interval,
-        start_time=section.start_time,
-        pulse_frequency=section.frequency,
-        resolution=section.amplitude * RESOLUTION,
-        aperture=section.aperture,
-        places=np.array(section.places),
-        across=section.across,
-        along=section.along,
-    )
-
-
-def section_of(stored: RecordedSection) -> Section:
-    """Section as it is read: with the same bits as when it was recorded."""
-    return Section(
-        sampling_interval=stored.sampling_interval,
-        start_time=stored.start_time,
-        frequency=stored.pulse_frequency,
-        amplitude=stored.resolution / RESOLUTION,
-        aperture=stored.aperture,
-        places=tuple(stored.places.tolist()),
-        across=stored.across,
-        along=stored.along,
-    )
-
-
 def _describe_graph(
     packing: PackingGraph, cement: CementPattern
 ) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
@@ -306,8 +271,9 @@ def expected_effort(configuration: Configuration, content: float) -> float:
     """
     steps_per_second = 10.0 if content > 0.0 else 1.0
     velocity = 200.0 + 210.0 * content
-    frequency = configuration.excitation.table.at(content)
-    return steps_per_second * (1.0 / frequency + 1.5 * configuration.packing.width / velocity)
+    table, width = configuration.excitation.table, configuration.packing.width
+    period = 0.4 * width / velocity if table is None else 1.0 / table.at(content)
+    return steps_per_second * (period + 1.5 * width / velocity)
 
 
 class EnoughSeenError(Exception):

@@ -19,9 +19,6 @@ PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
 _OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
 """What Windows and macOS call a family of processors, and Linux."""
 
-_NAMED_HOSTS = 3
-"""Machines of one kind that are named where there are many."""
-
 _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
 """Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
@@ -91,19 +88,6 @@ def _is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
     return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
 
 
-def worker_text(worker: WorkerRecord) -> str:
-    """What a worker is, in a line."""
-    blas = "BLAS unknown" if worker.blas_core is None else f"OpenBLAS {worker.blas_core}"
-    simd = worker.numpy_simd[-1] if worker.numpy_simd else "baseline"
-    return f"{worker.processor} ({worker.architecture}, {len(worker.features)} features), {blas}, numpy {simd}"
-
-
-def hosts_text(worker: WorkerRecord) -> str:
-    """The machines of a worker, only the first of many."""
-    more = len(worker.hosts) - _NAMED_HOSTS
-    return ", ".join(worker.hosts[:_NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
-
-
 def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
     """Names of what these workers have in several versions."""
     names = dict.fromkeys(name for worker in workers for name in worker.versions)
@@ -133,8 +117,8 @@ def describe_unlike(workers: Sequence[WorkerRecord]) -> str:
         return ""
     several = _differing_versions(workers)
     kinds = "; ".join(
-        ", ".join([worker_text(worker), *(f"{name} {worker.versions.get(name, 'none')}" for name in several)])
-        + f" on {hosts_text(worker)}"
+        ", ".join([worker.kind, *(f"{name} {worker.versions.get(name, 'none')}" for name in several)])
+        + f" on {worker.places}"
         for worker in workers
     )
     if doubt := _describe_doubt(workers):

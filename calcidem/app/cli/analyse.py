@@ -17,7 +17,7 @@ def analyse_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF) of a campaign to a folder."""
-    from calcidem.app.report import analyse
+    from calcidem.app.report.folder import analyse
 
     missing = analyse(database, out, campaign_name=campaign)
     for name, reason in missing.items():

@@ -6,8 +6,7 @@ import traceback
 
 from calcidem.app.cli.terminal import log_error, printable
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.dem.sample.packing import PackingError
-from calcidem.dem.sample.packing_file import PackingFileError
+from calcidem.dem.sample.packing import PackingError, PackingFileError
 from calcidem.storage.errors import (
     DiskError,
     InvalidRecordError,

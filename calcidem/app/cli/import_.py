@@ -24,7 +24,7 @@ def import_command(
 
     A file that was changed, and one whose cells are on another packing than the database's, are refused.
     """
-    from calcidem.app.campaign.packing import identify_packing
+    from calcidem.app.campaign.stored_packing import identify_packing
     from calcidem.storage.files import write_atomically
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
     from calcidem.storage.sql.engine import parse_address

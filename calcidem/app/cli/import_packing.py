@@ -32,7 +32,7 @@ def import_packing_command(
 
     What the file is, its content tells. Left wall and floor become x = 0 and y = 0.
     """
-    from calcidem.app.campaign.packing_import import import_packing
+    from calcidem.app.disks.packing_import import import_packing
 
     names = tuple(name.strip() for name in columns.split(",")) if columns else ()
     imported = import_packing(

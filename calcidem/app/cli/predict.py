@@ -53,20 +53,26 @@ def predict_command(
     features make it better than the content alone: those of the path, and the share of the contacts at the height of
     the receiver that are cemented (column_share).
     """
-    from calcidem.app.campaign.opened import open_campaign
+    from calcidem.analysis.campaign_analysis import CampaignAnalysis
+    from calcidem.app.campaign.patterns import with_patterns
     from calcidem.app.campaign.prediction import check_predictions
     from calcidem.app.cli.tables import make_console
+    from calcidem.storage.sql.store import read_campaign
 
     given = [option for option in (seed, pattern, feature) if option is not None]
     if len(given) > 1 or (given and content is None):
         raise typer.BadParameter("give --content, and one of --seed, --pattern and --feature or none of them")
     cement = None if pattern is None else _read_pattern(pattern)
     features = None if feature is None else dict(_read_feature(text) for text in feature)
-    with open_campaign(database, campaign) as opened:
+    with read_campaign(database, campaign) as store:
         if content is not None:
-            prediction = opened.predict(content=content, seed=seed, pattern=cement, features=features, level=level)
+            from calcidem.app.campaign.opened import Campaign  # a sample that was not simulated needs the engine
+
+            prediction = Campaign(store).predict(
+                content=content, seed=seed, pattern=cement, features=features, level=level
+            )
             typer.echo(_prediction_line(content, prediction, level))
-        checks = check_predictions(opened.analyse(), level=level)
+        checks = check_predictions(CampaignAnalysis(store, with_cement=with_patterns), level=level)
         if content is None:
             make_console().print(_check_table(checks))
             typer.echo(_overall_line(checks))

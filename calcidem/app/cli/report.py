@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import Progress
 
 from calcidem.app.cli.arguments import CampaignName, Database
 
@@ -17,10 +19,20 @@ def report_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
-    from calcidem.app.report import write_report
-    from calcidem.app.studies.frequency_and_damping import run_studies
+    from calcidem.app.report.page import write_report
     from calcidem.storage.files import refuse_to_replace
 
     refuse_to_replace(out)
-    studies = run_studies(database, campaign_name=campaign) if with_studies else None
-    typer.echo(f"Wrote {write_report(database, out, campaign_name=campaign, studies=studies)}")
+    studies = None
+    if with_studies:
+        from calcidem.app.studies.frequency_and_damping import run_studies
+
+        studies = run_studies(database, campaign_name=campaign)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("Report")
+
+        def watch(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        page = write_report(database, out, campaign_name=campaign, studies=studies, watch=watch)
+    typer.echo(f"Wrote {page}")

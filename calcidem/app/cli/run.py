@@ -82,10 +82,15 @@ def run_command(
     if packing_only:
         from calcidem.app.campaign.packing import provide_packing
         from calcidem.app.cli.tables import packing_lines
+        from calcidem.app.config.checks import check_against_packing, packing_warnings
         from calcidem.app.config.reader import load_configuration
 
-        packing = provide_packing(load_configuration(configuration, overrides), None, typer.echo)
+        loaded = load_configuration(configuration, overrides)
+        packing = provide_packing(loaded, None, typer.echo)
         typer.echo("\n".join(packing_lines(packing)))
+        check_against_packing(loaded, packing)
+        for warning in packing_warnings(loaded, packing):
+            typer.echo(f"Warning: {warning}.")
         return
     if check:
         from calcidem.app.campaign.preview import preview_lines

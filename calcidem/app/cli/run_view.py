@@ -58,7 +58,7 @@ class TerminalView:
         else:
             self.say(f"Wrote {export_netcdf(work.store, netcdf)}")
         if self.with_report and work.end is not None and work.end.exit_code == 0:
-            from calcidem.app.report import write_report
+            from calcidem.app.report.page import write_report
 
             page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
             self.say(f"Wrote {page}")

@@ -28,15 +28,18 @@ def show_command(
     With --movie its wave goes through the sample: colour is the velocity of the disks, lines are cemented contacts.
     """
     from calcidem.app.cli.tables import make_console
-    from calcidem.app.report import show_cell
+    from calcidem.app.report.one_cell import describe_cell
 
-    described, figures = show_cell(database, seed, content, out, campaign_name=campaign)
+    described = describe_cell(database, seed, content, campaign_name=campaign)
     table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
     for row in described.rows:
         table.add_row(*(Text(printable(entry)) for entry in row))
     make_console().print(table)
-    for file in figures:
-        typer.echo(f"Wrote {file}")
+    if out is not None:
+        from calcidem.app.report.cell_figures import draw_cell
+
+        for file in draw_cell(database, seed, content, out, campaign_name=campaign):
+            typer.echo(f"Wrote {file}")
     if movie is not None:
         _make_movie(database, campaign, seed, content, movie, frames)
 

@@ -13,14 +13,16 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from calcidem.analysis.doubt import is_in_doubt
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
-from calcidem.app.campaign.launch import TERMINAL_VARIABLE
+from calcidem.app.campaign.status import UNREAD
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.records.error_budget import MOST_DEPARTURE
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.environment import launcher
+from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.sweep.progress import pluralize
 
 PLAIN_WIDTH = 110
@@ -70,9 +72,6 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 def vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
-    from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget  # loads xarray
-    from calcidem.app.campaign.status import UNREAD  # loads pandas, which no cell waits for
-
     others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
     columns = store.table((*BUDGET_QUANTITIES, *others), selection)
     table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
@@ -134,8 +133,6 @@ MEAN_IN_DOUBT = "mean off by more than its standard error if the cells without v
 
 def doubt_mark(counts: Mapping[CellStatus, int]) -> str:
     """Mark beside the number of cells where those that failed may bias the mean (`calcidem.analysis.outcomes`)."""
-    from calcidem.analysis.outcomes import is_in_doubt  # loads xarray, which no cell waits for
-
     done = counts.get(CellStatus.DONE, 0)
     failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
     return " !" if is_in_doubt(done, failed) else ""

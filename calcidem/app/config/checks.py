@@ -147,6 +147,8 @@ def _check_installation(configuration: Configuration) -> Iterator[Problem]:
 def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
     """Every content has a frequency, and one that grains pass on."""
     table = configuration.excitation.table
+    if table is None:
+        return
     contents = configuration.campaign.contents
     outside = [content for content in contents if not table.covers(content)]
     if outside:
@@ -271,10 +273,10 @@ def packing_warnings(configuration: Configuration, packing: Packing) -> Iterator
     for fault in judge_disks(packing, configuration.sand):
         yield f"packing.{fault.text}"
     limit = _cutoff_estimate(configuration, cemented=False)
-    table = configuration.excitation.table
-    if 0.0 in configuration.campaign.contents and table.at(0.0) > _SHORT_WAVE * limit:
+    frequency = configuration.experiment(packing).frequency(0.0) if 0.0 in configuration.campaign.contents else 0.0
+    if frequency > _SHORT_WAVE * limit:
         yield (
-            f"wave.frequency = {table.at(0.0):g}: at 0 % a wavelength has fewer than {np.pi / _SHORT_WAVE:.0f} grains, "
+            f"wave.frequency = {frequency:g}: at 0 % a wavelength has fewer than {np.pi / _SHORT_WAVE:.0f} grains, "
             f"and dispersion slows the wave by 4 % and more; give at most {_SHORT_WAVE * limit:.2g} Hz"
         )
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 from annotated_types import Interval, Predicate, Unit
@@ -23,6 +23,7 @@ from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.first_look import suitable_frequency
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
@@ -209,13 +210,14 @@ class Excitation:
     Attributes
     ----------
     frequency
-        Excitation frequency: one for all contents, Hz, or a table; without it Table 2 of the paper.
+        Excitation frequency: one for all contents, Hz, or a table; without it Table 2 of the paper. With ``"auto"`` it
+        is chosen for each content from the static stiffness of three samples, so that the path is 2.5 wavelengths.
     """
 
     frequency: Annotated[
-        Positive | FrequencyTable | None,
+        Positive | FrequencyTable | Literal["auto"] | None,
         Unit("Hz"),
-        "a positive frequency in Hz, or a table { content = [...], frequency = [...] }",
+        'a positive frequency in Hz, a table { content = [...], frequency = [...] }, or "auto"',
     ] = None
 
     def __post_init__(self) -> None:
@@ -223,8 +225,10 @@ class Excitation:
         require_fields(self)
 
     @property
-    def table(self) -> FrequencyTable:
-        """The frequencies as a table, whatever way they were given."""
+    def table(self) -> FrequencyTable | None:
+        """The frequencies as a table, whatever way they were given; None where they are chosen from the samples."""
+        if self.frequency == "auto":
+            return None
         if isinstance(self.frequency, FrequencyTable):
             return self.frequency
         if self.frequency is None:
@@ -363,13 +367,16 @@ class Configuration:
             bonding=_from_stored(Bonding, cement),
             pattern=_from_stored(CementRule, pattern),
             wave=_from_stored(WaveRule, wave),
-            excitation=Excitation(_from_stored(FrequencyTable, wave["frequency"])),
+            excitation=Excitation(
+                "auto" if wave["frequency"] == "auto" else _from_stored(FrequencyTable, wave["frequency"])
+            ),
             pick=_from_stored(PickRule, pick),
         )
 
     @cached_property
     def physics(self) -> dict[str, Any]:
         """Everything that changes what a cell gives, section by section, ready for JSON."""
+        table = self.excitation.table
         return {
             "physics_version": PHYSICS_VERSION,
             "root_seed": self.campaign.root_seed,
@@ -377,7 +384,7 @@ class Configuration:
             "sand": _to_stored(self.sand) | _to_stored(self.calibration),
             "cement": _to_stored(self.cement) | _to_stored(self.bonding),
             "pattern": _to_stored(self.pattern),
-            "wave": _to_stored(self.wave) | {"frequency": _to_stored(self.excitation.table)},
+            "wave": _to_stored(self.wave) | {"frequency": "auto" if table is None else _to_stored(table)},
             "pick": _to_stored(self.pick),
         }
 
@@ -442,7 +449,7 @@ class Configuration:
             root_seed=self.campaign.root_seed,
             stiffness_factor=self.calibration.wave_stiffness_factor,
             installation=self.bonding.installation,
-            frequencies=(table.content, table.frequency),
+            frequencies=suitable_frequency if table is None else (table.content, table.frequency),
         )
 
 

@@ -9,9 +9,9 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.provenance import version_of
-from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker, worker_text
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder
+from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker
 from calcidem.app.config.checks import can_make_files
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.app.doctor.mpi import mpi_findings
@@ -54,8 +54,8 @@ def _processor_finding() -> Finding:
     """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
-        return Finding(OK, "processor", f"{worker_text(worker)}; no bit of a result depends on it")
-    fact = f"{worker_text(worker)}; nobody has compared the bits of such processors"
+        return Finding(OK, "processor", f"{worker.kind}; no bit of a result depends on it")
+    fact = f"{worker.kind}; nobody has compared the bits of such processors"
     return Finding(WARNING, "processor", fact, "compute a campaign on machines of one kind")
 
 

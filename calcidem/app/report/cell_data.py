@@ -3,7 +3,7 @@
 import json
 import zlib
 from base64 import b64encode
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
@@ -16,29 +16,20 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.report.cell_section import describe_section
-from calcidem.app.report.wording import readable_unit
+from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
-from calcidem.storage.store import ALL_CELLS
+from calcidem.storage.store import ALL_CELLS, Selection
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
 """Quantities of a cell where the campaign has more cells than that."""
-
-_ROOM_FOR_SAMPLES = 3_500_000
-"""Of all signals, patterns and paths; the 1,972 cells of the paper need half of it."""
-
-_ROOM_FOR_SECTIONS = 3_000_000
-"""Of all space-time sections, some 1.5 kB each."""
 
 _MOST_POINTS = 300
 _LEVELS = 2000
 """Times at which a signal is kept, and steps from zero to its largest value: both finer than a screen's pixels."""
 
 _MICROMETRES = 1e6
-
-EXCEPTIONAL = frozenset({"broken_bonds"})
-"""Quantities of which zero is nothing to tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +48,16 @@ class _CellData:
     remarks: tuple[str, ...]
 
 
-def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
-    """Gather records of all cells, and signals and samples of as many seeds as a page can hold."""
+def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
+    """Gather records of all cells, signals and samples of as many seeds as fit, and then sections of as many.
+
+    Parameters
+    ----------
+    analysis
+        Of the campaign.
+    room
+        Bytes of the page that all blocks together may take; records and packings are always there.
+    """
     blocks: dict[str, str] = {}
     remarks: list[str] = []
     try:
@@ -66,41 +65,50 @@ def gather_cell_data(analysis: CampaignAnalysis) -> _CellData:
     except UnavailableError as error:
         graphs = ()
         remarks.append(f"No samples are drawn: {error}.")
-    shown: list[int] = []
-    room, room_for_sections = _ROOM_FOR_SAMPLES, _ROOM_FOR_SECTIONS
-    drawn = 0  # seeds with sections
-    for seed, grouped in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
-        cells = list(grouped)
-        text = _compress(list(describe_cells(analysis, cells, graphs)))
-        room -= len(text)
-        if room < 0:
-            break
-        blocks[f"seed-{seed}"] = text
-        shown.append(seed)
-        if room_for_sections > 0 and (sections := describe_sections(analysis, cells)):
-            text = _compress(sections)
-            room_for_sections -= len(text)
-            if room_for_sections >= 0:
-                blocks[f"sections-{seed}"] = text
-                drawn += 1
-    for graph in graphs:
-        blocks[f"packing-{graph.packing.index}"] = _compress(packing_block(analysis, graph))
     names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
     if analysis.vs.size > MOST_FULL_RECORDS:
         names = [name for name in names if name in SHORT_RECORD]
         remarks.append(f"Of each of the {analysis.vs.size:,} cells only {len(names)} quantities are in this page.")
+    blocks["records"] = _compress(_describe_records(analysis, names))
+    for graph in graphs:
+        blocks[f"packing-{graph.packing.index}"] = _compress(packing_block(analysis, graph))
+    room -= sum(map(len, blocks.values()))
+    shown: list[int] = []
+    for seed, grouped in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
+        cells = list(grouped)
+        text = _compress(list(describe_cells(analysis, cells, graphs)))
+        if len(text) > room:
+            break
+        room -= len(text)
+        blocks[f"seed-{seed}"] = text
+        shown.append(seed)
+    drawn, sections = _gather_sections(analysis, shown, room)
+    blocks |= sections
     if len(shown) < analysis.vs.sizes["seed"]:
         remarks.append(
             f"Signals and samples of {len(shown)} of {analysis.vs.sizes['seed']:,} seeds are in this page; "
             "“calcidem show DB --seed S --content C --out DIR” draws every one."
         )
-    if room_for_sections < 0:
+    if drawn < len(shown):
         remarks.append(
             f"Space-time sections of the first {drawn} seeds are in this page; "
             "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
         )
-    blocks["records"] = _compress(_describe_records(analysis, names))
     return _CellData(blocks, tuple(remarks))
+
+
+def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int) -> tuple[int, dict[str, str]]:
+    """Gather the sections of as many of the seeds as fit: how many seeds, and the blocks of those that have some."""
+    blocks: dict[str, str] = {}
+    for drawn, seed in enumerate(seeds):
+        sections = describe_sections(analysis, analysis.outcomes_of(Selection(seed), ("section",)))
+        if sections:
+            text = _compress(sections)
+            room -= len(text)
+            if room < 0:
+                return drawn, blocks
+            blocks[f"sections-{seed}"] = text
+    return len(seeds), blocks
 
 
 def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
@@ -211,5 +219,10 @@ def _steps(values: ArrayLike) -> list[int]:
 
 
 def _compress(described: object) -> str:
-    text = json.dumps(described, separators=(",", ":"), allow_nan=False)
-    return b64encode(zlib.compress(text.encode(), 9)).decode()
+    """Give data as the page holds them: JSON, deflated, in base64."""
+    return pack(json.dumps(described, separators=(",", ":"), allow_nan=False).encode())
+
+
+def pack(content: bytes) -> str:
+    """Give bytes as the page holds them, deflated, in base64."""
+    return b64encode(zlib.compress(content, 9)).decode()

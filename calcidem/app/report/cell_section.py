@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.app.campaign.task import section_of
+from calcidem.app.campaign.patterns import section_of
 from calcidem.dem.wave.reading import LEAST_COHERENCE, PickRule, find_candidates
 from calcidem.storage.records import CellResult, RecordedSection
 

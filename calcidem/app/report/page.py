@@ -2,7 +2,7 @@
 
 import os
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,17 +13,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.doubt import is_in_doubt
 from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
-from calcidem.analysis.outcomes import is_in_doubt
-from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report.cell_data import gather_cell_data
+from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import Table, decimal, time_span
 from calcidem.storage.files import write_text_atomically
+from calcidem.storage.sql.store import read_campaign
 from calcidem.sweep.progress import pluralize
 
 _FEW_SAMPLES = 30
@@ -32,7 +33,14 @@ _FEW_SAMPLES = 30
 _MOST_SAMPLES = 5000
 """Paths of so many samples are analysed; it takes a minute."""
 
-_MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png"}
+_PAGE_BYTES = 3_000_000
+"""Of a page: what one waits a second for."""
+
+_BYTES_OF_TEXT = 200_000
+"""Of these, for tables, style and script."""
+
+_LEAST_FOR_CELLS = 200_000
+"""Of a page that many pictures fill."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +52,9 @@ class _Picture:
     name, title, caption
         As in the registry.
     source
-        The picture itself as a data URI; empty where there is none.
-    inches
-        Width for which its letters were chosen.
+        The picture itself: a data URI, or what is in the block `packed`; empty where there is none.
+    inches, ratio
+        Width for which its letters were chosen, and width over height.
     reason
         Why there is none.
     pictorial
@@ -58,8 +66,14 @@ class _Picture:
     caption: str
     source: str = ""
     inches: float = 0.0
+    ratio: float = 1.0
     reason: str = ""
     pictorial: bool = False
+
+    @property
+    def packed(self) -> str:
+        """Name of the block of the page that has it compressed; empty for a data URI."""
+        return f"picture-{self.name}" if self.source and not self.pictorial else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +106,7 @@ def write_report(
     *,
     campaign_name: str | None = None,
     studies: Mapping[str, xr.Dataset] | None = None,
+    watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
     """Write the report of a campaign.
 
@@ -105,6 +120,8 @@ def write_report(
         Which campaign, where the database has several.
     studies
         Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
+    watch
+        Told after each section how many of how many parts are made; the last part is the cells.
 
     Returns
     -------
@@ -119,15 +136,22 @@ def write_report(
         If the file can't be written.
     """
     target = Path(out)
-    with open_campaign(database, campaign_name) as campaign:
-        text = _render_page(campaign.analyse(_MOST_SAMPLES), studies or {})
+    with read_campaign(database, campaign_name) as store:
+        text = _render_page(CampaignAnalysis(store, _MOST_SAMPLES, with_patterns), studies or {}, watch)
     write_text_atomically(target, text)
     return target
 
 
-def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) -> str:
+def _render_page(
+    analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset], watch: Callable[[int, int], None]
+) -> str:
     """Give the page as text."""
-    sections = [_make_section(plan, analysis) for plan in PAGE_SECTIONS]
+    sections: list[_PageSection] = []
+    parts = len(PAGE_SECTIONS) + 1
+    for plan in PAGE_SECTIONS:
+        watch(len(sections), parts)
+        sections.append(_make_section(plan, analysis))
+    watch(len(sections), parts)
     sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
@@ -136,15 +160,18 @@ def _render_page(analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset]) 
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    record, cell_data = analysis.store.record, gather_cell_data(analysis)
+    shown = [section for section in sections if section.tables or section.pictures or section.folded]
+    pictures = [picture for section in shown for picture in section.pictures]
+    room = _PAGE_BYTES - _BYTES_OF_TEXT - sum(len(picture.source) for picture in pictures)
+    record, cell_data = analysis.store.record, gather_cell_data(analysis, max(room, _LEAST_FOR_CELLS))
     return environment.get_template("report.html").render(
         name=record.name,
         hash=record.hash,
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         facts=key_facts(analysis),
-        blocks=cell_data.blocks,
+        blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},
         remarks=cell_data.remarks,
-        sections=[section for section in sections if section.tables or section.pictures or section.folded],
+        sections=shown,
     )
 
 
@@ -226,8 +253,7 @@ def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture
     figure, reason = make_or_explain(entry.draw, analysis)
     if figure is None:
         return _Picture(entry.name, entry.title, entry.caption, reason=reason)
-    source = _data_uri(figure, "png" if entry.pictorial else "svg")
-    return _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth(), pictorial=entry.pictorial)
+    return _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=entry.pictorial)
 
 
 def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
@@ -235,11 +261,14 @@ def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
     for entry in STUDY_FIGURES:
         if entry.study in studies:
             figure = entry.draw(studies[entry.study])
-            source = _data_uri(figure, "svg")
-            yield _Picture(entry.name, entry.title, entry.caption, source, figure.get_figwidth())
+            yield _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=False)
 
 
-def _data_uri(figure: Figure, file_format: str) -> str:
-    """Give a figure as a data URI, so that a page needs no other file."""
-    picture = render(figure, file_format, colours=256 if file_format == "png" else None)
-    return f"data:{_MEDIA_TYPES[file_format]};base64,{b64encode(picture).decode()}"
+def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictorial: bool) -> _Picture:
+    """Give a figure as part of a page that needs no other file: grains as pixels, curves as compressed vectors."""
+    if pictorial:
+        source = f"data:image/png;base64,{b64encode(render(figure, 'png', colours=256)).decode()}"
+    else:
+        source = pack(render(figure, "svg"))
+    ratio = round(figure.get_figwidth() / figure.get_figheight(), 4)
+    return _Picture(name, title, caption, source, figure.get_figwidth(), ratio, pictorial=pictorial)

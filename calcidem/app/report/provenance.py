@@ -7,8 +7,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, is_published_sand, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.campaign.packing import content_hash_of
-from calcidem.app.campaign.workers import hosts_text, worker_text
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
 from calcidem.storage.records import RunRecord
 from calcidem.storage.records.canonical import flat_parameters
@@ -93,7 +92,7 @@ def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
-            "; ".join(f"{worker_text(worker)} on {hosts_text(worker)}" for worker in run.workers) or UNKNOWN,
+            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or UNKNOWN,
             ", ".join(f"{name} {version}" for name, version in run.versions.items()),
             _source(run),
         )

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from calcidem.analysis.intervals import Interval
 
 ABSENT = "\N{EN DASH}"
+
+EXCEPTIONAL = frozenset({"broken_bonds"})
+"""Quantities of which zero is nothing to tell."""
+
 _SMALL_P = 0.001
 _LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
 _MINUTE, _HOUR = 60.0, 3600.0

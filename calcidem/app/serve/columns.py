@@ -8,7 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.app.report.cell_data import EXCEPTIONAL, describe_axes, numbers_or_none
+from calcidem.app.report.cell_data import describe_axes, numbers_or_none
+from calcidem.app.report.wording import EXCEPTIONAL
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 
 _WORD_OF_ARRAYS = 8

@@ -228,7 +228,7 @@ def run_studies(
     Returns
     -------
     dict
-        Result of each study, as `calcidem.app.report.write_report` takes them.
+        Result of each study, as `calcidem.app.report.page.write_report` takes them.
 
     Raises
     ------

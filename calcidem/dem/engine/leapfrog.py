@@ -1,7 +1,6 @@
 """State of a scene, and the leapfrog that changes it while nobody watches."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
 
-Precision = Literal["float64", "float32"]
 _REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
 _REACH_TOGETHER = 0.35  # the same where several steps are under way then
 _STEPS_TOGETHER = 4

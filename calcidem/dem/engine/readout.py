@@ -131,12 +131,12 @@ def wall_overlaps(state: State) -> Floats:
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
     """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
+    _refuse_linear(state)
     return _contact_forces(state, look_ahead(state), lane)
 
 
 def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
     """Forces between the disks; ``ahead`` is what `look_ahead` gives."""
-    _refuse_linear(state)
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
@@ -210,6 +210,7 @@ def _net_forces(state: State, ahead: State, lane: int) -> Floats:
 
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
     """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
+    _refuse_linear(state)
     ahead = _look_undamped(state)
     net = _net_forces(state, ahead, lane)
     contacts = _contact_forces(state, ahead, lane)

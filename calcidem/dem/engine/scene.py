@@ -11,6 +11,7 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.kernels.layout import Floats, Integers
 
 Regime = Literal["finite", "small", "linear"]
+Precision = Literal["float64", "float32"]
 Installation = Literal["preserve", "zero", "pfc_absolute"]
 
 

@@ -8,16 +8,8 @@ import numpy.typing as npt
 from calcidem.dem.engine.assembly import aligned_zeros, assemble, share_assembly
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.histories import install_forces
-from calcidem.dem.engine.leapfrog import (
-    Precision,
-    State,
-    StepControl,
-    duplicate,
-    no_recording,
-    run_in_place,
-    start_leapfrog,
-)
-from calcidem.dem.engine.scene import Preload, Regime, Scene
+from calcidem.dem.engine.leapfrog import State, StepControl, duplicate, no_recording, run_in_place, start_leapfrog
+from calcidem.dem.engine.scene import Precision, Preload, Regime, Scene
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_blow_up, step_limit
 from calcidem.dem.kernels.features import Features

@@ -14,8 +14,8 @@ from typing import Annotated, cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy  # whose parts load when they are used: who reads the rule alone needs no trees
 from annotated_types import Interval, Unit
-from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
 from calcidem.dem.engine.portable import length
@@ -389,7 +389,7 @@ def _circles(
     """
     if len(points) == 0:
         return
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
         centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
         # The tree looks a little further than need be: which of its points lie inside is decided here.

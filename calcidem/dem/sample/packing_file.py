@@ -11,28 +11,15 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, packing_at_rest, relax
 from calcidem.dem.sample.judgement import LARGEST_OVERLAP
-from calcidem.dem.sample.packing import (
-    OWN_DISKS,
-    Cost,
-    Packing,
-    PackingError,
-    PackingRule,
-    PackingStage,
-    box_walls,
-    packing_at_rest,
-    relax,
-)
+from calcidem.dem.sample.packing import Packing, PackingFileError, PackingRule, PackingStage
 
 _CSV_COLUMNS = ("x", "y", "radius")
 FEWEST_DISKS = 10
 FARTHEST = 1e30
 """m; distances of disks and their squares are finite."""
 _LONGEST_SHOWN = 80
-
-
-class PackingFileError(PackingError):
-    """A file that is no packing; the message names file, line and cure."""
 
 
 def write_packing_csv(packing: Packing, file: Path) -> None:
@@ -58,7 +45,7 @@ def packing_from_csv(
     """Make a packing of the disks in a file.
 
     The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
-    lid's stress like the last stage of `calcidem.dem.sample.packing.make_packing`: a file has no contact forces, and
+    lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`: a file has no contact forces, and
     positions from elsewhere are in balance for another law of contact at best.
 
     Parameters

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -44,7 +44,8 @@ class Experiment:
         End a record as soon as its reading is settled, or what still moves cannot become one; it does not change the
         reading.
     frequencies
-        (contents in percent, frequencies in Hz), interpolate between; None takes Table 2 of the paper.
+        (contents in percent, frequencies in Hz), interpolate between; None takes Table 2 of the paper. Or a function of
+        an experiment and a content, percent, which gives the frequency in Hz and is asked once for each content.
     """
 
     packing: Packing
@@ -57,7 +58,7 @@ class Experiment:
     stiffness_factor: float = 1.0
     installation: Installation = "preserve"
     early_stop: bool = True
-    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] | None = None
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -74,6 +75,8 @@ class Experiment:
         """Excitation frequency at a content (percent), Hz."""
         if self.frequencies is None:
             return excitation_frequency(content)
+        if callable(self.frequencies):
+            return self.once(("frequency", content), partial(self.frequencies, self, content))
         return interpolate(content, *self.frequencies)
 
     def once(self, key: Hashable, compute: Callable[[], _Found]) -> _Found:

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, require, require_fields
-from calcidem.dem.engine.leapfrog import Precision
-from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
 

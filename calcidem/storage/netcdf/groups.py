@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records import ARRAY_RECORDS, AttemptRecord, CellKey, CellResult, PackingRecord
+from calcidem.storage.records import ARRAY_RECORDS, AttemptRecord, CellKey, PackingRecord
 from calcidem.storage.records.quantity import array_fields, quantities_of
 
 Group = Any
@@ -25,7 +25,7 @@ _Column = tuple[str, str, NDArray[Any]]
 
 _COUNT = "_count"
 
-_COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
+COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
 _CHUNK = 8192  # elements, about two cells' contacts; the library's own are so small that each costs more than its bytes
 
 _CELLS_READ_AT_ONCE = 500
@@ -49,7 +49,7 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
         if name not in group.variables:
             is_text = values.dtype.kind == "O"
             options = (
-                {} if is_text else _COMPRESSED | {"chunksizes": (min(max(1, len(values)), _CHUNK), *values.shape[1:])}
+                {} if is_text else COMPRESSED | {"chunksizes": (min(max(1, len(values)), _CHUNK), *values.shape[1:])}
             )
             further = [_fixed_dimension(group, length) for length in values.shape[1:]]
             variable = group.createVariable(name, str if is_text else values.dtype, (dimension, *further), **options)
@@ -194,10 +194,10 @@ def read_packings(file: Group) -> Iterator[PackingRecord]:
         )
 
 
-def append_arrays(file: Group, results: Sequence[CellResult], groups: Collection[str]) -> None:
-    """Append the arrays of some cells, those that have them and whose group is wanted."""
+def append_arrays(file: Group, cells: Sequence[tuple[CellKey, Mapping[str, Any]]], groups: Collection[str]) -> None:
+    """Append the arrays of some cells, records by name, those whose group is wanted."""
     for name in groups:
-        found = [(result.key, getattr(result, name)) for result in results if getattr(result, name) is not None]
+        found = [(key, arrays[name]) for key, arrays in cells if name in arrays]
         if found:
             _append_records(file.createGroup(name), ARRAY_RECORDS[name], found)
 

@@ -12,7 +12,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.dataset import LAYOUT
+from calcidem.storage.conventions import LAYOUT
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,

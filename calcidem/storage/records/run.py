@@ -6,6 +6,9 @@ from datetime import UTC, datetime
 
 from calcidem.storage.passwords import hide_passwords
 
+_NAMED_HOSTS = 3
+"""Machines of one kind that are named where there are many."""
+
 
 @dataclass(frozen=True, slots=True)
 class WorkerRecord:
@@ -44,6 +47,19 @@ class WorkerRecord:
         """Take lists, as JSON has them, for tuples."""
         for name in ("ranks", "hosts", "features", "numpy_simd"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    @property
+    def kind(self) -> str:
+        """What these processes are, in a line."""
+        blas = "BLAS unknown" if self.blas_core is None else f"OpenBLAS {self.blas_core}"
+        simd = self.numpy_simd[-1] if self.numpy_simd else "baseline"
+        return f"{self.processor} ({self.architecture}, {len(self.features)} features), {blas}, numpy {simd}"
+
+    @property
+    def places(self) -> str:
+        """Their machines, only the first of many."""
+        more = len(self.hosts) - _NAMED_HOSTS
+        return ", ".join(self.hosts[:_NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
 
 
 @dataclass(frozen=True, slots=True)

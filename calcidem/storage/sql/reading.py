@@ -1,7 +1,7 @@
 """Queries of a campaign: from a `Selection` to records and columns."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -23,6 +23,7 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
+    ARRAY_RECORDS,
     QUANTITY_BY_NAME,
     AttemptCount,
     AttemptRecord,
@@ -244,24 +245,55 @@ def _readable_rows(
     yield from found
 
 
-def results_of(session: Session, cell_ids: Sequence[int], *, with_arrays: bool) -> Iterator[CellResult]:
-    """Outcomes of the cells (those that have one), by seed, then content."""
+def results_of(session: Session, cell_ids: Sequence[int], arrays_wanted: Collection[str]) -> Iterator[CellResult]:
+    """Outcomes of the cells (those that have one) with these of their arrays, by seed, then content."""
     outcome = rows.OutcomeColumns()
     statement = join_results(select(*outcome.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
-    arrays = _arrays_of(session, cell_ids) if with_arrays else None
+    arrays = _arrays_of(session, cell_ids, arrays_wanted) if arrays_wanted else None
     for row in filter(_has_key, _outcome_rows(session, statement, cell_ids)):
         try:
-            yield outcome.result(row, None if arrays is None else arrays.get(row[0], {}))
+            yield outcome.result(row, None if arrays is None else arrays.get(row[0], {}), arrays_wanted)
         except UNREADABLE as error:
-            reason = error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
-            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, reason)
+            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, _problem_of(error))
 
 
-def _arrays_of(session: Session, cell_ids: Sequence[int]) -> dict[int, dict[str, bytes]]:
+def select_cells_with_arrays(session: Session, campaign_id: int, selection: Selection) -> list[int]:
+    """Ids of the selected cells beside whose outcomes there are arrays, by seed, then content."""
+    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
+    named = statement.where(RESULT.c.checksum.contains(" "))  # the checksums of arrays follow that of the row
+    try:
+        return list(session.scalars(named.order_by(*_BY_KEY)))
+    except UNREADABLE as error:
+        if not may_be_damage(error):
+            raise
+    return select_cells(session, campaign_id, selection)
+
+
+def array_records_of(session: Session, cell_ids: Sequence[int]) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+    """Arrays beside the outcomes of the cells, or what is damaged of them; see `Store.arrays`."""
+    statement = join_results(select(CellRow.id, CellRow.seed, CellRow.content, RESULT.c.checksum))
+    statement = statement.where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+    arrays = _arrays_of(session, cell_ids, ARRAY_RECORDS)
+    for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
+        if row is None or not _has_key(row):
+            continue  # its numbers can't be read either
+        try:
+            yield CellKey(row[1], row[2]), rows.array_records(str(row[3] or ""), arrays.get(row[0], {}))
+        except UNREADABLE as error:
+            yield CellKey(row[1], row[2]), _problem_of(error)
+
+
+def _problem_of(error: Exception) -> str:
+    """What is damaged of a cell, as a clause."""
+    return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
+
+
+def _arrays_of(session: Session, cell_ids: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
     """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
     number: SQLColumnExpression[Any] = ARRAYS.c.cell_id
+    statement = select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
     found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
-    for _, row in _readable_rows(session, select(number, ARRAYS.c.name, ARRAYS.c.content), number, cell_ids):
+    for _, row in _readable_rows(session, statement, number, cell_ids):
         if row is not None and isinstance(row[2], bytes):
             found[row[0]][row[1]] = row[2]
     return found

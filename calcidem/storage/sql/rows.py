@@ -3,9 +3,11 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
+from sqlalchemy import Table
 
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records import (
@@ -63,8 +65,7 @@ class OutcomeColumns:
         columns: list[Any] = [CELL.c.id, CELL.c.seed, CELL.c.content, RESULT.c.cell_id]
         self._blocks = {}
         for table in (RESULT, ATTEMPT):
-            wanted = [name for name, column in EXPRESSIONS.items() if column in table.columns.values()]
-            if table is RESULT or names is None or not set(wanted).isdisjoint(names):
+            if table is RESULT or names is None or not _quantities_in(table).isdisjoint(names):
                 self._blocks[table.name] = slice(len(columns), len(columns) + 1 + len(covered_columns(table)))
                 columns += [table.c.checksum, *(table.c[name] for name in covered_columns(table))]
         self.columns = tuple(columns)
@@ -89,7 +90,12 @@ class OutcomeColumns:
                 return "its attempt was changed after it had been stored"
         return ""
 
-    def result(self, row: Sequence[Any], arrays: Mapping[str, bytes] | None = None) -> CellResult:
+    def result(
+        self,
+        row: Sequence[Any],
+        arrays: Mapping[str, bytes] | None = None,
+        wanted: Collection[str] = tuple(ARRAY_RECORDS),
+    ) -> CellResult:
         """Build the outcome of a cell; all tables must have been fetched.
 
         Parameters
@@ -97,6 +103,8 @@ class OutcomeColumns:
         row : sequence
         arrays : mapping, optional
             Arrays of the cell by name.
+        wanted : collection of str
+            Which of the arrays were asked for.
 
         Raises
         ------
@@ -105,15 +113,7 @@ class OutcomeColumns:
         """
         if damage := self.find_damage(row):
             raise DamagedStoreError(damage, "")
-        stored = set(row[self._blocks[RESULT.name]][0].split(" ")[1:])
-        if arrays is not None and (changed := stored ^ set(arrays_text(arrays).split())):
-            names = ", ".join(sorted({word.partition(":")[0] for word in changed}))
-            raise DamagedStoreError(f"its {names} was changed after it had been stored, or is missing", "")
-        records: dict[str, Any] = {}
-        for name, content in (arrays or {}).items():
-            values = {field: array if array.ndim else array.item() for field, array in unpack_arrays(content).items()}
-            kind: type[Any] = ARRAY_RECORDS[name]
-            records[name] = kind(**values)
+        records = {} if arrays is None else array_records(row[self._blocks[RESULT.name]][0], arrays, wanted)
         return CellResult(
             key=CellKey(row[1], row[2]),
             features=self._part(row, PathFeatures),
@@ -127,6 +127,35 @@ class OutcomeColumns:
         names = [quantity.name for quantity in quantities_of(kind)]
         values = {name: row[self.place[name]] for name in names}
         return None if values[names[0]] is None else kind(**values)
+
+
+def array_records(
+    checksum: str, arrays: Mapping[str, bytes], wanted: Collection[str] = tuple(ARRAY_RECORDS)
+) -> dict[str, Any]:
+    """Build records of the arrays of a cell, by name, from the stored bytes of these and the checksum of its outcome.
+
+    Raises
+    ------
+    DamagedStoreError
+        If one is not what was stored, or is missing.
+    """
+    stored = {word for word in checksum.split(" ")[1:] if word.partition(":")[0] in wanted}
+    if changed := stored ^ set(arrays_text(arrays).split()):
+        names = ", ".join(sorted({word.partition(":")[0] for word in changed}))
+        raise DamagedStoreError(f"its {names} was changed after it had been stored, or is missing", "")
+    records: dict[str, Any] = {}
+    for name, content in arrays.items():
+        values = {field: array if array.ndim else array.item() for field, array in unpack_arrays(content).items()}
+        kind: type[Any] = ARRAY_RECORDS[name]
+        records[name] = kind(**values)
+    return records
+
+
+@cache
+def _quantities_in(table: Table) -> frozenset[str]:
+    """Names of the quantities that are columns of a table."""
+    columns = set(table.columns)  # by hash: comparing columns makes an SQL expression of each pair
+    return frozenset(name for name, column in EXPRESSIONS.items() if column in columns)
 
 
 def pack_result(result: CellResult | PackedResult) -> PackedResult:

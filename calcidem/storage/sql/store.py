@@ -26,6 +26,7 @@ from calcidem.storage.errors import (
     UnknownCellError,
 )
 from calcidem.storage.records import (
+    ARRAY_RECORDS,
     AttemptCount,
     AttemptRecord,
     CampaignRecord,
@@ -606,21 +607,25 @@ class Store(Closable):
             "See 'pending' in the status, or extend the campaign.",
         )
 
-    def results(self, selection: Selection = ALL_CELLS, *, with_arrays: bool = False) -> Iterator[CellResult]:
+    def results(
+        self, selection: Selection = ALL_CELLS, *, with_arrays: bool | Collection[str] = False
+    ) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
         Parameters
         ----------
         selection : Selection
-        with_arrays : bool
-            Whether to load paths, signals and cement patterns, some 50 kB a cell; without it they are None.
+        with_arrays : bool or collection of str
+            Whether to load paths, sections and cement patterns, some 50 kB a cell, or which of them (`ARRAY_RECORDS`).
+            The others are None, and are neither read nor compared with their checksums.
         """
+        arrays = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
         chunks = self._chunks(selection)
 
         def fetch() -> Iterator[CellResult]:
             for chunk in chunks:
                 with self._reading() as session:
-                    found = list(reading.results_of(session, chunk, with_arrays=with_arrays))
+                    found = list(reading.results_of(session, chunk, arrays))
                 for result in found:
                     # A damaged one was chosen by what it is no longer.
                     is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
@@ -628,6 +633,23 @@ class Store(Closable):
                         yield result
 
         return fetch()
+
+    def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+        """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
+
+        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`.
+
+        Returns
+        -------
+        iterator of (CellKey, dict or str)
+            Records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
+        """
+        with self._reading() as session:
+            cells = reading.select_cells_with_arrays(session, self._campaign, selection)
+        for chunk in reading.chunks(cells):
+            with self._reading() as session:
+                found = list(reading.array_records_of(session, chunk))
+            yield from found
 
     def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, then let the caller fetch them piece by piece.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.packing import identify_packing
+from calcidem.app.campaign.stored_packing import identify_packing
 from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
 from calcidem.storage.netcdf.export import export_netcdf

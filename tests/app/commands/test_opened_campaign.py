@@ -37,7 +37,8 @@ def test_a_rebuilt_sample_is_the_one_that_was_computed(campaign: Campaign, seed:
     assert len(sample.bonds.pairs) == stored.bonded_contacts
 
 
-@pytest.mark.parametrize("content", [0.0, pytest.param(0.66, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("content", [0.0, 0.66])
 def test_a_rebuilt_sample_is_in_balance(campaign: Campaign, content: float) -> None:
     """The disks, forces and walls that come back are those of a packing at rest, with cement or without."""
     sample = campaign.sample(seed=1, content=content)
@@ -139,6 +140,7 @@ def test_what_is_missing_is_said(campaign: Campaign) -> None:
         Configuration.from_physics({"wave": {}})
 
 
+@pytest.mark.full
 def test_examples_of_the_documentation(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples in the docstrings give what they show."""
     monkeypatch.chdir(database.parent)

@@ -324,7 +324,7 @@ SUBJECTS = {
     "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 500),
     "measured errors": Subject(spoiled(ERRORS), use_errors, 4, 200),
     "filters": Subject(filters, use_filter, 40, 1000),
-    "command lines": Subject(command_lines, use_words, 40, 2000),
+    "command lines": Subject(command_lines, use_words, 12, 2000),
 }
 
 

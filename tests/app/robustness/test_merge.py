@@ -11,7 +11,7 @@ import pytest
 
 from calcidem.app.campaign.merge import MergeConflictError, merge_databases
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import _stored_packing, packing_record
+from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
@@ -123,7 +123,7 @@ def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, t
         store.begin_campaign(whole.use_campaign())
         record = whole.packing()
         assert record is not None
-        packing = _stored_packing(record)
+        packing = stored_packing(record)
         moved = replace(packing, x=packing.x * (1 + 1e-15))
         store.save_packing(packing_record(moved, index=0, packing_hash=record.hash))
     hashes = f"{packing.content_hash} in database 1 and {moved.content_hash} in database 2"

@@ -15,9 +15,9 @@ from unchanged import unchanged_if_refused
 
 from calcidem.app.campaign.identity import record_of
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
 from calcidem.app.cli.query import Format, _as_text

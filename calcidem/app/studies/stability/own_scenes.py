@@ -16,7 +16,8 @@ from calcidem.dem.engine.readout import energies, unbalanced_ratio, wall_reactio
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import LID, box_walls
+from calcidem.dem.sample.compaction import box_walls
+from calcidem.dem.sample.packing import LID
 
 OWN_TOLERANCE = 0.02
 """Relative error above which a run is wrong: at the limit the energy of a leapfrog swings by some percent."""

@@ -17,7 +17,8 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Preload, Regime
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementRule
-from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule, make_packing
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.reading import PickRule

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.sample.packing_file import FARTHEST, PackingFileError
+from calcidem.dem.sample.packing import PackingFileError
+from calcidem.dem.sample.packing_file import FARTHEST
 
 _ATOM_STYLES = {
     "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),

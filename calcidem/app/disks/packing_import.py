@@ -8,16 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.campaign.foreign_disks import ForeignDisks, read_foreign_disks
+from calcidem.app.disks.foreign_disks import ForeignDisks, read_foreign_disks
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.judgement import DEEP_OVERLAP, LARGEST_OVERLAP, deepest_overlap, judge_porosity
-from calcidem.dem.sample.packing_file import (
-    FEWEST_DISKS,
-    PackingFileError,
-    overlapping_pairs,
-    refuse_deep_overlaps,
-    write_disks_csv,
-)
+from calcidem.dem.sample.packing import PackingFileError
+from calcidem.dem.sample.packing_file import FEWEST_DISKS, overlapping_pairs, refuse_deep_overlaps, write_disks_csv
 from calcidem.storage.files import write_atomically
 
 _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}

@@ -1,0 +1,167 @@
+"""A packing as the store and the cache keep it: as bytes, and as a record; who reads one makes none."""
+
+import io
+import json
+import os
+from contextlib import suppress
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from calcidem.app.config.presets import preset_packings
+from calcidem.dem.engine.scene import Preload
+from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport
+from calcidem.storage.errors import DamagedStoreError
+from calcidem.storage.records import PackingRecord
+from calcidem.storage.sql.store import Store
+
+CACHE_VARIABLE = "CALCIDEM_CACHE"
+"""Names the folder of the cache, if it is not to be ``$XDG_CACHE_HOME/calcidem``."""
+
+_HEADING = b"calcidem packing 1\n"
+_DIGEST_LENGTH = 64
+
+
+class DamagedPackingError(ValueError):
+    """Bytes that are not, or no longer, what `packing_to_bytes` gave."""
+
+
+def cache_folder() -> Path:
+    """Folder in which packings are kept between campaigns; need not exist yet."""
+    own, shared = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
+    return Path(own) if own else Path(shared or Path.home() / ".cache") / "calcidem"
+
+
+def readable_packing(store: Store, index: int) -> Packing:
+    """The stored packing; where it is damaged the same one, by its content hash, of calcidem or of the cache.
+
+    Raises
+    ------
+    DamagedStoreError
+        If it is damaged, and nobody else has it.
+    UnknownCellError
+        If there is none of that index.
+    """
+    try:
+        return stored_packing(store.packing(index))
+    except DamagedStoreError:
+        content_hash = store.content_hashes().get(index)
+        cached = sorted(cache_folder().glob("packing-*.npz"))
+        for archive in (*preset_packings(), *cached):
+            with suppress(OSError, DamagedPackingError):
+                found = packing_from_bytes(archive.read_bytes())
+                if found.content_hash == content_hash:
+                    return found
+        raise
+
+
+def packing_to_bytes(packing: Packing) -> bytes:
+    """Heading, SHA-256 of the rest, and the arrays and the report in NumPy's npz format."""
+    body = io.BytesIO()
+    np.savez(
+        body,
+        x=packing.x,
+        y=packing.y,
+        radius=packing.radius,
+        size=np.array([packing.width, packing.height]),
+        pairs=packing.preload.pairs,
+        shear=packing.preload.shear,
+        report=np.frombuffer(json.dumps(asdict(packing.report)).encode(), dtype=np.uint8),
+    )
+    digest = sha256(body.getvalue()).hexdigest().encode()
+    return _HEADING + digest + b"\n" + body.getvalue()
+
+
+def packing_from_bytes(archive: bytes) -> Packing:
+    """Packing that `packing_to_bytes` was given, bit for bit.
+
+    Raises
+    ------
+    DamagedPackingError
+        If the bytes have been changed or cut off, or are something else.
+    """
+    if not archive:
+        raise DamagedPackingError("it is empty")
+    start = len(_HEADING) + _DIGEST_LENGTH + 1
+    head, body = archive[:start], archive[start:]
+    if head != _HEADING + sha256(body).hexdigest().encode() + b"\n":
+        raise DamagedPackingError("the checksum does not fit")
+    with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
+        report = json.loads(arrays["report"].tobytes())
+        width, height = (float(length) for length in arrays["size"])
+        return Packing(
+            x=arrays["x"],
+            y=arrays["y"],
+            radius=arrays["radius"],
+            width=width,
+            height=height,
+            preload=Preload(arrays["pairs"], arrays["shear"]),
+            report=PackingReport(**report | {"wall_stress": tuple(report["wall_stress"])}),
+        )
+
+
+def packing_record(packing: Packing, *, index: int, packing_hash: str) -> PackingRecord:
+    """Packing and report as the store keeps them; there, overlaps are relative to the mean diameter."""
+    report = packing.report
+    diameter = 2.0 * float(packing.radius.mean())
+    return PackingRecord(
+        index=index,
+        hash=packing_hash,
+        x=packing.x.astype(float),
+        y=packing.y.astype(float),
+        radius=packing.radius.astype(float),
+        width=packing.width,
+        height=packing.height,
+        porosity=report.porosity,
+        coordination_number=report.coordination_number,
+        coordination_number_without_rattlers=report.coordination_number_without_rattlers,
+        wall_stress=dict(zip(WALL_NAMES, report.wall_stress, strict=True)),
+        mean_relative_overlap=report.mean_overlap / diameter,
+        largest_relative_overlap=report.largest_overlap / diameter,
+        unbalanced_ratio=report.unbalanced_ratio,
+        seconds=report.seconds,
+        state=packing_to_bytes(packing),
+        content_hash=packing.content_hash,
+    )
+
+
+def stored_packing(record: PackingRecord) -> Packing:
+    """Packing of a record, bit for bit the one that was stored.
+
+    Raises
+    ------
+    DamagedStoreError
+        If the record's state is missing or damaged, or of another packing than the rest of the record.
+    """
+    try:
+        packing = packing_from_bytes(record.state)
+        _check_record(record, packing)
+    except DamagedPackingError as error:
+        raise DamagedStoreError(
+            f"The stored state of packing {record.index} can't be used: {error}.",
+            "Samples can't be rebuilt from it; the results can be read as before.",
+        ) from error
+    return packing
+
+
+def _check_record(record: PackingRecord, packing: Packing) -> None:
+    """Raise `DamagedPackingError` if a record says something else than the packing in its state."""
+    for name in ("x", "y", "radius", "width", "height"):
+        if not np.array_equal(getattr(packing, name), getattr(record, name)):
+            raise DamagedPackingError(f"its {name} is not that of the record")
+    if record.content_hash not in {None, packing.content_hash}:
+        raise DamagedPackingError(f"its content hash is {packing.content_hash}, not {record.content_hash}")
+
+
+def identify_packing(record: PackingRecord) -> PackingRecord:
+    """A record with the content hash that an earlier calcidem did not store, checked as `stored_packing` checks it."""
+    return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
+
+
+def content_hash_of(record: PackingRecord) -> str | None:
+    """Content hash of a stored packing, also of one that an earlier calcidem stored; None where that can't be told."""
+    with suppress(DamagedStoreError):
+        record = identify_packing(record)
+    return record.content_hash

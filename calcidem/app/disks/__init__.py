@@ -1,0 +1,1 @@
+"""Disks of other programs, brought into the form of a packing."""

@@ -1,0 +1,387 @@
+"""Making a packing: disks expanded in a box and pressed by a servo-controlled lid (section 2.2.2 of the paper).
+
+The radii grow step by step to the porosity that is wanted, then the lid takes up its stress; both as in the PFC manual
+(radius expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
+doi:10.1680/geot.1979.29.1.47) with local damping.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+import numpy as np
+
+from calcidem.dem.engine.assembly import Assembly
+from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
+from calcidem.dem.engine.scene import Preload, Scene, Wall
+from calcidem.dem.engine.stability import critical_time_step, scaled_densities
+from calcidem.dem.engine.state import SKIN, advance, choose_features, start
+from calcidem.dem.engine.step_control import UnstableRunError, step_limit
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
+from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingReport, PackingRule, PackingStage
+
+_FILLING_RATIO = 1e-2  # unbalanced-force ratio at which a filled box may be pressed
+_NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
+_FREELY_PLACED = 0.547  # covered part below which disks can be placed at random anyway, see `_loosest_factor`
+_HIGHEST = 0.35  # squared frequency with scaled densities over that without; lower, the mean disk gets too heavy
+_TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
+_SHORTER = 0.8  # step over the one that proved too long
+_MOST_SHORTENED = 21  # times in a row, to a hundredth
+_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest below which disks have their own masses, see `Manner`
+_SERVO_GAIN = 0.9  # of the lid
+_STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How disks are brought to rest.
+
+    Attributes
+    ----------
+    steps
+        Between two looks at the step limit and the unbalanced-force ratio.
+    fraction
+        Of the step's limit at the present overlaps.
+    skin
+        Pairs are listed up to this part of the mean radius apart: far where disks fly, near where they stay.
+    steps_per_contact
+        As in `start`: enough for impacts that damping is to end, or 0.
+    apart
+        Largest overlap over smallest radius at which the next radius step may come, since a loose gas of disks has no
+        balance to wait for; 0 while the lid presses.
+    halted
+        Disks are halted at every look.
+    scaled
+        Stiff disks get heavier, see `scaled_densities`; while the lid presses not in the last two decades of the
+        unbalanced-force ratio: there contacts stop sliding, and with other masses fewer of them do.
+    """
+
+    steps: int = 400
+    fraction: float = 0.95
+    skin: float = 0.25
+    steps_per_contact: float = 0.0
+    apart: float = 0.0
+    halted: bool = False
+    scaled: bool = False
+
+
+_HALTED = Manner(steps=100, fraction=0.9, skin=1.0, apart=1e-2, halted=True, scaled=True)
+_FLYING = Manner(steps=200, fraction=0.9, skin=1.0, apart=1e-3)
+_CRUSHED = replace(_FLYING, steps=400, skin=0.7)
+_PRESSED = Manner(scaled=True)
+OWN_DISKS = Manner(fraction=0.8, skin=SKIN, steps_per_contact=4.0)
+"""Of disks from elsewhere, which may hardly touch."""
+
+
+@dataclass(slots=True)
+class Cost:
+    """Steps and wall time so far, and the radius step; whoever watches is told of it all after every chunk."""
+
+    steps: int = 0
+    began: float = field(default_factory=perf_counter)
+    watch: Callable[[PackingStage], None] = lambda _: None
+    expansion_step: int = 0
+    expansion_steps: int = 0
+
+
+def make_packing(
+    rule: PackingRule,
+    sand: Sand,
+    generator: np.random.Generator,
+    check: Callable[[], None] = lambda: None,
+    watch: Callable[[PackingStage], None] = lambda _: None,
+) -> Packing:
+    """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
+
+    Parameters
+    ----------
+    rule
+        What to make.
+    sand
+        Material; its friction is replaced by the one of preparation while packing.
+    generator
+        Source of sizes and positions.
+    check
+        Called every fraction of a second; may raise to end the work.
+    watch
+        Told as often how far the work is.
+
+    Raises
+    ------
+    PackingError
+        If it does not come to rest in ``rule.most_steps`` steps, or disks are thrown out of the box at any step.
+    """
+    cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
+    radius = _draw_radii(rule, generator)
+    slippery = replace(sand, friction=rule.friction_preparation)
+    loose = _loosest_factor(rule, radius)
+    x, y = _place_apart(rule, radius * loose, generator)
+    preload: Preload | None = None
+    for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
+        cost.expansion_step += 1
+        scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
+        covered = (1.0 - rule.porosity) * _square(float(factor))
+        manner = (
+            _HALTED if covered < _FREELY_PLACED else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
+        )
+        state = relax(scene, preload, rule, cost, check, manner)
+        x, y = state.position().T
+        preload = _preload_of(state)
+    cost.expansion_step += 1
+    lid_force = rule.stress * rule.width
+    scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
+    state = relax(scene, preload, rule, cost, check)
+    return packing_at_rest(state, rule, cost)
+
+
+def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
+    """Radii whose disks fill the box to the porosity; all are scaled a little to make the area exact."""
+    area = (1.0 - rule.porosity) * rule.width * rule.height
+    low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
+    mean_area = np.pi * (low * low + low * high + high * high) / 3.0
+    radius = low + (high - low) * generator.random(round(area / mean_area))
+    # The scale differs from 1 by about 1e-3: the sampling error of the summed area.
+    scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
+    return scale * radius
+
+
+def _loosest_factor(rule: PackingRule, radius: Floats) -> float:
+    """Part of the final radii at which the disks can be placed at random without touching.
+
+    Random sequential placement of equal disks jams at a covered part of 0.547 (Hinrichsen, Feder and Jossang 1986,
+    doi:10.1007/BF01011908), and takes long near it.
+    """
+    fraction = 0.35
+    return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
+
+
+def _place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Random positions in the box without overlaps, found by random sequential placement on a grid of cells."""
+    cell = 2.0 * float(radius.max())
+    columns, rows = int(rule.width / cell) + 1, int(rule.height / cell) + 1
+    cells: dict[tuple[int, int], list[int]] = {}
+    radii: list[float] = radius.tolist()  # numbers of NumPy take three times as long
+    x, y = [0.0] * len(radii), [0.0] * len(radii)
+    for disk in np.argsort(-radius, kind="stable").tolist():
+        own = radii[disk]
+        for _ in range(10_000):
+            # Not `Generator.uniform`, which a compiler may contract.
+            px = own + (rule.width - own - own) * generator.random()
+            py = own + (rule.height - own - own) * generator.random()
+            column, row = int(px / cell), int(py / cell)
+            near = [
+                other
+                for a in range(max(0, column - 1), min(columns, column + 2))
+                for b in range(max(0, row - 1), min(rows, row + 2))
+                for other in cells.get((a, b), ())
+            ]
+            if all(_square(px - x[o]) + _square(py - y[o]) >= _square(own + radii[o]) for o in near):
+                break
+        else:
+            raise PackingError(f"no room for disk {disk}: raise the porosity or enlarge the box")
+        x[disk], y[disk] = px, py
+        cells.setdefault((column, row), []).append(disk)
+    return np.array(x), np.array(y)
+
+
+def _square(value: float) -> float:
+    """Square, rounded once; the power of a number is the C library's affair."""
+    return value * value
+
+
+def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:
+    """Four frictionless walls; the lid holds a force if one is given."""
+    return (
+        Wall((0.0, 0.0), (1.0, 0.0)),
+        Wall((width, 0.0), (-1.0, 0.0)),
+        Wall((0.0, 0.0), (0.0, 1.0)),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=_SERVO_GAIN),
+    )
+
+
+def relax(
+    scene: Scene,
+    preload: Preload | None,
+    rule: PackingRule,
+    cost: Cost,
+    check: Callable[[], None],
+    manner: Manner = _PRESSED,
+) -> State:
+    """Let a scene come to rest.
+
+    Raises
+    ------
+    PackingError
+        If it does not, or blows up.
+    """
+    state = start(
+        scene,
+        # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.
+        features=replace(choose_features(scene, "finite"), servo=True, midpoint=False),
+        preload=preload,
+        skin_fraction=manner.skin,
+        steps_per_contact=manner.steps_per_contact,
+    )
+    ratios: list[float] = []
+    limit: Floats | None = None
+    cost.watch(_stage_of(cost, rule, ratios))
+    while True:
+        check()
+        try:
+            unrest = min(ratios, default=math.inf) / rule.unbalanced_force_ratio
+            state, limit = _advance_to_look(state, manner, unrest, limit)
+        except UnstableRunError as error:
+            cure = "lower stress, raise damping, or move the disks apart if they are your own"
+            raise PackingError(f"while the disks came to rest, {str(error).rsplit(': ', 1)[0]}: {cure}") from error
+        cost.steps += manner.steps
+        ratio = unbalanced_ratio(state)
+        ratios.append(ratio)
+        cost.watch(_stage_of(cost, rule, ratios))
+        if cost.steps > rule.most_steps:
+            cure = "raise most_steps, damping or porosity" if manner.apart else _cure_of_unrest(state, rule, ratios)
+            raise PackingError(
+                f"the packing is not at rest after {cost.steps} steps (unbalanced-force ratio {ratio:.2g}): {cure}"
+            )
+        if manner.apart:
+            if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < manner.apart * scene.radius.min():
+                return state
+        elif (
+            ratio < rule.unbalanced_force_ratio
+            and abs(_lid_stress(state, rule) / rule.stress - 1.0) < _STRESS_TOLERANCE
+        ):
+            return state
+
+
+def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
+    """State some steps later, with the step that its overlaps allow; ``unrest`` is the ratio over the one at rest.
+
+    Where disks are pressed together again meanwhile, so much that the step was too long, or thrown out of the box, it
+    is done again with a shorter one. With it comes the limit of its step, if that is known already, as ``limit`` is
+    that of ``state``.
+    """
+    grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
+    if scaled:
+        heavier, limit = scaled_densities(*_present_contacts(state), _HIGHEST)
+        state = replace(state, assembly=replace(state.assembly, grains=heavier))
+    elif limit is None:
+        limit = step_limit(state)
+    step = manner.fraction * limit
+    later, found, shortened = advance(replace(state, time_step=step), manner.steps), None, 0
+    while _left_box(later) or (
+        manner is _PRESSED
+        and (step > _TOO_LONG * (found := critical_time_step(*_present_contacts(later), rings=scaled))).any()
+    ):
+        shortened += 1
+        if shortened > _MOST_SHORTENED:
+            raise PackingError(
+                f"disks are thrown out of the box at a step of {step.min():.3g} s, {_SHORTER**_MOST_SHORTENED:.0e} of "
+                "its bound: the stress is too high for this modulus; lower packing.stress or raise sand.shear_modulus"
+            )
+        step = _SHORTER * step
+        later = advance(replace(state, time_step=step), manner.steps)
+    if manner.halted:
+        later.motion.velocity[...] = 0.0
+    return replace(later, assembly=replace(later.assembly, grains=grains)), None if scaled else found
+
+
+def _left_box(state: State) -> bool:
+    """Whether a disk's centre is behind a wall that stands: disks that fly into each other can make a step too long."""
+    x, y = state.position().T
+    standing = (wall for wall in state.scene.walls if wall.servo_force is None)
+    return not all(bool((wall.distance(x, y) > 0.0).all()) for wall in standing)
+
+
+def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
+    """What `critical_time_step` is told of a state."""
+    return state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
+
+
+def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
+    """How far a packing is that had these unbalanced-force ratios in its present stage."""
+    lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
+    pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
+    expansion = 0.3 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
+    if cost.expansion_step <= cost.expansion_steps:
+        fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
+    else:
+        fraction = expansion + (1.0 - expansion) * pressed
+    ratio = ratios[-1] if ratios else 1.0  # disks that nothing holds yet
+    return PackingStage(
+        cost.expansion_step, cost.expansion_steps, cost.steps, ratio, rule.unbalanced_force_ratio, fraction
+    )
+
+
+def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
+    """What helps disks that had these unbalanced-force ratios: more steps only where they still come nearer."""
+    half, stress = len(ratios) // 2, _lid_stress(state, rule)
+    if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
+        return f"the lid bears {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
+    if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
+        return "raise damping or unbalanced_force_ratio; more steps will not help, since it comes no nearer"
+    return "raise most_steps, damping or unbalanced_force_ratio"
+
+
+def _lid_stress(state: State, rule: PackingRule) -> float:
+    """Normal stress on the lid, Pa."""
+    return float(wall_reactions(state)[LID, 0]) / rule.width
+
+
+def _preload_of(state: State) -> Preload:
+    """Shear forces of the touching pairs."""
+    contacts = contact_forces(state)
+    return Preload(contacts.pairs, contacts.shear)
+
+
+def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
+    """Packing and report of a state at rest; a `PackingError` where no disk touches another."""
+    height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
+    position = state.position()
+    contacts = contact_forces(state)
+    if not len(contacts.pairs):
+        raise PackingError(f"no two disks touch under the lid: make the box narrower than width = {rule.width:g} m")
+    backbone = _coordination_without_rattlers(contacts.pairs, state)
+    reactions = wall_reactions(state)[:, 0]
+    lengths = np.array([height, height, rule.width, rule.width])
+    report = PackingReport(
+        porosity=1.0 - float(np.pi * np.sum(state.scene.radius**2)) / (rule.width * height),
+        coordination_number=2.0 * len(contacts.pairs) / state.scene.count,
+        coordination_number_without_rattlers=backbone[0],
+        rattlers=backbone[1],
+        wall_stress=tuple(float(value) for value in reactions / lengths),  # type: ignore[arg-type]
+        mean_overlap=float(contacts.overlap.mean()),
+        largest_overlap=float(contacts.overlap.max()),
+        unbalanced_ratio=unbalanced_ratio(state),
+        steps=cost.steps,
+        seconds=perf_counter() - cost.began,
+    )
+    return Packing(
+        x=position[:, 0].copy(),
+        y=position[:, 1].copy(),
+        radius=np.asarray(state.scene.radius, dtype=float).copy(),
+        width=rule.width,
+        height=height,
+        preload=Preload(contacts.pairs, contacts.shear),
+        report=report,
+    )
+
+
+def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
+    """Coordination number of the disks that carry load, and the number of the others.
+
+    A disk with fewer than two contacts (walls included) carries nothing; taking it away may leave others so.
+    """
+    disk = np.repeat(np.arange(state.scene.count), np.diff(state.assembly.wall_pairs.start))
+    pressed = wall_overlaps(state)[:, 0] > 0.0
+    at_wall = np.bincount(state.assembly.order[disk[pressed]], minlength=state.scene.count)
+    kept = np.ones(state.scene.count, dtype=bool)
+    while True:
+        alive = kept[pairs].all(axis=1)
+        contacts = np.bincount(pairs[alive].ravel(), minlength=state.scene.count) + at_wall
+        fewer = kept & (contacts < 2)  # noqa: PLR2004 - one force alone cannot balance
+        if not fewer.any():
+            return 2.0 * int(alive.sum()) / max(1, int(kept.sum())), int((~kept).sum())
+        kept &= ~fewer

@@ -1,0 +1,46 @@
+"""A frequency that suits samples whose velocity nobody knows yet."""
+
+import numpy as np
+
+from calcidem.dem.wave.experiment import Experiment
+
+_WAVELENGTHS = 2.5
+"""Wavelengths of path: with fewer the near field is read, with many more grains pass on too little."""
+
+_PATTERNS = 3
+"""Cement patterns that are looked at: their median is within some percent of that of hundreds."""
+
+_SIGNIFICANT = 2
+"""Significant digits of the frequency, so that every processor chooses the same one."""
+
+
+def suitable_frequency(experiment: Experiment, content: float) -> float:
+    """Give the frequency at which the path from transmitter to receiver is 2.5 wavelengths, Hz.
+
+    The wavelength is that of the static speed, which needs no signal: the median of three cement patterns, those of
+    the seeds 0, 1 and 2. The frequency is rounded to two digits. So it depends on nothing but the experiment and the
+    content, and is the same on each rank and processor.
+
+    Parameters
+    ----------
+    experiment
+        What samples share; its frequencies are not looked at.
+    content
+        Percent of the sand's mass.
+
+    Raises
+    ------
+    ValueError
+        If a sample has no stiffness.
+
+    Notes
+    -----
+    Two and more wavelengths keep the near field small (Sanchez-Salinero, Roesset and Stokoe 1986, University of Texas
+    at Austin, report GR86-15).
+    """
+    # Each configuration names this function; only who calls it waits for the engine.
+    from calcidem.dem.wave.static_speed import static_speed  # noqa: PLC0415
+
+    patterns = [experiment.ordering(seed).at(content).bonded for seed in range(_PATTERNS)]
+    speeds = [static_speed(experiment, bonded).speed for bonded in (patterns if content > 0.0 else patterns[:1])]
+    return float(f"{_WAVELENGTHS * np.median(speeds) / experiment.distance:.{_SIGNIFICANT}g}")
