@@ -1,6 +1,6 @@
 """Run the commands of a page of the documentation in a new folder, and write below each what it printed.
 
-    python scripts/page_outputs.py docs/how-to/first-own-sand.md docs/tutorial/tutorial.ipynb
+    python scripts/page_outputs.py docs/your-sand.md docs/tutorial/tutorial.ipynb
     python scripts/page_outputs.py --list       # all commands of all pages, and which of them no test runs
 
 A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` is written as that file; a block
@@ -29,7 +29,7 @@ _HOME = "/home/me"
 PAGES = sorted({ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")})
 """Pages that may tell what to type."""
 
-RECORDED = ROOT / "docs" / "how-to" / "first-own-sand.md"
+RECORDED = ROOT / "docs" / "your-sand.md"
 """The page that shows what its commands print, and is run as a whole."""
 
 _STARTS = r"calcidem |python |pip |mkdocs |pytest |apt-get |cmake |make |mkdir |\. |\./"

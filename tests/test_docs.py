@@ -94,7 +94,7 @@ def test_every_command_of_a_page_has_the_options_it_is_given(page: Path) -> None
 
 @pytest.mark.full
 def test_a_recorded_page_shows_what_its_commands_print(tmp_path: Path) -> None:
-    """Numbers and words of `first-own-sand.md` are what its commands give today; times are not compared."""
+    """Numbers and words of `your-sand.md` are what its commands give today; times are not compared."""
     text = RECORDED.read_text(encoding="utf-8")
     now = OUTPUTS["text_with_outputs"](text, tmp_path)
     assert without_times(now) == without_times(text), f"run: python scripts/page_outputs.py {RECORDED}"

@@ -34,53 +34,7 @@ its rows are skipped and keep what was measured last.
 """
 _OPEN = "not measured yet"
 _TAIL = """
-## Whole cells in YADE
-
-<!-- long: 40 minutes, needs YADE -->
-
-    python benchmarks/peers/whole_cells.py [--quick] [--figure docs/whole-cells.png]
-
-Three cemented samples of `paper-small-pulse` (seed 1) are exported as they are before the pulse: disks, contacts with their shear forces,
-bonds, walls, loads. YADE computes the same laws until the campaign's record ends. The same reading takes Vs from both signals.
-LAMMPS takes no part: its bonds between unequal disks are another law.
-
-![received signals of both programs](whole-cells.png)
-
-In the columns: difference of the received signals (root mean square, over calcidem's), velocities, their difference, and the numerical error that
-the campaign states. *Linear* is the preset's regime. *Slip* is Coulomb's limit; without it contacts stick.
-
-| calcite, % | laws | step | signal, % | Vs, calcidem | Vs, YADE | difference, % | stated bound, % |
-|---|---|---|---|---|---|---|---|
-| 0.66 | linear, as the preset | 1/1 | 0.225 | 371.39 | 371.37 | -0.005 | 0.92 |
-| 0.66 | linear, as the preset | 1/2 | 0.113 | 371.40 | 371.40 | -0.001 | 0.92 |
-| 0.66 | linear, no damping | 1/1 | 0.002 | 405.62 | 405.62 | +0.000 | 0.92 |
-| 0.66 | finite, no damping, no slip | 1/1 | 0.139 | 405.58 | 405.57 | -0.003 | 0.92 |
-| 0.66 | finite, slip and damping | 1/1 | 0.264 | 371.28 | 371.23 | -0.012 | 0.92 |
-| 2.55 | linear, as the preset | 1/1 | 0.196 | 598.12 | 598.10 | -0.003 | 1.16 |
-| 2.55 | linear, as the preset | 1/2 | 0.085 | 598.11 | 598.10 | -0.002 | 1.16 |
-| 2.55 | linear, no damping | 1/1 | 0.002 | 638.85 | 638.85 | -0.000 | 1.16 |
-| 2.55 | finite, no damping, no slip | 1/1 | 0.051 | 638.56 | 638.53 | -0.004 | 1.16 |
-| 2.55 | finite, slip alone | 1/1 | 0.051 | 638.72 | 638.69 | -0.004 | 1.16 |
-| 2.55 | finite, damping alone | 1/1 | 0.196 | 597.87 | 597.83 | -0.006 | 1.16 |
-| 2.55 | finite, slip and damping | 1/1 | 0.196 | 598.01 | 597.97 | -0.006 | 1.16 |
-| 7 | linear, as the preset | 1/1 | 0.136 | 1803.26 | 1803.20 | -0.003 | 0.57 |
-| 7 | linear, as the preset | 1/2 | 0.067 | 1803.20 | 1803.22 | +0.001 | 0.57 |
-| 7 | linear, no damping | 1/1 | 0.000 | 1824.98 | 1824.98 | +0.000 | 0.57 |
-| 7 | finite, no damping, no slip | 1/1 | 0.024 | 1824.88 | 1824.86 | -0.002 | 0.57 |
-| 7 | finite, slip alone | 1/1 | 0.024 | 1824.88 | 1824.86 | -0.002 | 0.57 |
-| 7 | finite, damping alone | 1/1 | 0.151 | 1803.29 | 1803.18 | -0.006 | 0.57 |
-| 7 | finite, slip and damping | 1/1 | 0.151 | 1803.29 | 1803.18 | -0.006 | 0.57 |
-| 7 | finite, slip and damping | 1/2 | 0.078 | 1803.20 | 1803.19 | -0.001 | 0.57 |
-
-Velocities differ by 0.012 % at most, a seventieth of the stated error. Three samples at one pulse cannot show more. Signals differ for two reasons:
-
-* **Damping.** YADE takes the sign of the velocity at the whole step, calcidem half a step before. The difference halves with the step.
-  Without damping the linear signals agree to 2e-5.
-* **Walls.** YADE has large spheres where calcidem has flat walls. A sphere of the disk's size in place of the transmitter turns the contact as it slides
-  along it, and adds 1e-3.
-  With spheres 30 times as large there, and 3 times at the other walls, 0.104 % became 0.051 % at 2.55 % without damping. What is left was not traced.
-
-Slip adds nothing to them, alone or together with damping. All this is at a pulse of 1 mm/s. Neither bonds that break nor pulses of 5 m/s were compared.
+[whole-cells.md](whole-cells.md) has three whole samples, from the pulse to Vs, in YADE.
 
 ## What this does not show
 

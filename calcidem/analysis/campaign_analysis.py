@@ -325,7 +325,7 @@ class CampaignAnalysis:
             packing_index=cell.packing_index,
             kinds=kinds,
             path=path,
-            features=cell.features or graph.features(kinds > 0),
+            features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
         )
 
 

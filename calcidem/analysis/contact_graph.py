@@ -162,51 +162,16 @@ class PreferentialPath:
         return len(self.bonded) - self.bonded_contacts
 
 
-def preferential_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> PreferentialPath:
-    """Find the shortest path from any transmitter grain to any receiver grain.
-
-    With only two different weights, many paths are equally short. The one returned starts at the
-    lowest-numbered grain possible and at every step goes on to the lowest-numbered grain possible, so it
-    depends on nothing but the numbering of the grains, which all cells of a campaign share.
-
-    Parameters
-    ----------
-    graph
-        The contacts.
-    bonded
-        Which contacts are cemented, booleans, shape (m,).
-    weights
-        Weight of each kind of contact.
-
-    Raises
-    ------
-    ValueError
-        If no chain of contacts joins transmitter and receiver, or `bonded` has the wrong shape.
-
-    Notes
-    -----
-    Dijkstra (1959), doi:10.1007/BF01386390, from all receiver grains at once; the path is then walked down
-    the distances from the transmitter.
-    """
-    ways = _ShortestWays.search(graph, np.asarray(bonded, dtype=np.bool_), weights)
-    grains, kinds = [ways.starts[0]], []
-    while ways.distance[grains[-1]] > 0:
-        grain, kind = ways.onward(grains[-1])[0]
-        grains.append(grain)
-        kinds.append(kind)
-    return PreferentialPath(tuple(grains), tuple(kinds))
-
-
 def contacts_on_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> tuple[int, int]:
     """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
 
     Parameters
     ----------
     graph, bonded, weights
-        As in `preferential_path`, which raises the same errors and takes twice as long.
+        As in `ShortestPaths.search`, which raises the same errors and takes twice as long.
     """
     if weights.bond == weights.hertz:  # a length does not tell what made it
-        path = preferential_path(graph, bonded, weights)
+        path = ShortestPaths.search(graph, bonded, weights).first()
         return path.hertz_contacts, path.bonded_contacts
     lengths = graph.matrix(bonded, weights)
     distance, onward, _ = dijkstra(
@@ -228,54 +193,9 @@ def _refuse_apart(shortest: float) -> None:
         raise ValueError("no chain of contacts joins transmitter and receiver; widen them or check the packing")
 
 
-def mean_longest_bonded_run(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> float:
-    """Give the mean, over all shortest paths, of the longest run of cemented contacts on a path.
-
-    Equally short paths have runs of different lengths, and which of them is found first is chance. Each of
-    them counts once here.
-
-    Parameters
-    ----------
-    graph, bonded, weights
-        As in `preferential_path`, which raises the same errors.
-
-    Notes
-    -----
-    The shortest paths are those of a graph without circles, since every step comes nearer to the receiver.
-    Going through its grains from the transmitter on, the number of paths is kept by the length of the run
-    that is going on (columns) and by a limit that no run of the path has passed (rows). Those that arrive
-    within each limit make the distribution of the longest run.
-    """
-    mask = np.asarray(bonded, dtype=np.bool_)
-    ways = _ShortestWays.search(graph, mask, weights)
-    # A path has as many cemented contacts as fit into its length.
-    rows = 1 + int(np.count_nonzero(mask) and ways.distance[ways.starts[0]] / weights.bond * (1 + _RELATIVE_TIE))
-    within = np.tri(rows)  # the run that is going on, too, is within the limit
-    nothing = np.zeros((rows, rows))
-    paths = {start: nothing + (np.arange(rows) == 0) for start in ways.starts}
-    arrived = np.zeros(rows)
-    waiting = [(-ways.distance[start], start) for start in ways.starts]
-    heapify(waiting)
-    while waiting:
-        _, grain = heappop(waiting)
-        here = paths.pop(grain)
-        if ways.distance[grain] == 0:
-            arrived += here.sum(axis=1)
-            continue
-        for following, cemented in ways.onward(grain):
-            if following not in paths:
-                heappush(waiting, (-ways.distance[following], following))
-                paths[following] = nothing.copy()
-            if cemented:
-                paths[following][:, 1:] += here[:, :-1] * within[:, 1:]
-            else:
-                paths[following][:, 0] += here.sum(axis=1)
-    return float(np.sum(1.0 - arrived / arrived[-1]))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _ShortestWays:
-    """Distances to the receiver, and with them the grains that a shortest path goes on to.
+class ShortestPaths:
+    """All shortest paths from the transmitter to the receiver: distances, and with them where a path goes on.
 
     Attributes
     ----------
@@ -283,26 +203,99 @@ class _ShortestWays:
         Weighted distance of each grain from the nearest receiver grain, shape (N,).
     starts
         Grains of the transmitter from which a shortest path begins, ascending.
+    weights
+        Weight of each kind of contact.
     """
 
     distance: NDArray[np.float64]
     starts: tuple[int, ...]
+    weights: ContactWeights
     _lengths: csr_array
     _bonded: NDArray[np.bool_]
     _slack: float
 
     @classmethod
-    def search(cls, graph: ContactGraph, bonded: NDArray[np.bool_], weights: ContactWeights) -> Self:
-        """Search from all receiver grains at once; arguments and errors as `preferential_path`."""
+    def search(cls, graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> Self:
+        """Search from all receiver grains at once.
+
+        Parameters
+        ----------
+        graph
+            The contacts.
+        bonded
+            Which contacts are cemented, booleans, shape (m,).
+        weights
+            Weight of each kind of contact.
+
+        Raises
+        ------
+        ValueError
+            If no chain of contacts joins transmitter and receiver, or `bonded` has the wrong shape.
+
+        Notes
+        -----
+        Dijkstra (1959), doi:10.1007/BF01386390.
+        """
         lengths = graph.matrix(bonded, weights)
         distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
         shortest = distance[graph.transmitter].min()
         _refuse_apart(shortest)
         slack = _RELATIVE_TIE * shortest
         starts = graph.transmitter[distance[graph.transmitter] <= shortest + slack]
-        return cls(distance, tuple(starts.tolist()), lengths, bonded[graph.entry_contacts], slack)
+        kinds = np.asarray(bonded, dtype=np.bool_)[graph.entry_contacts]
+        return cls(distance, tuple(starts.tolist()), weights, lengths, kinds, slack)
 
-    def onward(self, grain: int) -> list[tuple[int, bool]]:
+    def first(self) -> PreferentialPath:
+        """Give the one that starts at the lowest-numbered grain and at every step goes on to the lowest-numbered one.
+
+        With only two different weights, many paths are equally short. This one depends on nothing but the numbering of
+        the grains, which all cells of a campaign share.
+        """
+        grains, kinds = [self.starts[0]], []
+        while self.distance[grains[-1]] > 0:
+            grain, kind = self._onward(grains[-1])[0]
+            grains.append(grain)
+            kinds.append(kind)
+        return PreferentialPath(tuple(grains), tuple(kinds))
+
+    def mean_longest_bonded_run(self) -> float:
+        """Give the mean, over all of them, of the longest run of cemented contacts on a path.
+
+        Equally short paths have runs of different lengths. Each path counts once.
+
+        Notes
+        -----
+        Every step comes nearer to the receiver, so the shortest paths make a graph without cycles. Its grains are
+        visited from the transmitter on. At each, paths are counted by the length of their present run (columns), once
+        for each limit that none of their runs exceeds (rows). The counts within each limit at the receiver are the
+        distribution of the longest run.
+        """
+        # A path has as many cemented contacts as fit into its length.
+        most = self.distance[self.starts[0]] / self.weights.bond * (1 + _RELATIVE_TIE) if self._bonded.any() else 0.0
+        rows = 1 + int(most)
+        within = np.tri(rows)  # the present run, too, is within the limit
+        nothing = np.zeros((rows, rows))
+        paths = {start: nothing + (np.arange(rows) == 0) for start in self.starts}
+        arrived = np.zeros(rows)
+        waiting = [(-self.distance[start], start) for start in self.starts]
+        heapify(waiting)
+        while waiting:
+            _, grain = heappop(waiting)
+            here = paths.pop(grain)
+            if self.distance[grain] == 0:
+                arrived += here.sum(axis=1)
+                continue
+            for following, cemented in self._onward(grain):
+                if following not in paths:
+                    heappush(waiting, (-self.distance[following], following))
+                    paths[following] = nothing.copy()
+                if cemented:
+                    paths[following][:, 1:] += here[:, :-1] * within[:, 1:]
+                else:
+                    paths[following][:, 0] += here.sum(axis=1)
+        return float(np.sum(1.0 - arrived / arrived[-1]))
+
+    def _onward(self, grain: int) -> list[tuple[int, bool]]:
         """Give the grains that a shortest path goes on to, ascending, and whether cement leads there."""
         entries = slice(self._lengths.indptr[grain], self._lengths.indptr[grain + 1])
         neighbours = self._lengths.indices[entries]

@@ -65,7 +65,7 @@ def measure_path(
     path
         A shortest path, with at least one contact.
     longest_bonded_run
-        Mean over all shortest paths, see `calcidem.analysis.contact_graph.mean_longest_bonded_run`.
+        Mean over all shortest paths, see `calcidem.analysis.contact_graph.ShortestPaths`.
     weights
         The weights it is shortest for.
     scale

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, mean_longest_bonded_run, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
 from calcidem.analysis.features import measure_path
 from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
@@ -80,14 +80,17 @@ class PackingGraph:
             If no chain of contacts joins transmitter and receiver.
         """
         if not known:
-            return preferential_path(self.graph, bonded, self.weights)
+            return self.shortest_paths(bonded).first()
         flags = bonded[self._rows(np.array(list(pairwise(known))))]
         return PreferentialPath(known, tuple(flags.tolist()))
 
-    def features(self, bonded: NDArray[np.bool_]) -> PathFeatures:
-        """Give the features of the shortest paths of one sample; argument and errors as `path`."""
-        run = mean_longest_bonded_run(self.graph, bonded, self.weights)
-        return measure_path(self.path(bonded), run, self.weights, self.scale)
+    def shortest_paths(self, bonded: NDArray[np.bool_]) -> ShortestPaths:
+        """Search the shortest paths of one sample; argument and errors as `path`."""
+        return ShortestPaths.search(self.graph, bonded, self.weights)
+
+    def features(self, paths: ShortestPaths) -> PathFeatures:
+        """Give the features of the shortest paths of one sample."""
+        return measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.scale)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair among the contacts, whose pairs are sorted."""

@@ -122,6 +122,20 @@ def path_length() -> Callable[..., float]:
 
 
 @pytest.fixture
+def naive_shortest_paths(
+    naive_paths: Callable[[ContactGraph], Iterator[tuple[int, ...]]], path_length: Callable[..., float]
+) -> Callable[..., list[tuple[int, ...]]]:
+    """Give a function (graph, bonded, weights) that lists the shortest of all paths, equally long ones together."""
+
+    def shortest(graph: ContactGraph, bonded: NDArray[np.bool_], weights: ContactWeights) -> list[tuple[int, ...]]:
+        lengths = {path: path_length(graph, bonded, weights, path) for path in naive_paths(graph)}
+        least = min(lengths.values())
+        return [path for path, length in lengths.items() if length <= least * (1 + 1e-9)]
+
+    return shortest
+
+
+@pytest.fixture
 def within_binomial() -> Callable[[int, int, float], bool]:
     """Give a function (hits, trials, probability) that says whether a coverage is as promised.
 

@@ -1,5 +1,5 @@
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import networkx as nx
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path, mean_longest_bonded_run, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, ShortestPaths, contacts_on_path
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 PHYSICAL = ContactWeights(0.475, 0.328)
@@ -15,13 +15,13 @@ PHYSICAL = ContactWeights(0.475, 0.328)
 
 def length_of(path_weights: ContactWeights, sample: Sample) -> float:
     """Give the length of the preferential path of a sample."""
-    path = preferential_path(*sample, path_weights)
+    path = ShortestPaths.search(*sample, path_weights).first()
     return connectivity(path.hertz_contacts, path.bonded_contacts, path_weights)
 
 
 def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
     """In the drawing the path is 5 6 7 8 9, cemented but for the third contact."""
-    path = preferential_path(*drawn_sample, ContactWeights.from_ratio(0.5))
+    path = ShortestPaths.search(*drawn_sample, ContactWeights.from_ratio(0.5)).first()
     assert path.grains == (5, 6, 7, 8, 9)
     assert path.bonded == (True, True, False, True)
     assert (path.hertz_contacts, path.bonded_contacts) == (1, 3)
@@ -31,7 +31,7 @@ def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
 def test_contacts_are_counted_as_on_the_path(drawn_sample: Sample, ratio: float) -> None:
     """The counts alone are those of the path, also where cement and sand have the same weight."""
     weights = ContactWeights.from_ratio(ratio)
-    path = preferential_path(*drawn_sample, weights)
+    path = ShortestPaths.search(*drawn_sample, weights).first()
     counted = contacts_on_path(*drawn_sample, weights)
     assert connectivity(*counted, weights) == connectivity(path.hertz_contacts, path.bonded_contacts, weights)
     assert counted == (path.hertz_contacts, path.bonded_contacts)
@@ -40,7 +40,7 @@ def test_contacts_are_counted_as_on_the_path(drawn_sample: Sample, ratio: float)
 def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:
     """With no contact cemented both rows are four contacts long, and the upper one has the lower numbers."""
     graph, bonded = drawn_sample
-    assert preferential_path(graph, np.zeros_like(bonded), PHYSICAL).grains == (0, 1, 2, 3, 4)
+    assert ShortestPaths.search(graph, np.zeros_like(bonded), PHYSICAL).first().grains == (0, 1, 2, 3, 4)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -49,16 +49,14 @@ def test_search_finds_the_shortest_of_all_paths(
     seed: int,
     ratio: float,
     random_sample: Callable[..., Sample],
-    naive_paths: Callable[[ContactGraph], Iterator[tuple[int, ...]]],
-    path_length: Callable[..., float],
+    naive_shortest_paths: Callable[..., list[tuple[int, ...]]],
 ) -> None:
     """Where every path can be listed, the found one is the first in numbering among the shortest."""
     graph, bonded = random_sample(seed, 11)
     weights = ContactWeights.from_ratio(ratio)
-    lengths = {path: path_length(graph, bonded, weights, path) for path in naive_paths(graph)}
-    shortest = min(lengths.values())
-    tied = [path for path, length in lengths.items() if length <= shortest * (1 + 1e-9)]
-    assert preferential_path(graph, bonded, weights).grains == min(tied)
+    assert ShortestPaths.search(graph, bonded, weights).first().grains == min(
+        naive_shortest_paths(graph, bonded, weights)
+    )
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -67,20 +65,18 @@ def test_the_longest_run_is_the_mean_over_all_shortest_paths(
     seed: int,
     ratio: float,
     random_sample: Callable[..., Sample],
-    naive_paths: Callable[[ContactGraph], Iterator[tuple[int, ...]]],
-    path_length: Callable[..., float],
+    naive_shortest_paths: Callable[..., list[tuple[int, ...]]],
 ) -> None:
     """Where every path can be listed, each of the equally short ones counts once."""
     graph, bonded = random_sample(seed, 16)
     weights = ContactWeights.from_ratio(ratio)
-    lengths = {path: path_length(graph, bonded, weights, path) for path in naive_paths(graph)}
-    tied = [path for path, length in lengths.items() if length <= min(lengths.values()) * (1 + 1e-9)]
     kinds = {tuple(pair): kind for pair, kind in zip(graph.pairs.tolist(), bonded.tolist(), strict=True)}
     runs = []
-    for path in tied:
+    for path in naive_shortest_paths(graph, bonded, weights):
         steps = "".join("b" if kinds[min(pair), max(pair)] else " " for pair in itertools.pairwise(path))
         runs.append(max((len(run) for run in steps.split()), default=0))
-    assert mean_longest_bonded_run(graph, bonded, weights) == pytest.approx(np.mean(runs), rel=1e-12)
+    found = ShortestPaths.search(graph, bonded, weights).mean_longest_bonded_run()
+    assert found == pytest.approx(np.mean(runs), rel=1e-12)
 
 
 def test_the_longest_run_does_not_depend_on_the_numbers_of_the_grains(random_sample: Callable[..., Sample]) -> None:
@@ -90,9 +86,9 @@ def test_the_longest_run_does_not_depend_on_the_numbers_of_the_grains(random_sam
     for seed in range(10):
         number = np.random.default_rng(seed).permutation(graph.grain_count)
         other = ContactGraph(graph.grain_count, *(number[a] for a in (graph.pairs, graph.transmitter, graph.receiver)))
-        runs.add(round(mean_longest_bonded_run(other, bonded, PHYSICAL), 9))
-        path = preferential_path(other, bonded, PHYSICAL)
-        found.add(tuple(np.argsort(number)[list(path.grains)].tolist()))
+        paths = ShortestPaths.search(other, bonded, PHYSICAL)
+        runs.add(round(paths.mean_longest_bonded_run(), 9))
+        found.add(tuple(np.argsort(number)[list(paths.first().grains)].tolist()))
     assert len(found) > 1
     assert len(runs) == 1
 
@@ -111,7 +107,7 @@ def test_sparse_search_agrees_with_networkx(seed: int, random_sample: Callable[.
 def test_the_path_is_a_chain_of_contacts_between_the_lists(seed: int, random_sample: Callable[..., Sample]) -> None:
     """A path touches the transmitter and the receiver only at its ends and knows its cemented contacts."""
     graph, bonded = random_sample(seed, 300)
-    path = preferential_path(graph, bonded, PHYSICAL)
+    path = ShortestPaths.search(graph, bonded, PHYSICAL).first()
     model = graph.to_networkx(bonded, PHYSICAL)
     roles = [model.nodes[grain]["role"] for grain in path.grains]
     assert roles[0] == "transmitter"
@@ -128,7 +124,10 @@ def test_the_order_of_contacts_does_not_matter(random_sample: Callable[..., Samp
     order = generator.permutation(graph.contact_count)
     shuffled = generator.permuted(graph.pairs[order], axis=1)
     other = ContactGraph(graph.grain_count, shuffled, graph.transmitter[::-1], graph.receiver[::-1])
-    assert preferential_path(other, bonded[order], PHYSICAL) == preferential_path(graph, bonded, PHYSICAL)
+    assert (
+        ShortestPaths.search(other, bonded[order], PHYSICAL).first()
+        == ShortestPaths.search(graph, bonded, PHYSICAL).first()
+    )
 
 
 def test_more_cement_never_lengthens_the_path(random_sample: Callable[..., Sample]) -> None:
@@ -157,7 +156,7 @@ def test_a_gap_between_the_lists_is_refused() -> None:
     """Without a chain of contacts from transmitter to receiver there is no path, and the message says so."""
     graph = ContactGraph(4, np.array([(0, 1), (2, 3)]), np.array([0]), np.array([3]))
     with pytest.raises(ValueError, match="no chain of contacts"):
-        preferential_path(graph, np.array([True, False]), PHYSICAL)
+        ShortestPaths.search(graph, np.array([True, False]), PHYSICAL).first()
 
 
 @pytest.mark.parametrize(
@@ -182,4 +181,4 @@ def test_malformed_graphs_are_refused(
 def test_a_mask_of_the_wrong_length_is_refused(drawn_sample: Sample) -> None:
     """There is one boolean for each contact."""
     with pytest.raises(ValueError, match="one boolean for each of 13 contacts"):
-        preferential_path(drawn_sample[0], np.array([True]), PHYSICAL)
+        ShortestPaths.search(drawn_sample[0], np.array([True]), PHYSICAL).first()

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis import path_envelope as module
 from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path, preferential_path
+from calcidem.analysis.contact_graph import ContactGraph, ShortestPaths, contacts_on_path
 from calcidem.analysis.path_envelope import PathEnvelope, PathLine, path_envelope
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
@@ -47,7 +47,7 @@ def test_envelope_is_the_plain_scan(seed: int, random_sample: Callable[..., Samp
     plain = []
     for ratio in ratios:
         weights = ContactWeights.from_ratio(ratio)
-        path = preferential_path(graph, bonded, weights)
+        path = ShortestPaths.search(graph, bonded, weights).first()
         plain.append(connectivity(path.hertz_contacts, path.bonded_contacts, weights))
     np.testing.assert_allclose(envelope.connectivity(ratios), plain, rtol=1e-12)
 

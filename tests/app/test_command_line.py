@@ -107,6 +107,8 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop"
     assert (workshop.folder / "calcidem.toml").read_text(encoding="utf-8") == text
     assert workshop.run("init", "paper.toml", "--preset", "paper").code == 0
     assert "seeds = 116" in (workshop.folder / "paper.toml").read_text(encoding="utf-8")
+    assert workshop.run("init", "own.toml", "--grain-size", "1mm", "--stress", "20kPa", "--contents", "0,3").code == 0
+    assert "2 contents = 8 cells" in workshop.run("run", "own.toml", "--check").output
 
 
 def test_a_campaign_from_run_to_export(workshop: "Workshop", invoke: Callable[..., str]) -> None:

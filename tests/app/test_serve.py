@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_page import PATIENCE, Live, serve, start
+from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import read_status
+from calcidem.app.serve.beside_run import page_beside_run
 from calcidem.app.serve.columns import CellColumns
 from calcidem.app.serve.feed import CampaignFeed
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
@@ -139,6 +140,19 @@ def test_a_port_in_use_is_refused(tmp_path: Path, invoke: Callable[..., str]) ->
     assert process.returncode == 2
     assert errors == f"Error: --port {port} is in use on 127.0.0.1; give another, or 0 for any that is free\n"
     assert "less than or equal to 65535" in invoke("serve", database, "--port", "70000", exit_code=2)
+
+
+def test_a_password_of_a_configuration_is_in_no_command_line() -> None:
+    """Neither the page beside a run nor the process of a movie shows the password of the database's URL."""
+    database, said = "postgresql://nobody:MARKED-SECRET@127.0.0.1:1/none", []
+    with page_beside_run(database, "small", said.append):
+        address = ADDRESS.fullmatch(f"{said[0]}\n")
+        assert address
+        live = Live(None, int(address[2]), address[3], ())  # its process is nobody's here
+        assert live.ask("/campaigns/0/movie?seed=1&content=0.0", "POST")[0] == 200
+        lines = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
+    assert any(b"calcidem" in line and b"show" in line and b"nobody" in line for line in lines)
+    assert not any(b"MARKED-SECRET" in line for line in lines)
 
 
 def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.compaction import make_packing
-from calcidem.dem.sample.judgement import _densest_cover, _expected_overlap, deepest_overlap, judge_disks, judge_stress
+from calcidem.dem.sample.judgement import _densest_cover, deepest_overlap, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing, PackingRule
 
 SMALL = 1.0e-3
@@ -59,7 +59,7 @@ def test_a_disk_pressed_into_a_wall_counts(small_packing: Packing) -> None:
 def test_a_stress_that_crushes_is_known_beforehand() -> None:
     """It goes with the power 2/3 of stress over modulus, and the values named are let through."""
     sand = Sand()
-    low, high = _expected_overlap(1e4, SMALL, sand), _expected_overlap(8e4, SMALL, sand)
+    low, high = expected_overlap(1e4, SMALL, sand), expected_overlap(8e4, SMALL, sand)
     assert high == pytest.approx(4.0 * low)
     fault = judge_stress(1e8, SMALL, sand)
     assert fault is not None

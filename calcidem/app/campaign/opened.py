@@ -64,7 +64,7 @@ from calcidem.storage.store import Closable, Selection
 if TYPE_CHECKING:
     from calcidem.app.campaign.plots import CampaignPlots
 
-SUFFIXES = (".vtu", ".vtk", ".csv")
+SUFFIXES = (".vtu", ".csv")
 """Formats of the file of a sample."""
 
 PAPER_CAMPAIGN = "paper.nc"
@@ -672,7 +672,7 @@ def write_sample(sample: Sample, file: Path) -> Path:
     sample
         From `Campaign.sample`.
     file
-        ``.vtu`` or ``.vtk`` for ParaView, ``.csv`` for its disks alone; replaced in one step.
+        ``.vtu`` for ParaView, ``.csv`` for its disks alone; replaced in one step.
 
     Raises
     ------
@@ -688,11 +688,11 @@ def write_sample(sample: Sample, file: Path) -> Path:
         if suffix == ".csv":
             write_packing_csv(sample.packing, temporary)
         else:
-            _write_vtk(sample, temporary, "vtu" if suffix == ".vtu" else "vtk")
+            _write_vtu(sample, temporary)
     return file
 
 
-def _write_vtk(sample: Sample, file: Path, file_format: str) -> None:
+def _write_vtu(sample: Sample, file: Path) -> None:
     """Write disks as points and contacts as lines.
 
     The points have `radius` (m); show them with the filter Glyph, scaled by it. The lines have `kind` (0 sand, 1 P,
@@ -713,7 +713,7 @@ def _write_vtk(sample: Sample, file: Path, file_format: str) -> None:
         point_data={"radius": packing.radius},
         cell_data={"kind": [np.full(count, -1, dtype=np.int32), sample.kind.astype(np.int32)]},
     )
-    mesh.write(file, file_format=file_format)
+    mesh.write(file, file_format="vtu")
 
 
 def load_paper_campaign() -> xr.Dataset:

@@ -142,7 +142,7 @@ def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, f
     """
     try:
         bonded = graph.bonded(pattern)
-        found = asdict(graph.features(bonded))
+        found = asdict(graph.features(graph.shortest_paths(bonded)))
     except ValueError as error:
         raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
     known = {name: float(found[name]) for name in PATH_FEATURES if found[name] is not None}

@@ -27,6 +27,7 @@ from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
@@ -210,8 +211,8 @@ def _describe_graph(
     summary = _graph_summary(packing.graph, bonded)
     if summary.graph_gap_contacts is None:
         return None, None, summary
-    path = packing.path(bonded)
-    return GrainPath(np.array(path.grains, dtype=np.int32)), packing.features(bonded), summary
+    paths = packing.shortest_paths(bonded)
+    return GrainPath(np.array(paths.first().grains, dtype=np.int32)), packing.features(paths), summary
 
 
 def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
@@ -272,7 +273,7 @@ def expected_effort(configuration: Configuration, content: float) -> float:
     steps_per_second = 10.0 if content > 0.0 else 1.0
     velocity = 200.0 + 210.0 * content
     table, width = configuration.excitation.table, configuration.packing.width
-    period = 0.4 * width / velocity if table is None else 1.0 / table.at(content)
+    period = width / (WAVELENGTHS * velocity) if table is None else 1.0 / table.at(content)
     return steps_per_second * (period + 1.5 * width / velocity)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, parse_percentage
 from calcidem.app.config.presets import PRESETS, preset_text
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
@@ -16,30 +16,81 @@ _FIRST = next(iter(Preset))
 def init_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = DEFAULT_CONFIGURATION,
     preset: Annotated[
-        Preset,
+        Preset | None,
         typer.Option(
-            help="quick: 6 contents x 4 seeds; paper: all 17 x 116, the printed pulse of 5 m/s; paper-small-pulse: the "
-            "same with 1 mm/s, linear and faster; paper-literal: Table 1 as printed; paper-locked: stress of "
-            "preparation locked in, nothing calibrated."
+            help="quick (taken if nothing is said): 6 contents x 4 seeds; paper: all 17 x 116, the printed pulse of "
+            "5 m/s; paper-small-pulse: the same with 1 mm/s, linear and faster; paper-literal: Table 1 as printed; "
+            "paper-locked: stress of preparation locked in, nothing calibrated."
         ),
-    ] = _FIRST,
+    ] = None,
     full: Annotated[
         bool, typer.Option("--full", help="Include every key, with its meaning and the values it takes.")
     ] = False,
+    grain_size: Annotated[
+        str | None,
+        typer.Option(metavar="SIZE", help="A sand of your own with this mean diameter, such as 0.3mm."),
+    ] = None,
+    stress: Annotated[
+        str | None,
+        typer.Option(metavar="STRESS", help="Confining stress of your own sand, such as 20kPa; 100kPa if not given."),
+    ] = None,
+    mineral: Annotated[
+        str | None, typer.Option(metavar="MINERAL", help="Of its grains: quartz (if not given) or carbonate.")
+    ] = None,
+    contents: Annotated[
+        str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
+    ] = None,
 ) -> None:
-    """Write an example configuration to start from."""
-    text = preset_text(preset)
-    if full:
-        from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
-
-        text = full_text(preset)
+    """Write a configuration to start from: an example, or that of a sand of your own."""
+    if grain_size is None:
+        for option, value in (("--stress", stress), ("--mineral", mineral), ("--contents", contents)):
+            if value is not None:
+                raise typer.BadParameter("give --grain-size, too: it is for a sand of your own", param_hint=option)
+        text = _example_text(preset or _FIRST, full=full)
+    elif preset is not None or full:
+        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint="--grain-size")
+    else:
+        text = _own_text(grain_size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4")
     try:
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
     except FileExistsError:
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
-        other = file.with_stem(f"{file.stem}-{preset}")
-        problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or write another "
-        raise typer.BadParameter(f"{problem}with 'calcidem init {other} --preset {preset}'") from None
+        problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or "
+        if grain_size is not None:
+            raise typer.BadParameter(f"{problem}give another name") from None
+        other, chosen = file.with_stem(f"{file.stem}-{preset or _FIRST}"), preset or _FIRST
+        raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+
+
+def _example_text(preset: Preset, *, full: bool) -> str:
+    """Text of an example."""
+    if not full:
+        return preset_text(preset)
+    from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
+
+    return full_text(preset)
+
+
+def _own_text(grain_size: str, stress: str, mineral: str, contents: str) -> str:
+    """Text of the configuration of a sand that is described in words."""
+    from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity  # as above
+
+    found = {}
+    for option, quantity, text in (("--grain-size", "grain size", grain_size), ("--stress", "stress", stress)):
+        try:
+            found[quantity] = parse_quantity(quantity, text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error), param_hint=option) from error
+    if mineral not in MINERALS:
+        known = ", ".join(MINERALS)
+        raise typer.BadParameter(
+            f"'{mineral}' is not known; give one of {known}, and change [sand] for another", param_hint="--mineral"
+        )
+    try:
+        percentages = [parse_percentage(part) for part in contents.split(",")]
+    except typer.BadParameter as error:
+        raise typer.BadParameter(error.message, param_hint="--contents") from error
+    return own_sand_text(OwnSand(found["grain size"], found["stress"], mineral, percentages))

@@ -10,12 +10,12 @@ from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSe
 
 def sample_command(
     database: Database,
-    out: Annotated[Path, typer.Argument(help="File to write; its ending decides: .vtu, .vtk or .csv.")],
+    out: Annotated[Path, typer.Argument(help="File to write; its ending decides: .vtu or .csv.")],
     seed: OneSeed,
     content: OneContent,
     campaign: CampaignName = None,
 ) -> None:
-    """Write one sample for ParaView (.vtu, .vtk), or the disks of its packing as CSV (x, y, radius in m)."""
+    """Write one sample for ParaView (.vtu), or the disks of its packing as CSV (x, y, radius in m)."""
     from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
 
     if out.suffix.lower() not in SUFFIXES:

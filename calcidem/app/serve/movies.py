@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calcidem.app.serve.feed import CampaignFeed
-from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.passwords import hide_passwords, keep_passwords_back
 from calcidem.sweep.environment import available_cores
 
 _TIME_LIMIT = 600.0
@@ -72,7 +72,11 @@ class MovieMaker:
         command += [f"--movie={file}", *([] if feed.name is None else [f"--campaign={feed.name}"])]
         with errors.open("wb") as stream:
             process = subprocess.Popen(  # noqa: S603 - our own program
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stream, process_group=0
+                keep_passwords_back(command),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=stream,
+                process_group=0,
             )
         self._work = _Work(wanted, process, file, errors, time.monotonic())
         return self.state(wanted)

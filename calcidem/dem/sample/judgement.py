@@ -47,10 +47,19 @@ class Fault:
     refused: bool
 
 
-def _expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
+def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
     """Return the overlap over the radius of a contact that bears ``stress diameter``, N/m, between equal disks.
 
     Hertz's law, ``F = h d^1.5``. The mean overlap of packings is 0.7 to 1.2 of it.
+
+    Parameters
+    ----------
+    stress
+        Pa.
+    diameter
+        m.
+    sand
+        Material of disks of unit thickness.
     """
     radius = np.array([diameter / 2.0])
     coefficient = float(sand.hertz_coefficient(radius, radius)[0])
@@ -69,7 +78,7 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
     sand
         Their material.
     """
-    expected = _expected_overlap(stress, diameter, sand)
+    expected = expected_overlap(stress, diameter, sand)
     if expected <= _MOST_EXPECTED:
         return None
     cure = _softer(_LARGEST_OVER_EXPECTED * expected, stress, sand)

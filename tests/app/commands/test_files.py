@@ -40,10 +40,9 @@ def test_import_refuses_other_files(invoke: Invoke, tmp_path: Path) -> None:
         invoke("import", tmp_path / "other.nc", "--db", tmp_path / "new.db")
 
 
-@pytest.mark.parametrize("suffix", ["vtu", "vtk"])
-def test_sample_for_paraview(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path, suffix: str) -> None:
+def test_sample_for_paraview(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path) -> None:
     """The file holds all disks with their radii and all contacts with their cement."""
-    file = tmp_path / f"sample.{suffix}"
+    file = tmp_path / "sample.vtu"
     invoke("sample", database, file, "--seed", 1, "--content", 5)
     mesh, sample = meshio.read(file), campaign.sample(seed=1, content=5.0)
     np.testing.assert_array_equal(mesh.points[:, 0], sample.packing.x)
@@ -64,6 +63,7 @@ def test_packing_as_csv(database: Path, invoke: Invoke, campaign: Campaign, tmp_
 
 def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: Path) -> None:
     """An ending that stands for no format is refused before anything is written."""
-    output = invoke("sample", database, tmp_path / "a.stl", "--seed", 1, "--content", 5, exit_code=2)
-    assert ".vtu" in output
+    for ending in ("stl", "vtk"):  # VTK 9 cannot read what meshio writes as .vtk
+        output = invoke("sample", database, tmp_path / f"a.{ending}", "--seed", 1, "--content", 5, exit_code=2)
+        assert ".vtu" in output
     assert list(tmp_path.iterdir()) == []

@@ -95,6 +95,12 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "colours in an argument": (("status", "\x1b[31m.db"), {}, "control characters"),
     "the root as a file": (("init", "/"), {}, "/ is a folder or a device"),
     "a file that is there": (("init", "good.toml"), {}, "good.toml"),
+    "a sand over a file": (("init", "good.toml", "--grain-size", "1mm"), {}, "good.toml"),
+    "a size without unit": (("init", "a.toml", "--grain-size", "3"), {}, "is no grain size"),
+    "another mineral": (("init", "a.toml", "--grain-size", "3mm", "--mineral", "gold"), {}, "quartz, carbonate"),
+    "a sand's content": (("init", "a.toml", "--grain-size", "3mm", "--contents", "1,x"), {}, "--contents"),
+    "a sand of no size": (("init", "a.toml", "--stress", "20kPa"), {}, "give --grain-size"),
+    "a sand and an example": (("init", "a.toml", "--grain-size", "3mm", "--full"), {}, "leave --preset"),
     "a folder to write to": (("query", "quick.db", "--out", "folder"), {}, "folder is a folder or a device"),
     "no file for NetCDF": (("export", "quick.db", "folder"), {}, "folder"),
 }

@@ -1,0 +1,149 @@
+"""A sand of one's own: `calcidem init --grain-size` writes a configuration whose cells have velocities."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calcidem.app.campaign.packing import new_packing
+from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity
+from calcidem.app.config.reader import read_configuration
+from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.sample.packing_file import packing_from_csv, write_disks_csv
+from calcidem.dem.wave.measurement import measure
+
+
+def part_with_velocity(own: OwnSand, seeds: int) -> float:
+    """Part of the cells that have a velocity, and check it without cement: the file expects it."""
+    configuration = read_configuration(tomllib.loads(own_sand_text(own)))
+    packing = new_packing(configuration, lambda _: None)
+    check_against_packing(configuration, packing)
+    experiment = configuration.experiment(packing)
+    found = [measure(experiment, content, range(1, seeds + 1)) for content in configuration.campaign.contents]
+    assert found[0][0].vs == pytest.approx(own.velocity, rel=0.25)  # packings of 1,500 disks differ by some percent
+    assert own.overlap == pytest.approx(packing.report.mean_overlap / packing.radius.mean(), rel=0.3)
+    return sum(cell.vs is not None for cells in found for cell in cells) / (seeds * len(found))
+
+
+@pytest.mark.slow
+def test_a_written_configuration_needs_no_edit() -> None:
+    """A sand unlike the paper's has velocities without cement and with much, and the one that the file expects."""
+    assert part_with_velocity(OwnSand(1e-4, 1e6, "carbonate", (0.0, 4.0)), seeds=2) == 1.0
+
+
+def test_a_written_configuration_is_that_of_the_grain() -> None:
+    """Lengths and modulus follow the grain, stress over modulus the overlap; the velocity depends on stress alone."""
+    fine, coarse = (OwnSand(size, 100e3, "quartz", (0.0, 2.0)) for size in (0.3e-3, 3e-3))
+    written = [read_configuration(tomllib.loads(own_sand_text(own))) for own in (fine, coarse)]
+    lengths = [(c.packing.width, c.pattern.c_diameter, c.wave.receiver_half_width) for c in written]
+    np.testing.assert_allclose(lengths[1], 10.0 * np.array(lengths[0]), rtol=1e-3)  # four digits are written
+    assert written[1].sand.shear_modulus == pytest.approx(written[0].sand.shear_modulus / 10.0, rel=1e-3)
+    assert written[0].cement == written[1].cement
+    assert (fine.overlap, fine.velocity) == pytest.approx((coarse.overlap, coarse.velocity))
+    assert fine.overlap == pytest.approx((3.0 * 2.0**0.5 * 0.92 * 100e3 / 44e9) ** (2 / 3))
+    higher = OwnSand(0.3e-3, 800e3, "quartz", (0.0,))
+    assert higher.overlap == pytest.approx(4.0 * fine.overlap)
+    assert higher.velocity == pytest.approx(2.0**0.5 * fine.velocity)
+
+
+def test_grain_sizes_and_stresses_have_units() -> None:
+    """With or without a blank; what has no unit, another one, or is impossible is refused with an example."""
+    assert parse_quantity("grain size", "0.3mm") == parse_quantity("grain size", " 300 um") == 0.3e-3
+    assert parse_quantity("stress", "1e5 Pa") == parse_quantity("stress", "0.1MPa") == 1e5
+    for quantity, text in (
+        *(("grain size", text) for text in ("3", "0mm", "-1mm", "nanmm", "1e99m", "1..mm", "3 kPa", "")),
+        *(("stress", text) for text in ("100", "0kPa", "1psi")),
+    ):
+        with pytest.raises(ValueError, match="such as"):
+            parse_quantity(quantity, text)
+
+
+def test_sands_that_cannot_be_computed_are_refused() -> None:
+    """A stress that crushes grains of quartz, and more calcite than there are pores."""
+    with pytest.raises(ConfigurationError, match=r"packing\.stress = 9e\+08: presses disks"):
+        own_sand_text(OwnSand(1e-3, 900e6, "quartz", (0.0,)))
+    with pytest.raises(ConfigurationError, match="contents = 60: calcite fills the pores at 23"):
+        own_sand_text(OwnSand(1e-3, 100e3, "quartz", (0.0, 60.0)))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("mineral", MINERALS)
+@pytest.mark.parametrize("stress", [20e3, 100e3, 1e6])
+@pytest.mark.parametrize("grain_size", [0.1e-3, 0.3e-3, 1e-3, 5e-3])
+def test_written_configurations_need_no_edit(grain_size: float, stress: float, mineral: str) -> None:
+    """Of fine and coarse sands under low and high stress at least nine cells of ten have a velocity."""
+    assert part_with_velocity(OwnSand(grain_size, stress, mineral, (0.0, 1.0, 2.0, 4.0)), seeds=4) >= 0.9
+
+
+def magnified(configuration: Configuration, factor: float) -> Configuration:
+    """All lengths multiplied by a factor, the grains' modulus and the frequency divided by it."""
+    rule, wave, sand = configuration.packing, configuration.wave, configuration.sand
+    pattern, frequency = configuration.pattern, configuration.excitation.frequency
+    assert isinstance(frequency, float)
+    sizes = (factor * rule.diameter[0], factor * rule.diameter[1])
+    bands = ("transmitter_half_width", "receiver_half_width", "boundary_thickness", "listening_depth")
+    widths = ("p_diameter", "c_diameter", "cluster_diameter")
+    return replace(
+        configuration,
+        packing=replace(rule, width=factor * rule.width, height=factor * rule.height, diameter=sizes),
+        sand=replace(sand, shear_modulus=sand.shear_modulus / factor),
+        pattern=replace(pattern, **{name: factor * getattr(pattern, name) for name in widths}),
+        wave=replace(wave, **{name: factor * getattr(wave, name) for name in bands}),
+        excitation=Excitation(frequency / factor),
+    )
+
+
+def velocities(configuration: Configuration, packing: Packing) -> list[float | None]:
+    """Velocities of samples without cement and with it, most of which are read."""
+    experiment = configuration.experiment(packing)
+    found = [cell.vs for content in (0.0, 2.0) for cell in measure(experiment, content, (1, 2))]
+    assert sum(vs is not None for vs in found) >= 3
+    return found
+
+
+@pytest.fixture(scope="module")
+def small_sand(small_configuration: Configuration) -> Configuration:
+    """Give the small campaign with gentle waves that its short path can tell, read however uncertain."""
+    pick, wave = replace(small_configuration.pick, largest_error=1.0), replace(small_configuration.wave, amplitude=1e-4)
+    return replace(small_configuration, wave=wave, excitation=Excitation(25e3), pick=pick)
+
+
+@pytest.mark.slow
+def test_a_sand_four_times_as_large_has_the_same_velocities_to_the_bit(
+    small_sand: Configuration, small_packing: Packing, tmp_path: Path
+) -> None:
+    """Disks of a file: lengths times 4, G / 4, f / 4, the rest the same. Each quantity changes by a power of two.
+
+    Overlaps grow by 4, so Hertz's coefficient with sqrt(R) halves, and forces grow by 4, masses by 16, times by 4,
+    moments by 16 and moments of inertia by 256; stiffnesses and speeds stay. Powers of two round nothing.
+    """
+    found = []
+    for factor in (1.0, 4.0):
+        sand, file = magnified(small_sand, factor), tmp_path / f"{factor}.csv"
+        write_disks_csv(*(factor * values for values in (small_packing.x, small_packing.y, small_packing.radius)), file)
+        found.append(velocities(sand, packing_from_csv(file, sand.sand, sand.packing)))
+    assert found[0] == found[1]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("factor", [0.1, 3.0])
+@pytest.mark.parametrize(("damping", "accuracy"), [(0.0, 1e-6), (0.3, 1e-5)])
+def test_a_sand_of_any_size_has_the_same_velocities(
+    small_sand: Configuration, small_packing: Packing, factor: float, damping: float, accuracy: float
+) -> None:
+    """Other factors round differently. Local damping amplifies that a little, since it takes the sign of a velocity.
+
+    The packing is scaled at rest: disks that slide while they come to rest may find other places.
+    """
+    report = replace(small_packing.report, mean_overlap=factor * small_packing.report.mean_overlap)
+    preload = replace(small_packing.preload, shear=factor * small_packing.preload.shear)
+    lengths = {name: factor * getattr(small_packing, name) for name in ("x", "y", "radius", "width", "height")}
+    large = replace(small_packing, preload=preload, report=report, **lengths)
+    own = replace(small_sand, wave=replace(small_sand.wave, damping=damping, boundary_damping=damping))
+    wanted = [None if vs is None else pytest.approx(vs, rel=accuracy) for vs in velocities(own, small_packing)]
+    assert velocities(magnified(own, factor), large) == wanted
