@@ -28,7 +28,7 @@ from calcidem.app.report.page import write_report
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.sections import TABLES, make_or_explain
-from calcidem.app.report.terms import TERMS, explained_terms
+from calcidem.app.report.terms import _MEANINGS, explained_terms
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import UnknownCellError
@@ -325,6 +325,6 @@ def test_words_are_explained_where_they_stand(small_report: Path) -> None:
     with open_campaign(TUTORIAL) as campaign:
         tables = [make_or_explain(make, campaign.analyse())[0] for make in TABLES.values()]
     explained = {word for table in tables if table is not None for word, _ in explained_terms(table)}
-    assert explained | {"static speed"} == set(TERMS)  # a column that only some campaigns have
+    assert explained | {"static speed"} == set(_MEANINGS)  # a column that only some campaigns have
     text = small_report.read_text(encoding="utf-8")
-    assert f"<dt>skewness</dt><dd>{TERMS['skewness']}</dd>" in text
+    assert f"<dt>skewness</dt><dd>{_MEANINGS['skewness']}</dd>" in text

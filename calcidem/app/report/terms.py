@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from calcidem.app.report.wording import Table
 
-TERMS: Mapping[str, str] = {
+_MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
     "n": "Number of samples with a velocity.",
     "standard deviation": "Scatter of Vs between samples that differ in the places of their cement only.",
@@ -20,7 +20,7 @@ TERMS: Mapping[str, str] = {
     "wavelength / d50": "Wavelength over the median diameter of the grains.",
     "calcite by Eq. 2": "Content that the cemented contacts stand for by the paper's Eq. 2, each counted once.",
     "static speed": "Speed of very long shear waves, from the stiffness of the sample at rest.",
-    "with Vs, all contents": "Pearson's correlation: 1 or −1 if one is a straight line of the other, 0 if they are unrelated.",
+    "with Vs, all contents": "Pearson's correlation: 1 or -1 on a straight line, 0 if they are unrelated.",
     "Spearman": "Correlation of the ranks, which does not ask for a straight line.",
     "residual deviation": "Scatter of Vs about the law.",
     "coverage": "Share of samples that lie in the 95 % interval predicted for them.",
@@ -38,4 +38,4 @@ def explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
     """Give the terms of a table, from its header and its first column, with their meanings."""
     words = (*table.header, *(row[0] for row in table.rows))
     found = dict.fromkeys(word.partition(" (")[0] for word in words)
-    return tuple((word, TERMS[word]) for word in found if word in TERMS)
+    return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
