@@ -103,7 +103,10 @@ def test_a_recorded_page_shows_what_its_commands_print(tmp_path: Path) -> None:
 def without_times(text: str) -> str:
     """Text without lines of progress, seconds, and what depends on the machine."""
     text = re.sub(
-        r"^(\d\d:\d\d:\d\d|Packing: (being|the disks|taken)|Computing on one).*\n", "", text, flags=re.MULTILINE
+        r"^(\d\d:\d\d:\d\d|Time: |Memory: |Packing: (being|the disks|taken)|Computing on one).*\n",
+        "",
+        text,
+        flags=re.MULTILINE,
     )
     text = re.sub(r"\b\d+ s\b", "", text)
     return re.sub(r" +\d+\.\d(?=( +\d no arrival)?$)", "", text, flags=re.MULTILINE)  # the column of seconds

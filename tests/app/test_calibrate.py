@@ -1,7 +1,7 @@
 """Fitting parameters to measured Vs: what made the targets is found again, and what can't be fitted is refused."""
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,8 @@ from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
-from calcidem.app.studies.calibrate import FitPlan, UnreadableTrialError, _fit_to_targets, calibrate
+from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
+from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, parse_range, start_value, text_with_values, with_values
 from calcidem.app.studies.targets import Target, read_targets
 from calcidem.app.studies.trials import trial_workers
@@ -36,9 +37,12 @@ def configuration(small_configuration: Configuration) -> Configuration:
 
 @pytest.mark.slow
 def test_the_parameters_that_made_the_targets_are_found_again(
-    configuration: Configuration, small_packing: Packing
+    configuration: Configuration, small_packing: Packing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From a start that is 20 % off, two parameters come back from means and deviations, as the report says."""
+    """From a start that is 20 % off, two parameters come back from means and deviations, as the report says.
+
+    Every trial is kept, so that the same fit computes none again.
+    """
     truth = {chosen.name: start_value(configuration, small_packing, chosen) for chosen in BOTH}
     with trial_workers(small_packing, CONTENTS, SEEDS) as measure_trials:
         (vs,) = measure_trials([configuration])
@@ -50,20 +54,24 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     ]
     start = with_values(configuration, {STIFFNESS: 0.8 * truth[STIFFNESS], MODULUS: 1.2 * truth[MODULUS]})
     told: list[str] = []
-    found = calibrate(start, small_packing, FitPlan(targets, BOTH, SEEDS, predict=(0.5,)), tell=told.append)
+    plan, kept = FitPlan(targets, BOTH, SEEDS, predict=(0.5,)), tmp_path / "fitted.trials.jsonl"
+    found = calibrate(start, small_packing, plan, tell=told.append, kept=kept)
     # The scatter of Vs makes the deviations; on the seeds of the targets the fit itself is far better.
     assert found.values == pytest.approx(truth, rel=0.01)
     assert all(0.01 * value < found.deviations[name] < 0.3 * value for name, value in truth.items())
     assert found.correlation.diagonal().tolist() == pytest.approx([1.0, 1.0])
     assert "over target" in told[0]
     for row, target in zip(found.contents, targets, strict=False):
-        assert row.fitted
+        assert row.role == "fitted"
         assert row.seeds <= target.samples <= row.planned == 8  # type: ignore[operator] - it was given
         assert (row.mean, row.sd) == pytest.approx((target.vs, target.sd), rel=0.01)
         assert row.mean_error == pytest.approx(row.sd / row.seeds**0.5)
     prediction = found.contents[2]
-    assert (prediction.content, prediction.fitted, prediction.target) == (0.5, False, None)
+    assert (prediction.content, prediction.role, prediction.target) == (0.5, "predicted", None)
     assert found.contents[0].mean < prediction.mean < found.contents[1].mean
+    monkeypatch.setattr("calcidem.app.studies.trials._velocities", None)
+    again = calibrate(start, small_packing, plan, kept=kept)
+    assert (again.values, again.contents, again.doubts) == (found.values, found.contents, found.doubts)
 
 
 def synthetic(
@@ -159,16 +167,65 @@ def test_values_stay_in_their_ranges_and_say_so() -> None:
     assert found.at_limit == ("a",)
 
 
-def test_trials_that_are_not_read_are_told() -> None:
-    """Where half of the seeds have no velocity at a content there is nothing to fit, and the content is named."""
-    measure = synthetic(20, 5, contents=1)
+def silent(read: tuple[int, ...], measure: Callable[..., list[np.ndarray]]) -> Callable[..., list[np.ndarray]]:
+    """Velocities of which each content has only its first seeds."""
+
+    def measured(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        return [np.where(np.arange(len(vs))[:, None] < read, vs, np.nan) for vs in measure(tried)]
+
+    return measured
+
+
+def test_a_fit_goes_on_with_the_seeds_that_are_read() -> None:
+    """Few seeds at one content, too few at another: the fit is that without the latter, and says both."""
+    targets = [Target(0.5, 300.0), Target(5.0, 600.0)]
+    plan = FitPlan(targets, SYNTHETIC[:1], range(20))
+    found = _fit_to_targets(silent((5, 2), synthetic(20, 5)), plan, [1.0])
+    truth = synthetic(20, 5)([found.values])[0][:5, 0]
+    assert truth.mean() == pytest.approx(300.0, rel=1e-3)
+    assert [row.role for row in found.contents] == ["fitted", "left out"]
+    assert found.is_fitted
+    few, left_out = found.doubts
+    assert few.startswith("at 0.5 % 5 of 20 seeds have a velocity in every trial: mean and scatter")
+    assert left_out.startswith("at 5 % 2 of 20 seeds have a velocity in every trial, so that it was left out")
+
+
+def test_a_fit_without_readable_seeds_ends_with_its_start() -> None:
+    """Nothing is fitted, nothing is certain, and the doubts say why."""
     plan = FitPlan([Target(0.5, 300.0)], SYNTHETIC[:1], range(20))
+    found = _fit_to_targets(silent((0,), synthetic(20, 5, contents=1)), plan, [2.0])
+    assert not found.is_fitted
+    assert found.values == pytest.approx({"a": 2.0})
+    assert np.isnan(found.deviations["a"])
+    assert found.doubts[0] == "0 numbers can be read for 1 parameters: give more seeds, or free fewer parameters"
+    assert "at 0.5 % 0 of 20 seeds" in found.doubts[1]
 
-    def silent(tried: list[dict[str, float]]) -> list[np.ndarray]:
-        return [np.where(np.arange(20)[:, None] < 12, np.nan, vs) for vs in measure(tried)]
 
-    with pytest.raises(UnreadableTrialError, match=r"content = 0\.5 %: only 8 of 20 seeds have a velocity in every"):
-        _fit_to_targets(silent, plan, [1.0])
+def test_trials_that_a_stop_cut_off_are_measured_again(
+    configuration: Configuration, small_packing: Packing, tmp_path: Path
+) -> None:
+    """Whole lines are taken from the file; a last one that is not whole is measured and written again."""
+    file, velocities = tmp_path / "fitted.trials.jsonl", np.array([[300.0, np.nan], [310.0, 600.5]])
+    tried = [with_values(configuration, {STIFFNESS: value}) for value in (1.0, 2.0)]
+    asked: list[Configuration] = []
+
+    def measure(configurations: Sequence[Configuration]) -> Iterator[np.ndarray]:
+        asked.extend(configurations)
+        yield from (velocities * chosen.calibration.wave_stiffness_factor for chosen in configurations)
+
+    def trials() -> list[np.ndarray]:
+        return list(KeptTrials(file, small_packing).remembered(measure, CONTENTS, (1, 2))(tried))
+
+    first = trials()
+    file.write_bytes(file.read_bytes()[:-20])
+    np.testing.assert_array_equal(trials(), first)
+    np.testing.assert_array_equal(trials(), first)
+    assert asked == [*tried, tried[1]]
+    for other in (b"content,vs\n1,3\n", b"a note", b"\xff\n"):
+        file.write_bytes(other)
+        with pytest.raises(ConfigurationError, match="line 1: is no trial of a calibration"):
+            trials()
+        assert file.read_bytes() == other
 
 
 def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing) -> None:

@@ -145,6 +145,14 @@ WRONG = {
         "[packing]\nstress = 1.0e8\n",
         ("packing.stress = 1e+08", "sand.shear_modulus = 6.5e+11", "packing.stress = 1.1e+06 Pa"),
     ),
+    "friction below that of the preparation": (
+        '[sand]\nfriction = 0.1\n[wave]\nregime = "finite"\n',
+        ("sand.friction = 0.1", "less than packing.friction_preparation = 0.2", "give as much or more"),
+    ),
+    "frequency that the steps do not resolve": (
+        "[campaign]\ncontents = [5.0]\n[wave]\nfrequency = 4.5e5\nstep_fraction = 0.95\n",
+        ("wave.frequency = 450000: at 5 %", "fewer than 20 time steps", "give at most 3.9e+05 Hz"),
+    ),
     "frequency above the cut-off": (
         "[wave]\nfrequency = 5.0e5\n",
         ("wave.frequency = 500000", "lattice cut-off", "give at most half of that"),

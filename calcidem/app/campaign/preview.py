@@ -1,8 +1,15 @@
 """What a run would do, told without doing any of it."""
 
-from collections.abc import Iterator
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+
+from calcidem.app.campaign.expected_cost import expected_cost, expected_speeds
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches
@@ -10,10 +17,19 @@ from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing, packing_warnings
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
+from calcidem.sweep import Batch, Cell
+from calcidem.sweep.environment import available_cores
+
+_SHORTEST_PATH = 1.0
+"""Wavelengths on the path below which P and S wave arrive as one."""
+_SHORTEST_WAVE = 6.0
+"""Grains in a wavelength below which samples scatter it."""
 
 
 def preview_lines(configuration: Configuration) -> Iterator[str]:
@@ -28,28 +44,114 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     """
     plan, address = configuration.campaign, parse_address(configuration.database)
     is_new = address.path is not None and not address.path.exists()
-    own = [CellKey(*cell) for batch in planned_batches(configuration) for cell in batch.cells]
+    batches = planned_batches(configuration)
+    own = [CellKey(*cell) for batch in batches for cell in batch.cells]
     part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
-    packing, settled = None, 0
+    packing, settled = None, set[CellKey]()
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):
             statuses = store.statuses(Selection(plan.seed_numbers))  # a content may be new
-            settled = sum(statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING for key in own)
+            settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             if store.packing_indices():
                 packing = readable_packing(store, 0)
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (
         f"Campaign {plan.name}: {len(plan.seed_numbers)} seeds x {len(plan.contents)} contents = {cells} cells{part}, "
-        f"{settled} of them settled; {len(own) - settled} would be computed, {configuration.run.lanes} side by side."
+        f"{len(settled)} of them settled; {len(own) - len(settled)} would be computed, "
+        f"{configuration.run.lanes} side by side."
     )
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):
         yield note
+    if packing is not None:
+        check_against_packing(configuration, packing)
+    speeds = expected_speeds(configuration, packing)
+    kept = [(batch, [cell for cell in batch.cells if CellKey(*cell) not in settled]) for batch in batches]
+    left = [replace(batch, cells=tuple(cells)) for batch, cells in kept if cells]
+    yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
     if packing is None:
-        yield "Packing: not made yet, so whether it holds these contents and this wave is checked when the run begins."
+        yield (
+            "Packing: not made yet: make it with 'calcidem run --packing-only', and check again whether it holds\n"
+            "  these contents, and which of them are hard to read."
+        )
         return
-    check_against_packing(configuration, packing)
     for warning in packing_warnings(configuration, packing):
         yield f"Warning: {warning}."
     yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."
+    yield from _hard_to_read(configuration, packing, speeds)
+
+
+def _cost_lines(
+    configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]], *, is_packed: bool
+) -> Iterator[str]:
+    """What the cells that are left need of this machine."""
+    if not batches:
+        return
+    cost, cores = expected_cost(configuration, speeds, batches), available_cores()
+    busy = max(1, min(cores, len(batches)))
+    packing = "" if is_packed else f", after {_rough_time(cost.packing_seconds)} for the packing"
+    all_cores = "" if busy == 1 else f", {_rough_time(cost.seconds / busy)} with --ranks 0 on {cores} cores"
+    yield f"Time: about {_rough_time(cost.seconds)} on one core{all_cores}{packing}, kernels compiled."
+    memory, free = _available_memory(), _free_space(configuration)
+    of_memory = "" if memory is None else f", {memory / 1e9:.1f} GB are available"
+    of_disk = "" if free is None else f", {free / 1e9:.1f} GB are free"
+    yield (
+        f"Memory: about {cost.memory / 1e9:.2f} GB a process{of_memory}. "
+        f"Disk: about {cost.disk / 1e6:.1f} MB{of_disk}. Good to a factor of two."
+    )
+    if memory is not None and cost.memory > memory:
+        yield "Warning: packing.width: one process needs more memory than there is; make the box smaller."
+    elif memory is not None and busy * cost.memory > memory:
+        enough = int(memory / cost.memory)
+        yield f"Warning: run.lanes: memory suffices for {enough} of {cores} cores; take fewer, or fewer lanes."
+    if free is not None and cost.disk > free:
+        yield "Warning: run.output: results need more space than is free; free some, or give another folder."
+
+
+def _hard_to_read(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
+    """Contents whose wavelength does not suit the path or the grains."""
+    experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
+    for content, speed in sorted(speeds.items()):
+        frequency = experiment.frequency(content)
+        waves, grains = frequency * experiment.distance / speed, speed / (frequency * diameter)
+        if waves >= _SHORTEST_PATH and grains >= _SHORTEST_WAVE:
+            continue
+        why = (
+            f"{waves:.1f} wavelengths on the path, so that P and S wave arrive as one"
+            if waves < _SHORTEST_PATH
+            else f"{grains:.1f} grains in a wavelength, which samples scatter"
+        )
+        longest = speed / (_SHORTEST_WAVE * diameter)
+        cure = (
+            f"wave.frequency = {min(WAVELENGTHS * speed / experiment.distance, longest):.2g}"
+            if configuration.excitation.table is not None
+            else "a wider packing"
+        )
+        yield f"Hard to read: {content:g} %: {why}; {cure} is better."
+
+
+def _rough_time(seconds: float) -> str:
+    """Some seconds, minutes or hours, in two digits."""
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{float(f'{seconds / size:.2g}'):g} {unit}"
+    return f"{max(1.0, float(f'{seconds:.1g}')):g} s"
+
+
+def _available_memory() -> float | None:
+    """Bytes that programs can have without swapping; None where the system does not tell."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next(1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return None
+
+
+def _free_space(configuration: Configuration) -> float | None:
+    """Bytes that are free where the database is to be; None if that is on a server."""
+    path = parse_address(configuration.database).path
+    if path is None:
+        return None
+    folder = next(folder for folder in path.absolute().parents if os.path.isdir(folder))  # noqa: PTH112 - names may be too long
+    return float(shutil.disk_usage(folder).free)

@@ -15,13 +15,11 @@ from calcidem.app.cli.arguments import (
     number_parser,
     parse_percentage,
 )
+from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.environment import available_cores
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters
-
-_TOO_MUCH = 4.0
-"""Chi-square for each degree of freedom that is no chance any more."""
 
 
 def calibrate_command(
@@ -68,7 +66,7 @@ def calibrate_command(
     """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.config.reader import load_configuration
-    from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, UnreadableTrialError, calibrate
+    from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
     from calcidem.app.studies.parameters import parse_range, text_with_values
     from calcidem.app.studies.targets import read_targets
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
@@ -80,36 +78,39 @@ def calibrate_command(
     ranges = [parse_range(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
-    try:
-        fitted = calibrate(loaded, packing, plan, cores or available_cores(), typer.echo)
-    except UnreadableTrialError as error:
-        raise typer.BadParameter(str(error)) from error
+    kept = out.with_suffix(".trials.jsonl")
+    typer.echo(f"Every trial is kept in {kept}; after a stop the same command goes on.")
+    fitted = calibrate(loaded, packing, plan, cores or available_cores(), typer.echo, kept)
     typer.echo("\n".join(_calibration_lines(fitted)))
+    if not fitted.is_fitted:
+        typer.echo(f"Nothing was fitted: {out} is not written.")
+        raise typer.Exit(EXIT_ERROR)
     write_text_atomically(out, text_with_values(configuration.read_text(encoding="utf-8"), fitted.values))
     typer.echo(f"Wrote {out}")
 
 
 def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
     """Report on a calibration."""
-    for name, value in fitted.values.items():
-        limit = ", at a limit of its range" if name in fitted.at_limit else ""
-        yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}{limit}"
-    for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
-        yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
-    yield f"chi-square {fitted.chi_square:.1f} with {fitted.freedom} degrees of freedom"
-    if fitted.chi_square > _TOO_MUCH * max(1, fitted.freedom):
-        yield "The targets are not met within their errors: free other parameters; the deviations above are too small."
+    if fitted.is_fitted:
+        for name, value in fitted.values.items():
+            yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}"
+        for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
+            yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+        yield f"chi-square {fitted.chi_square:.1f} with {fitted.freedom} degrees of freedom"
     for row in fitted.contents:
         yield _content_line(row, fitted.trials)
+    yield from (f"Doubt: {doubt}." for doubt in fitted.doubts)
 
 
 def _content_line(row: "FittedContent", trials: int) -> str:
     """One content: what was wanted, what came, and how many seeds it rests on."""
     target = row.target
+    if row.seeds <= 1:
+        return f"{row.role} {row.content:g} %: {row.seeds} of {row.planned} seeds have a velocity"
     mean, sd = f"mean {row.mean:.1f} +- {row.mean_error:.1f} m/s", f"sd {row.sd:.1f} m/s"
     if target is not None:
         mean += f" (target {target.vs:.1f}, {100.0 * (row.mean / target.vs - 1.0):+.1f} %)"
     if target is not None and target.sd is not None:
         sd += f" (target {target.sd:.1f}, x {row.sd / target.sd:.2f})"
-    used = f"{row.seeds} of {row.planned} seeds" + (f", read in all {trials} trials" if row.fitted else "")
-    return f"{'fitted' if row.fitted else 'predicted'} {row.content:g} %: {mean}, {sd}; {used}"
+    used = f"{row.seeds} of {row.planned} seeds" + (f" in all {trials} trials" if row.role == "fitted" else "")
+    return f"{row.role} {row.content:g} %: {mean}, {sd}; {used}"

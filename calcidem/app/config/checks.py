@@ -10,12 +10,13 @@ import numpy as np
 
 from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.judgement import judge_disks, judge_stress
+from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import refuse_unfit_pulse
+from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
 from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.rule import FEWEST_SAMPLES
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
@@ -29,6 +30,9 @@ _MOST_DISKS = 10_000_000
 _SHORT_WAVE = 0.5
 """Of the cut-off frequency: a chain of grains passes it on at ``sin(x) / x = 0.95`` of the long waves' velocity."""
 
+_BARE_STEP, _CEMENTED_STEP = 1.05, 1.3
+"""Longest limit of the step over that of mean disks: up to 1.03 without cement and 1.26 with it, in 40 packings."""
+
 _SAFE_PART = 0.8
 """Part of the largest content of these seeds that every other seed surely holds."""
 
@@ -41,6 +45,7 @@ def cross_check(configuration: Configuration) -> list[Problem]:
         _check_cement,
         _check_bands,
         _check_installation,
+        _check_friction,
         _check_frequencies,
         _check_files,
     )
@@ -65,15 +70,21 @@ def plan_contents(configuration: Configuration, contents: Collection[float]) -> 
 def _check_size(configuration: Configuration) -> Iterator[Problem]:
     """The disks have room in a computer's memory."""
     rule = configuration.packing
-    smallest, largest = rule.diameter
-    area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)  # mean of uniformly distributed diameters
-    disks = (1.0 - rule.porosity) * rule.width * rule.height / area
+    disks = disks_in_box(configuration)
     if disks > _MOST_DISKS:
         yield Problem(
             f"packing.width = {rule.width}: {disks:.3g} disks fit into the box of {rule.width} m x {rule.height} m, "
             f"more than {_MOST_DISKS:g}; make the box smaller, or packing.diameter larger",
             ("packing.width", "packing.height", "packing.diameter", "packing.porosity"),
         )
+
+
+def disks_in_box(configuration: Configuration) -> float:
+    """Number of disks, whose diameters are uniformly distributed, by the porosity of the box."""
+    rule = configuration.packing
+    smallest, largest = rule.diameter
+    area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)
+    return float((1.0 - rule.porosity) * rule.width * rule.height / area)
 
 
 def _check_stress(configuration: Configuration) -> Iterator[Problem]:
@@ -144,8 +155,19 @@ def _check_installation(configuration: Configuration) -> Iterator[Problem]:
         )
 
 
+def _check_friction(configuration: Configuration) -> Iterator[Problem]:
+    """No contact slips before the wave comes; constant stiffnesses do not ask for that."""
+    friction, prepared = configuration.sand.friction, configuration.packing.friction_preparation
+    if friction < prepared and configuration.wave.regime != "linear":
+        yield Problem(
+            f"sand.friction = {friction:g}: less than packing.friction_preparation = {prepared:g}, so that contacts at "
+            "rest slip as soon as the wave is computed; give as much or more, or prepare with less",
+            ("sand.friction", "packing.friction_preparation", "wave.regime"),
+        )
+
+
 def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
-    """Every content has a frequency, and one that grains pass on."""
+    """Every content has a frequency, one that grains pass on and that the time step resolves."""
     table = configuration.excitation.table
     if table is None:
         return
@@ -158,7 +180,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
             ("campaign.contents", "wave.frequency"),
         )
     for content in contents:
-        limit = _cutoff_estimate(configuration, cemented=content > 0.0)
+        limit = cutoff_estimate(configuration, cemented=content > 0.0)
         if table.covers(content) and table.at(content) > limit:
             yield Problem(
                 f"wave.frequency = {table.at(content):g}: at {content:g} % grains pass no wave on above about "
@@ -166,9 +188,61 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
                 ("wave.frequency", "campaign.contents", "sand.shear_modulus", "cement.bond_modulus"),
             )
             return
+        resolved = 1.0 / (FEWEST_SAMPLES * configuration.wave.step_fraction * _longest_step(configuration, content))
+        if table.covers(content) and table.at(content) > resolved:
+            yield Problem(
+                f"wave.frequency = {table.at(content):g}: at {content:g} % the pulse has fewer than {FEWEST_SAMPLES} "
+                f"time steps, far above what the sample lets through; give at most {resolved:.2g} Hz",
+                ("wave.frequency", "campaign.contents", "wave.step_fraction", "sand.shear_modulus"),
+            )
+            return
 
 
-def _cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
+def _longest_step(configuration: Configuration, content: float) -> float:
+    """Stability limit, s, that the step of a sample hardly exceeds: few contacts are cemented at low contents."""
+    if content == 0.0:
+        return _BARE_STEP * limit_of_mean_disks(configuration, cemented=False)
+    few = content <= 2.0 * configuration.pattern.threshold
+    return _CEMENTED_STEP * limit_of_mean_disks(configuration, cemented=True, single=few)
+
+
+def limit_of_mean_disks(configuration: Configuration, *, cemented: bool, single: bool = False) -> float:
+    """Stability limit of disks of the mean size, s, by the bound of `calcidem.dem.engine.stability.critical_time_step`.
+
+    Parameters
+    ----------
+    configuration
+        Of the campaign.
+    cemented
+        Whether their contacts are.
+    single
+        Whether a disk has one contact, and not the six of a hexagonal lattice.
+    """
+    diameter = float(np.mean(configuration.packing.diameter))
+    normal, shear, twist = _contact_stiffness(configuration, cemented=cemented)
+    turning = 2.0 * shear + 8.0 * twist / diameter**2  # of a rotation scaled by the radius over the root of 2
+    stiffest = max(normal, shear + turning) if single else 6.0 * max(0.5 * (normal + shear), turning)
+    wave = configuration.wave
+    damping = max(wave.damping, wave.boundary_damping if wave.boundary_thickness > 0.0 else 0.0)
+    mass = configuration.sand.density * np.pi * diameter**2 / 4.0
+    return float(2.0 / np.sqrt(2.0 * stiffest / mass * (1.0 + damping)))
+
+
+def _contact_stiffness(configuration: Configuration, *, cemented: bool) -> tuple[float, float, float]:
+    """Normal, shear (N/m) and rotational (N m) stiffness of a contact of mean disks under the stress."""
+    diameter = float(np.mean(configuration.packing.diameter))
+    radius = np.array([diameter / 2.0])
+    if cemented:
+        normal, shear, twist = configuration.cement.bond_stiffness(radius, radius)[0].tolist()
+        more_normal, more_shear = configuration.cement.linear_stiffness(radius, radius)[0].tolist()
+        return normal + more_normal, shear + more_shear, twist
+    sand, stress = configuration.sand, configuration.packing.stress
+    overlap = 0.5 * diameter * expected_overlap(stress, diameter, sand)
+    normal = 1.5 * stress * diameter / overlap * configuration.calibration.wave_stiffness_factor
+    return normal, normal * sand.shear_ratio, 0.0
+
+
+def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     """Frequency that surely no sample passes on, Hz: cut-off of a hexagonal lattice of mean disks.
 
     Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice), those of a chain with
@@ -177,18 +251,9 @@ def _cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
     softer, so what is refused here does not work for certain.
     """
     diameter = float(np.mean(configuration.packing.diameter))
-    radius = np.array([diameter / 2.0])
     mass = configuration.sand.density * np.pi * diameter**2 / 4.0
-    if cemented:
-        normal, shear, _ = configuration.cement.bond_stiffness(radius, radius)[0]
-        group = configuration.cement.linear_stiffness(radius, radius)[0]
-        stiffness = normal + shear + group.sum()
-    else:
-        coefficient = float(configuration.sand.hertz_coefficient(radius, radius)[0])
-        overlap = (configuration.packing.stress * diameter / coefficient) ** (2.0 / 3.0)
-        tangent = 1.5 * coefficient * np.sqrt(overlap) * configuration.calibration.wave_stiffness_factor
-        stiffness = tangent * (1.0 + configuration.sand.shear_ratio)
-    return cutoff_frequency(3.0 / 8.0 * stiffness, mass)
+    normal, shear, _ = _contact_stiffness(configuration, cemented=cemented)
+    return cutoff_frequency(3.0 / 8.0 * (normal + shear), mass)
 
 
 def _check_files(configuration: Configuration) -> Iterator[Problem]:
@@ -264,15 +329,29 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
     if max(plan.contents) > room:
         limit = f"the packing holds at most {room:.4g} % of calcite (seed {seed})"
         problems.append(Problem(f"campaign.contents = {quote(plan.contents)}: {limit}; leave larger contents out"))
+    elif not problems:
+        problems += _sample_problems(configuration, experiment)
     if problems:
         raise ConfigurationError("configuration", problems)
+
+
+def _sample_problems(configuration: Configuration, experiment: Experiment) -> list[Problem]:
+    """What only samples can tell: whether the first seeds' would be refused when their wave is to be sent."""
+    plan, lanes = configuration.campaign, configuration.run.lanes
+    orderings = [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]]
+    for content in sorted(plan.contents):
+        try:
+            refuse_unfit_samples(experiment, content, orderings, lanes)
+        except ValueError as error:
+            return [Problem(f"at {content:g} % wave.{error}")]
+    return []
 
 
 def packing_warnings(configuration: Configuration, packing: Packing) -> Iterator[str]:
     """What is doubtful about a packing that is not refused, and about waves through it; a sentence each."""
     for fault in judge_disks(packing, configuration.sand):
         yield f"packing.{fault.text}"
-    limit = _cutoff_estimate(configuration, cemented=False)
+    limit = cutoff_estimate(configuration, cemented=False)
     frequency = configuration.experiment(packing).frequency(0.0) if 0.0 in configuration.campaign.contents else 0.0
     if frequency > _SHORT_WAVE * limit:
         yield (

@@ -1,8 +1,10 @@
 """Fitting what the paper leaves open to measured means and scatter of Vs: named parameters, common random numbers."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from scipy.optimize import lsq_linear
 
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
+from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, start_value, with_values
 from calcidem.app.studies.targets import Target
 from calcidem.app.studies.trials import check_cells, trial_workers
@@ -37,7 +40,13 @@ ParameterValues = Mapping[str, float]
 """Value of each parameter by its name."""
 
 _FEWEST_SEEDS = 3
-"""Below it a standard deviation says nothing."""
+"""Seeds with a velocity below which a content is left out: mean and standard deviation say nothing."""
+
+_FEW_SEEDS = 0.5
+"""Part of the seeds below which those with a velocity may not stand for the others."""
+
+_TOO_MUCH = 4.0
+"""Chi-square for each degree of freedom that is no chance any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +60,8 @@ class FitPlan:
     free
         Parameters to fit, at most as many as numbers to meet.
     seeds
-        The same in every trial, so that trials differ by the parameters alone; a seed counts at a content only if it is
-        read in every one of them.
+        The same in every trial, so that trials differ by the parameters alone; a seed counts at a content only if it
+        has a velocity in every one of them.
     predict
         Further contents to measure with the fitted values, percent.
     tolerance
@@ -81,8 +90,8 @@ class FittedContent:
         Percent.
     target
         What was wanted there, None if nothing was.
-    fitted
-        Whether it took part in the fit; otherwise it is a prediction.
+    role
+        ``fitted``, ``left out`` where too few seeds have a velocity, or ``predicted``.
     seeds, planned
         Seeds that are read in every trial, or with the fitted values for a prediction; and all that were measured.
     mean, mean_error, sd
@@ -91,7 +100,7 @@ class FittedContent:
 
     content: float
     target: Target | None
-    fitted: bool
+    role: Literal["fitted", "left out", "predicted"]
     seeds: int
     planned: int
     mean: float
@@ -120,6 +129,8 @@ class FittedParameters:
     chi_square, freedom
         Sum of the squares that are left, each over that of its error, and how many numbers to meet there are more than
         parameters: far above that, the model cannot meet the targets, and the deviations are too small.
+    doubts
+        What speaks against the result, a sentence each.
     """
 
     values: ParameterValues
@@ -130,10 +141,16 @@ class FittedParameters:
     trials: int
     chi_square: float
     freedom: int
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether anything was: otherwise the values are those of the start."""
+        return any(row.role == "fitted" for row in self.contents)
 
 
-class UnreadableTrialError(ValueError):
-    """Too few seeds have a velocity in every trial; says at which content and how many."""
+class _UnreadTrialError(ValueError):
+    """Too few seeds would be left by a trial."""
 
 
 class _Fit:
@@ -152,26 +169,36 @@ class _Fit:
     ) -> None:
         self._measure, self._targets, self._tolerance = measure, targets, tolerance
         self.trials: dict[bytes, Floats] = {}
+        self.used: tuple[int, ...] = tuple(range(len(targets)))
+
+    @property
+    def wanted(self) -> int:
+        """Number of means and standard deviations at the contents that are used."""
+        return sum(1 if self._targets[i].sd is None else 2 for i in self.used)
+
+    def begin(self, points: Sequence[Floats]) -> None:
+        """Measure the first points, and leave out the contents at which too few seeds have a velocity."""
+        self.trials = {point.tobytes(): vs for point, vs in zip(points, self._measure(points), strict=True)}
+        self.used = tuple(np.flatnonzero(self.common.sum(axis=0) >= _FEWEST_SEEDS).tolist())
 
     def try_points(self, points: Sequence[Floats]) -> None:
-        """Measure points (logarithms of values) that are not known yet; half of the seeds have to be left by all.
+        """Measure points (logarithms of values) that are not known yet.
 
         Raises
         ------
-        UnreadableTrialError
-            If they are not; then none of the points counts.
+        _UnreadTrialError
+            If they leave too few seeds at a content that is used; then none of the points counts.
         """
         new = [point for point in points if point.tobytes() not in self.trials]
         former = dict(self.trials)
         if new:
             self.trials |= {point.tobytes(): vs for point, vs in zip(new, self._measure(new), strict=True)}
         left, planned = self.common.sum(axis=0), len(self.common)
-        if (left < max(_FEWEST_SEEDS, planned / 2)).any():
+        if short := [i for i in self.used if left[i] < _FEWEST_SEEDS]:
             self.trials = former
-            content = self._targets[int(np.argmin(left))].content
-            raise UnreadableTrialError(
-                f"content = {content:g} %: only {left.min()} of {planned} seeds have a velocity in every trial; "
-                "begin with values whose waves are read, narrow the ranges or leave the content out"
+            content = self._targets[short[0]].content
+            raise _UnreadTrialError(
+                f"a trial left {left[short[0]]} of {planned} seeds with a velocity at {content:g} %"
             )
 
     @property
@@ -208,7 +235,8 @@ class _Fit:
         independent contents are assumed (Efron & Tibshirani 1993, chapter 21); of the targets for normal scatter.
         """
         influence, of_targets = [], []
-        for target, used, vs in zip(self._targets, self.common.T, self.trials[point.tobytes()].T, strict=True):
+        trial, common = self.trials[point.tobytes()], self.common
+        for target, used, vs in ((self._targets[i], common[:, i], trial[:, i]) for i in self.used):
             count, mean = used.sum(), vs[used].mean()
             from_mean = np.where(used, vs - mean, 0.0)
             scatter = max((target.sd or vs[used].std(ddof=1)) / target.vs, 1e-6)
@@ -223,9 +251,9 @@ class _Fit:
         return np.asarray(rows @ rows.T + np.diag(of_targets))
 
     def _columns(self, point: Floats) -> list[tuple[Target, Floats]]:
-        """Each target with the velocities that count there."""
+        """Each target that is used with the velocities that count there."""
         vs, common = self.trials[point.tobytes()], self.common
-        return [(target, vs[common[:, i], i]) for i, target in enumerate(self._targets)]
+        return [(self._targets[i], vs[common[:, i], i]) for i in self.used]
 
 
 def calibrate(
@@ -234,6 +262,7 @@ def calibrate(
     plan: FitPlan,
     cores: int = 1,
     tell: Callable[[str], None] = lambda _: None,
+    kept: Path | None = None,
 ) -> FittedParameters:
     """Fit parameters to means, and standard deviations, of Vs by weighted least squares of their logarithms.
 
@@ -249,19 +278,21 @@ def calibrate(
         Batches of seeds that are computed at a time.
     tell
         Told of every trial.
+    kept
+        File in which every trial is kept as soon as it is measured, and from which it is taken again.
 
     Raises
     ------
     ConfigurationError
-        If a parameter cannot be fitted, or there are more parameters than numbers to meet.
-    UnreadableTrialError
-        If too few seeds are read at the start or near it.
+        If a parameter cannot be fitted, there are more parameters than numbers to meet, or the file has no trials.
 
     Notes
     -----
     Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences; a step that does
-    not come nearer is halved.
+    not come nearer is halved. A content at which fewer than three seeds have a velocity is left out. What speaks
+    against the result is said with it.
     """
+    trials = KeptTrials(kept, packing)
     check_ranges(configuration, plan.free, "calibration")
     check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
     start = [start_value(configuration, packing, chosen) for chosen in plan.free]
@@ -271,14 +302,15 @@ def calibrate(
 
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
-        fitted = _fit_to_targets(lambda tried: list(measure_trials(changed(tried))), plan, start, tell)
+        measure = trials.remembered(measure_trials, contents, plan.seeds)
+        fitted = _fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
     with trial_workers(packing, plan.predict, plan.seeds, cores) as measure_trials:
-        (found,) = measure_trials(changed([fitted.values]))
+        (found,) = trials.remembered(measure_trials, plan.predict, plan.seeds)(changed([fitted.values]))
     predictions = (
-        _summary(content, known.get(content), vs, np.isfinite(vs), fitted=False)
+        _summary(content, known.get(content), vs, np.isfinite(vs), "predicted")
         for content, vs in zip(plan.predict, found.T, strict=True)
     )
     return replace(fitted, contents=(*fitted.contents, *predictions))
@@ -303,7 +335,7 @@ def _fit_to_targets(
 
     Raises
     ------
-    ConfigurationError, UnreadableTrialError
+    ConfigurationError
         As `calibrate`.
     """
     names, wanted = [chosen.name for chosen in plan.free], sum(1 if row.sd is None else 2 for row in plan.met)
@@ -318,23 +350,63 @@ def _fit_to_targets(
     with np.errstate(divide="ignore"):  # without a lower limit it is 0, whose logarithm is minus infinity
         limits = np.log([[chosen.low, chosen.high] for chosen in plan.free])
     fit = _Fit(lambda points: measure([_values_at(names, point) for point in points]), plan.met, plan.tolerance)
-    point, slopes = _descend(fit, np.log(start), limits, names, tell)
+    point, slopes, doubts = _descend(fit, np.log(start), limits, names, tell)
+    vs, common = fit.trials[point.tobytes()], fit.common
+    contents = tuple(
+        _summary(
+            target.content,
+            target,
+            vs[:, i],
+            common[:, i],
+            "fitted" if slopes.size and i in fit.used else "left out",
+        )
+        for i, target in enumerate(plan.met)
+    )
+    doubts += [text for row in contents for text in _doubts_of_content(row)]
+    if not slopes.size:
+        unknown = np.full(len(names), math.nan)
+        return FittedParameters(
+            values=_values_at(names, point),
+            deviations=dict(zip(names, unknown.tolist(), strict=True)),
+            correlation=np.outer(unknown, unknown),
+            at_limit=(),
+            contents=contents,
+            trials=len(fit.trials),
+            chi_square=math.nan,
+            freedom=fit.wanted - len(names),
+            doubts=tuple(doubts),
+        )
     errors = fit.errors(point)
     inverse = np.linalg.pinv(slopes / errors[:, None]) / errors
     covariance = inverse @ fit.covariance(point) @ inverse.T
     deviation = np.sqrt(np.diag(covariance))
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
-    columns = zip(plan.met, fit.trials[point.tobytes()].T, fit.common.T, strict=True)
+    chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
+    doubts += [f"{names[i]} ended at a limit of its range: widen it, or leave it out" for i in np.flatnonzero(at_limit)]
+    if chi_square > _TOO_MUCH * max(1, freedom):
+        doubts.append(
+            "the targets are not met within their errors: free other parameters; the deviations are too small"
+        )
     return FittedParameters(
         values=_values_at(names, point),
         deviations=_values_at(names, point + np.log(deviation)),
         correlation=covariance / np.outer(deviation, deviation),
         at_limit=tuple(names[i] for i in np.flatnonzero(at_limit)),
-        contents=tuple(_summary(target.content, target, vs, used, fitted=True) for target, vs, used in columns),
+        contents=contents,
         trials=len(fit.trials),
-        chi_square=float(np.sum((fit.deviation(point) / errors) ** 2)),
-        freedom=wanted - len(names),
+        chi_square=chi_square,
+        freedom=freedom,
+        doubts=tuple(doubts),
     )
+
+
+def _doubts_of_content(row: FittedContent) -> Iterator[str]:
+    """What speaks against a content that is to be met."""
+    read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
+    if row.seeds < _FEWEST_SEEDS:
+        yield f"{read}, so that it was left out: begin with values whose waves are read, or send another frequency"
+    elif row.seeds < _FEW_SEEDS * row.planned:
+        yield f"{read}: mean and scatter of the others may be different"
 
 
 def _values_at(names: Sequence[str], point: Floats) -> dict[str, float]:
@@ -344,19 +416,25 @@ def _values_at(names: Sequence[str], point: Floats) -> dict[str, float]:
 
 def _descend(
     fit: _Fit, start: Floats, limits: Floats, names: Sequence[str], tell: Callable[[str], None]
-) -> tuple[Floats, Floats]:
-    """Point at which the weighted squares are least, and the slopes (R, P) of the last round."""
-    point, slopes = start, np.empty((0, 0))
-    for _ in range(_MOST_ROUNDS):
+) -> tuple[Floats, Floats, list[str]]:
+    """Point at which the weighted squares are least, the slopes (R, P) of the last round, and what ended it too early.
+
+    Without slopes nothing could be fitted.
+    """
+    point, slopes, converged = start, np.empty((0, 0)), False
+    for number in range(_MOST_ROUNDS):
         steps = np.where(point + _STEP > limits[:, 1], -_STEP, _STEP)
         beside = [point + step * unit for step, unit in zip(steps, np.eye(len(point)), strict=True)]
+        if number == 0:
+            fit.begin([point, *beside])
+            if fit.wanted < len(names):
+                cure = "give more seeds, or free fewer parameters"
+                return point, slopes, [f"{fit.wanted} numbers can be read for {len(names)} parameters: {cure}"]
         try:
             fit.try_points([point, *beside])
-        except UnreadableTrialError as error:
-            if not slopes.size:
-                raise
+        except _UnreadTrialError as error:
             tell(f"Ended before it converged: {error}")
-            break
+            return point, slopes, [f"it ended before it converged: {error}"]
         own, errors = fit.deviation(point), fit.errors(point)
         tell(_told(names, point, own, errors))
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
@@ -367,14 +445,12 @@ def _descend(
         low, high = np.maximum(limits.T[0] - point, -_LARGEST_CHANGE), np.minimum(limits.T[1] - point, _LARGEST_CHANGE)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
         nearer = _nearer(fit, point, step, errors)
-        if nearer is None:
-            break
-        converged = np.abs(nearer - point).max() < _CONVERGED
-        point = nearer
+        converged = nearer is None or bool(np.abs(nearer - point).max() < _CONVERGED)
+        point = point if nearer is None else nearer
         if converged:
             break
     tell(_told(names, point, fit.deviation(point), fit.errors(point)))
-    return point, slopes
+    return point, slopes, [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: begin from its result"]
 
 
 def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> Floats | None:
@@ -383,7 +459,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> Floats | 
         other = np.asarray(point + step / 2**halvings)
         try:
             fit.try_points([other])
-        except UnreadableTrialError:
+        except _UnreadTrialError:
             continue
         squares = [float(np.sum((fit.deviation(tried) / errors) ** 2)) for tried in (other, point)]
         if squares[0] < squares[1]:
@@ -399,10 +475,14 @@ def _told(names: Sequence[str], point: Floats, deviation: Floats, errors: Floats
 
 
 def _summary(
-    content: float, target: Target | None, vs: Floats, used: NDArray[np.bool_], *, fitted: bool
+    content: float,
+    target: Target | None,
+    vs: Floats,
+    used: NDArray[np.bool_],
+    role: Literal["fitted", "left out", "predicted"],
 ) -> FittedContent:
     """Row of the result for the velocities of one content and those among them that count."""
     count, chosen = int(used.sum()), vs[used]
     mean = float(chosen.mean()) if count else math.nan
     sd = float(chosen.std(ddof=1)) if count > 1 else math.nan
-    return FittedContent(content, target, fitted, count, len(vs), mean, sd / math.sqrt(max(count, 1)), sd)
+    return FittedContent(content, target, role, count, len(vs), mean, sd / math.sqrt(max(count, 1)), sd)

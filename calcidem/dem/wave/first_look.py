@@ -38,9 +38,30 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
     On such a path the near field makes a standard error of 2 % at most, see
     `calcidem.dem.wave.reading.reading_error`.
     """
-    # Each configuration names this function; only who calls it waits for the engine.
+    speed = expected_speed(experiment, content, _PATTERNS)
+    return float(f"{WAVELENGTHS * speed / experiment.distance:.{_SIGNIFICANT}g}")
+
+
+def expected_speed(experiment: Experiment, content: float, patterns: int) -> float:
+    """Give the median static speed of some cement patterns, those of the seeds from 0 on, m/s.
+
+    Parameters
+    ----------
+    experiment
+        What samples share; its frequencies are not looked at.
+    content
+        Percent of the sand's mass.
+    patterns
+        Their number; without cement they are all the same.
+
+    Raises
+    ------
+    ValueError
+        If a sample has no stiffness.
+    """
+    # Each configuration names this module; only who calls it waits for the engine.
     from calcidem.dem.wave.static_speed import static_speed  # noqa: PLC0415
 
-    patterns = [experiment.ordering(seed).at(content).bonded for seed in range(_PATTERNS)]
-    speeds = [static_speed(experiment, bonded).speed for bonded in (patterns if content > 0.0 else patterns[:1])]
-    return float(f"{WAVELENGTHS * np.median(speeds) / experiment.distance:.{_SIGNIFICANT}g}")
+    seeds = range(patterns if content > 0.0 else 1)
+    bonded = [experiment.ordering(seed).at(content).bonded for seed in seeds]
+    return float(np.median([static_speed(experiment, flags).speed for flags in bonded]))

@@ -17,6 +17,7 @@ from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import SKIN, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.domain import driven_disks, listening_disks, station_disks
@@ -152,6 +153,32 @@ def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bo
     """Raise a `ValueError` if no sample of a packing stands a pulse: as far as this can be told without its cement."""
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
     _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented), frequency)
+
+
+def refuse_unfit_samples(
+    experiment: Experiment, content: float, orderings: Sequence[CementOrdering], lanes: int
+) -> None:
+    """Raise a `ValueError` if one of some samples does not stand its pulse, as `send_waves` would.
+
+    Samples are only looked at where that can be: where the pulse is short for a packing without cement, whose steps are
+    longest. Bonds that do not preserve the forces settle first, which takes long, and are not looked at.
+
+    Parameters
+    ----------
+    experiment
+        What all samples share.
+    content
+        Percent of the sand's mass.
+    orderings
+        Cement of each, at most ``lanes``.
+    lanes
+        Width of the kernel.
+    """
+    frequency = experiment.frequency(content)
+    longest = experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented=False)
+    if experiment.installation == "preserve" and longest * frequency * FEWEST_SAMPLES > 1.0:
+        bonded = [cement.at(content).bonded for cement in orderings]
+        prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 
 def _refuse_short_pulse(step: float, frequency: float) -> None:

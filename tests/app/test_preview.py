@@ -1,0 +1,91 @@
+"""`run --check` refuses what a run would refuse, and says what the rest needs of time, memory and disk."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calcidem.app.campaign import expected_cost as cost
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.preview import _hard_to_read, _rough_time
+from calcidem.app.config.checks import _longest_step, check_against_packing
+from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.propagation import prepare_recorder
+
+
+def test_no_sample_has_longer_steps_than_expected(small_configuration: Configuration, small_packing: Packing) -> None:
+    """So a frequency that a run refuses is refused before there is a packing: with no, few and many contacts bonded."""
+    experiment = small_configuration.experiment(small_packing)
+    orderings = [experiment.ordering(seed) for seed in range(1, 9)]
+    for content in (0.0, 0.02, 0.1, 0.66, 0.7, 1.0, 5.0):
+        recorder = prepare_recorder(
+            experiment, [cement.at(content).bonded for cement in orderings], 1.0, 8, lambda: None
+        )
+        limit = recorder.state.time_step / experiment.wave.step_fraction
+        expected = _longest_step(small_configuration, content)
+        assert 0.3 * expected < limit.min() <= limit.max() <= expected, content
+
+
+def test_a_frequency_that_a_sample_cannot_resolve_is_refused_before_the_run(
+    small_configuration: Configuration, small_packing: Packing
+) -> None:
+    """At a low content few contacts are cemented, so steps are longer than those of a sample in which all are."""
+    high = replace(small_configuration, excitation=Excitation(330e3))
+    low_content = replace(high, campaign=replace(high.campaign, contents=(0.02,)))
+    with pytest.raises(ConfigurationError, match=r"at 0\.02 % wave\.frequency = 330000.*choose a lower frequency"):
+        check_against_packing(low_content, small_packing)
+    with pytest.raises(ValueError, match="choose a lower frequency"):
+        measure(low_content.experiment(small_packing), 0.02, low_content.campaign.seed_numbers)
+    check_against_packing(replace(high, campaign=replace(high.campaign, contents=(9.0,))), small_packing)
+
+
+def test_costs_are_those_of_cells_that_were_computed(
+    small_configuration: Configuration, small_packing: Packing, small_database: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps, and bytes of the database, within a factor of two; speeds are those of the samples."""
+    monkeypatch.setattr(cost, "_seconds_of_arithmetic", lambda: cost._SECONDS_WHERE_MEASURED)
+    speeds = cost.expected_speeds(small_configuration, small_packing)
+    with open_campaign(str(small_database)) as campaign:
+        done = [result for result in campaign.select() if result.vs is not None]
+    for result in done:
+        if result.key.content < 1.0:  # stiff patches reach from wall to wall of so small a box
+            assert speeds[result.key.content] == pytest.approx(result.vs, rel=0.5)
+    contents = {result.key.content for result in done}
+    batches = [b for b in planned_batches(small_configuration) if b.cells[0][1] in contents]
+    found = cost.expected_cost(small_configuration, speeds, batches)
+    steps = sum(8.0 * np.mean([r.steps for r in done if r.key.content == b.cells[0][1]]) for b in batches)
+    computed = steps * len(small_packing.radius) * 5e-9 + 0.02 * sum(len(batch.cells) for batch in batches)
+    assert 0.5 < found.seconds / computed < 2.0
+    assert 0.5 < 0.5 * found.disk / small_database.stat().st_size < 2.0
+    half = cost.expected_cost(small_configuration, speeds, batches[::2])
+    assert half.seconds < found.seconds
+    assert half.disk < found.disk
+
+
+def test_contents_that_are_hard_to_read_are_named(small_configuration: Configuration, small_packing: Packing) -> None:
+    """Waves longer than the path, and shorter than six grains; with a frequency that is better."""
+    speeds = {0.0: 200.0, 9.0: 2000.0}
+    told = {}
+    for frequency in (5e3, 30e3):
+        chosen = replace(small_configuration, excitation=Excitation(frequency))
+        told[frequency] = "\n".join(_hard_to_read(chosen, small_packing, speeds))
+    assert "9 %: 0.1 wavelengths on the path" in told[5e3]
+    assert "Hard to read: 0 %: 0." in told[5e3]
+    assert "0 %: 2.6 grains in a wavelength" in told[30e3]
+    assert "wave.frequency = " in told[30e3]
+
+
+def test_rough_times_have_units() -> None:
+    """Seconds, minutes and hours, in two digits at most."""
+    assert [_rough_time(value) for value in (0.2, 34.0, 100.0, 4000.0, 1e6)] == [
+        "1 s",
+        "30 s",
+        "1.7 min",
+        "1.1 h",
+        "280 h",
+    ]
