@@ -29,7 +29,7 @@ class Chromium:
     complaints
         What the page wrote to its console as a warning or an error, and what it threw.
     requests
-        Addresses that it asked for, data: URIs left out.
+        Addresses that it asked for, those of its own data left out.
     """
 
     def __init__(self, commands: int, answers: int) -> None:
@@ -71,7 +71,7 @@ class Chromium:
                 self.complaints.append(json.dumps(details["exceptionDetails"]))
             case "Log.entryAdded" if details["entry"]["level"] in {"warning", "error"}:
                 self.complaints.append(details["entry"]["text"])
-            case "Network.requestWillBeSent" if not details["request"]["url"].startswith("data:"):
+            case "Network.requestWillBeSent" if not details["request"]["url"].startswith(("data:", "blob:")):
                 self.requests.append(details["request"]["url"])
         return message
 

@@ -68,14 +68,14 @@ def start(*arguments: object) -> "subprocess.Popen[str]":
 
 
 @contextmanager
-def serve(*databases: Path) -> Iterator[Live]:
-    """Start the command with some databases, wait for its address, and kill it in the end."""
-    process = start(*databases)
+def serve(*arguments: object) -> Iterator[Live]:
+    """Start the command with databases and options, wait for its address, and kill it in the end."""
+    process = start(*arguments)
     try:
         assert process.stdout is not None
         address = ADDRESS.fullmatch(process.stdout.readline())
         assert address, process.communicate()
-        yield Live(process, int(address[2]), address[3], databases)
+        yield Live(process, int(address[2]), address[3], tuple(Path(one) for one in arguments if isinstance(one, Path)))
     finally:
         process.kill()
         process.wait()

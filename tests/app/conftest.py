@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from chromium import Chromium, find_chromium, open_chromium
 from marked_processes import MarkedProcesses
 from places import CHECKOUT, SMALL_PACKING
 from typer.testing import CliRunner
@@ -221,3 +222,13 @@ def invoke(tmp_path: Path) -> Callable[..., str]:
         return result.output
 
     return run
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    """Give a browser that has shown nothing yet."""
+    program = find_chromium()
+    if program is None:
+        pytest.skip("Chromium is not installed (Debian: apt-get install chromium)")
+    with open_chromium(program, tmp_path_factory.mktemp("browser")) as running:
+        yield running

@@ -27,6 +27,8 @@ from calcidem.app.report.one_cell import describe_cell
 from calcidem.app.report.page import write_report
 from calcidem.app.report.provenance import parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
+from calcidem.app.report.sections import TABLES, make_or_explain
+from calcidem.app.report.terms import _MEANINGS, explained_terms
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import UnknownCellError
@@ -316,3 +318,13 @@ def test_words_for_numbers() -> None:
     assert decimal(-3.14159, 2) == "\N{MINUS SIGN}3.14"
     assert (time_span(5.0), time_span(90.0), time_span(7200.0)) == ("5 s", "1.5 min", "2.0 h")
     assert (probability(1e-9), probability(0.0471)) == ("< 0.001", "0.047")
+
+
+def test_words_are_explained_where_they_stand(small_report: Path) -> None:
+    """Each explained word is one of a table, and stands with its meaning below that table."""
+    with open_campaign(TUTORIAL) as campaign:
+        tables = [make_or_explain(make, campaign.analyse())[0] for make in TABLES.values()]
+    explained = {word for table in tables if table is not None for word, _ in explained_terms(table)}
+    assert explained | {"static speed"} == set(_MEANINGS)  # a column that only some campaigns have
+    text = small_report.read_text(encoding="utf-8")
+    assert f"<dt>skewness</dt><dd>{_MEANINGS['skewness']}</dd>" in text

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Chromium, find_chromium, open_chromium
+from chromium import Chromium
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.page import write_report
@@ -18,22 +18,10 @@ from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellSt
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
 
-pytestmark = [
-    pytest.mark.full,
-    pytest.mark.skipif(find_chromium() is None, reason="Chromium is not installed (Debian: apt-get install chromium)"),
-]
+pytestmark = pytest.mark.full
 
 LARGE_SEEDS, LARGE_CONTENTS = 1000, 100
 MIB = 1 << 20
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    """Give a browser that has shown nothing yet."""
-    program = find_chromium()
-    assert program is not None
-    with open_chromium(program, tmp_path_factory.mktemp("browser")) as running:
-        yield running
 
 
 @pytest.fixture

@@ -26,13 +26,13 @@ SEEDS, CONTENTS = (1, 2, 3), (0.0, 5.0)
 NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000, "expected_error": 0.01}
 
 
-def begin(database: Path, name: str = HOSTILE) -> None:
+def begin(database: Path | str, name: str = HOSTILE) -> None:
     """Make a database of a campaign none of whose cells is computed."""
     with open_store(database) as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), name, "{}", CONTENTS, SEEDS, datetime.now(UTC)))
 
 
-def record(database: Path, seed: int, content: float, vs: float | None, reason: str = "") -> None:
+def record(database: Path | str, seed: int, content: float, vs: float | None, reason: str = "") -> None:
     """Store an outcome as another process does."""
     status = CellStatus.FAILED if vs is None else CellStatus.DONE
     with open_store(database) as store:
@@ -182,6 +182,30 @@ def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None
     feed.refresh()
     assert (feed.status()["name"], feed.status()["cells"]) == ("second", {"pending": 6})
     feed.close()
+
+
+@pytest.mark.full
+def test_a_server_database_is_shown_without_its_password(postgresql_socket: Path) -> None:
+    """A campaign on PostgreSQL is told cell by cell; the password of its URL is in nothing that is printed or sent."""
+    psycopg = pytest.importorskip("psycopg")
+    with psycopg.connect(f"host={postgresql_socket} user=postgres dbname=postgres", autocommit=True) as connection:
+        connection.execute("CREATE DATABASE live")
+    url, mark = "postgresql://postgres{}@/live?host=" + str(postgresql_socket), "o7-mark-7o"
+    begin(url.format(""), "sand")
+    with serve(url.format(f":{mark}")) as live:
+        listening = live.events()
+        said = [next(listening)]
+        assert said[0][1]["name"] == "sand"
+        record(url.format(""), 2, 5.0, 1234.5)
+        while said[-1][1].get("cells") != {"done": 1, "pending": 5}:
+            said.append(next(listening))
+        pages = [live.ask(path)[2] for path in ("/", "/campaigns/0/records", "/campaigns/0/cell?seed=2&content=5")]
+        live.process.send_signal(signal.SIGINT)
+        output, errors = live.process.communicate(timeout=5.0)
+    assert (live.process.returncode, output, errors) == (0, "", "")
+    assert str(said[0][1]["database"]).startswith("postgresql")
+    assert mark not in repr(said)
+    assert not any(mark.encode() in page for page in pages)
 
 
 def test_columns_are_those_of_the_store(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from chromium import Chromium, find_chromium, open_chromium
+from chromium import Chromium
 from live_page import ADDRESS, Live, serve
 from places import TUTORIAL
 
@@ -19,22 +19,10 @@ from calcidem.storage.sql.store import open_store
 if TYPE_CHECKING:
     from conftest import Workshop
 
-pytestmark = [
-    pytest.mark.full,
-    pytest.mark.skipif(find_chromium() is None, reason="Chromium is not installed (Debian: apt-get install chromium)"),
-]
+pytestmark = pytest.mark.full
 
 HOSTILE = "<img src=x onerror=\"document.title='hacked'\"><script>document.title='hacked'</script>"
 SETTLED = "document.querySelectorAll('.campaign').length === 2 && document.querySelector('#cells tbody tr')"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    """Give a browser that has shown nothing yet."""
-    program = find_chromium()
-    assert program is not None
-    with open_chromium(program, tmp_path_factory.mktemp("browser")) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

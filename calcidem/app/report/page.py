@@ -22,6 +22,7 @@ from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
+from calcidem.app.report.terms import explained_terms
 from calcidem.app.report.wording import Table, decimal, time_span
 from calcidem.storage.files import write_text_atomically
 from calcidem.storage.sql.store import read_campaign
@@ -172,6 +173,7 @@ def _render_page(
         blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},
         remarks=cell_data.remarks,
         sections=shown,
+        explained_terms=explained_terms,
     )
 
 

@@ -17,6 +17,9 @@ T = TypeVar("T")
 _BETWEEN_LOOKS = 1.0
 """Seconds between two looks at a database, at least."""
 
+_BETWEEN_PIECES = 0.03
+"""Seconds between two pieces of a large campaign, in which browsers get their answers."""
+
 _LAST_LOOK = 0.5
 """Seconds for a last look."""
 
@@ -49,7 +52,8 @@ class Hub:
     _ended: bool = False
 
     async def watch(self) -> None:
-        """Read what is new, for as long as somebody listens; to be cancelled in the end."""
+        """Read all once, and then what is new for as long as somebody listens; to be cancelled in the end."""
+        await self.refresh()
         while not self._ended:
             if not self._listeners:
                 self._wake.clear()
@@ -58,7 +62,7 @@ class Hub:
             await self.refresh()
             spent = time.monotonic() - begin
             busy = any(feed.busy for feed in self.feeds)
-            await asyncio.sleep(0.01 if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _SELDOMEST_LOOK))
+            await asyncio.sleep(_BETWEEN_PIECES if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _SELDOMEST_LOOK))
 
     async def refresh(self) -> None:
         """Read all databases once, and tell what is new."""
@@ -73,8 +77,6 @@ class Hub:
         self._wake.set()
         try:
             for feed in self.feeds:
-                if not feed.sequence:
-                    await _in_thread(feed.refresh)
                 yield _as_event(("status", await _in_thread(feed.status)))
             while True:
                 try:

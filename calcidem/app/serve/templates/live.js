@@ -282,7 +282,7 @@ function showGrowth() {
   put(byId("numbers").tBodies[0], rows.join(""), true);
 }
 function drawGrowth(shown, known) {
-  const [width, height, left, bottom, top] = [Math.max(byId("chart").clientWidth, 280), 320, 62, 44, 12];
+  const [width, height, left, bottom, top] = [Math.max(byId("chart").clientWidth, 280), 250, 62, 44, 12];
   // Of two or three samples the interval is so wide that it would leave nothing else to see: it is cut at the edge.
   const reach = (one) => [-1, 1].map((side) => one.mean + side * Math.max(one.sd ?? 0, Math.min(2 * (one.sd ?? 0), (one.high ?? one.mean) - one.mean)));
   const values = known.flatMap(reach);
