@@ -16,8 +16,9 @@ another program. `calcidem.dem` simulates scenes of your own. Errors that name w
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from calcidem.version import __version__ as __version__
+
 if TYPE_CHECKING:
-    __version__: str
     from calcidem import dem
     from calcidem.app.campaign.comparison import CampaignComparison, compare
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
@@ -78,8 +79,6 @@ _HOMES = {
 
 def __getattr__(name: str) -> object:
     """Import on first use: whoever needs the kernels alone does not wait for the database."""
-    if name == "__version__":
-        return import_module("importlib.metadata").version("calcidem")
     if name == "dem":
         return import_module("calcidem.dem")
     if name not in _HOMES:
@@ -89,4 +88,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """Names of what there is, imported or not."""
-    return sorted({*(name for name in globals() if name.startswith("_")), *__all__, "__version__"})
+    return sorted({*(name for name in globals() if name.startswith("_")), *__all__})

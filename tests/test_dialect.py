@@ -120,7 +120,7 @@ def exceptions_of(tree: ast.Module) -> set[str]:
 def test_an_underscore_tells_what_a_module_keeps_to_itself(path: Path) -> None:
     """Names with an underscore are used in their own module only, names without one elsewhere too."""
     tree = tree_of(path)
-    names = set(SCRIPT["defined_names"](path.read_text(encoding="utf-8"))) - {"__all__", "__getattr__"}
+    names = set(SCRIPT["defined_names"](path.read_text(encoding="utf-8"))) - {"__all__", "__getattr__", "__version__"}
     outside = uses()[module_name(path)]
     public = public_through_signatures(tree, outside | exceptions_of(tree))
     assert sorted(name for name in names if name.startswith("_") and name in outside) == []

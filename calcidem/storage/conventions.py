@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, Quantity
 from calcidem.storage.sql.store import Store
+from calcidem.version import __version__
 
 LAYOUT = 1
 """Version of the layout of exported files."""
@@ -49,8 +49,8 @@ def campaign_attributes(store: Store) -> dict[str, Any]:
     return {
         "Conventions": "CF-1.11",
         "title": f"Shear-wave velocity against calcite content: campaign {campaign.name}",
-        "source": f"discrete-element simulations by calcidem {_own_version()}",
-        "history": f"{now} exported by calcidem {_own_version()}",
+        "source": f"discrete-element simulations by calcidem {__version__}",
+        "history": f"{now} exported by calcidem {__version__}",
         "comment": "Groups hold what is not one number for each cell (packings, attempts, signals ...).",
         "calcidem_layout": LAYOUT,
         "calcidem_campaign_name": campaign.name,
@@ -63,10 +63,3 @@ def campaign_attributes(store: Store) -> dict[str, Any]:
             [{"number": number} | asdict(run) for number, run in store.runs()], default=datetime.isoformat
         ),
     }
-
-
-def _own_version() -> str:
-    try:
-        return version("calcidem")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -1,20 +1,30 @@
-"""The wheel has what a store needs besides Python modules."""
+"""The wheel has what calcidem needs besides Python modules, and takes its version from one place."""
 
+import re
+import subprocess
 import zipfile
 from pathlib import Path
 
 import pytest
 
+import calcidem
+
 ROOT = Path(__file__).parents[2]
 
 
 def test_wheel_contains_data(tmp_path: Path) -> None:
-    """The shipped campaign and the packings of the examples are in the wheel."""
+    """Every file of the package is in the wheel: campaign, packings, pages and styles, not only modules."""
     builder = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
     (wheel,) = builder.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    assert Path(wheel).name.startswith(f"calcidem-{calcidem.__version__}-")
     with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
-    assert "calcidem/app/config/presets/paper.nc" in names, "the campaign that load_paper_campaign reads"
-    packings = {name for name in names if name.startswith("calcidem/app/config/presets/packings/")}
-    in_tree = (ROOT / "calcidem" / "app" / "config" / "presets" / "packings").glob("*.npz")
-    assert packings == {str(path.relative_to(ROOT)) for path in in_tree} != set(), "the packings of the examples"
+        names = {name for name in archive.namelist() if name.startswith("calcidem/")}
+    tracked = subprocess.run(["git", "ls-files", "calcidem"], cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S607 - whichever git there is
+    assert {"calcidem/app/config/presets/paper.nc", "calcidem/py.typed"} <= set(tracked.stdout.splitlines()) <= names
+
+
+@pytest.mark.parametrize("name", ["CITATION.cff"])
+def test_other_files_name_the_version_of_the_package(name: str) -> None:
+    """Formats that want the version as text have the one of `calcidem.__version__`."""
+    found = re.findall(r"""^[ "]*(?:version|softwareVersion)"?: "?([\d.]+)""", (ROOT / name).read_text(), re.MULTILINE)
+    assert found == [calcidem.__version__]

@@ -1,24 +1,26 @@
 """Where results come from: versions, machine and launch of a run."""
 
+import json
 import os
 import platform
 import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
 from calcidem.storage.records import RunRecord
 from calcidem.sweep.environment import mpi_library_version
+from calcidem.version import __version__
 
-_LIBRARIES = ("calcidem", "numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
-"""What the numbers and the files depend on."""
+_LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
+"""What the numbers and the files depend on, besides Python and calcidem."""
 
 
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of the run that begins now, on rank 0 of so many."""
-    commit, dirty = _source_tree_state()
+    commit, dirty = source_commit()
     return RunRecord(
         versions=library_versions(),
         host=platform.node(),
@@ -35,11 +37,12 @@ def describe_run(ranks: int) -> RunRecord:
 
 def library_versions() -> dict[str, str]:
     """Versions of Python, of what the numbers and the files depend on, and of the C library where it tells its own."""
-    versions = {"python": platform.python_version()} | {name: version_of(name) for name in _LIBRARIES}
+    versions = {"python": platform.python_version(), "calcidem": __version__}
+    versions |= {name: _version_of(name) for name in _LIBRARIES}
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 
-def version_of(name: str) -> str:
+def _version_of(name: str) -> str:
     """Version of an installed distribution, empty if it is not installed as one."""
     try:
         return version(name)
@@ -57,17 +60,29 @@ def _cpu_model() -> str:
     return next(named, platform.machine())
 
 
-def _source_tree_state() -> tuple[str | None, bool | None]:
-    """Commit of the source tree that runs and whether it was changed; None for an installed package."""
+def source_commit() -> tuple[str | None, bool | None]:
+    """Commit of the source that runs, and whether it was changed; None where there is none, as for most wheels."""
     root = Path(__file__).parents[3]
     git = shutil.which("git")
-    if git is None or not (root / ".git").exists():
+    if not (root / ".git").exists():
+        return _installed_commit()
+    if git is None:
         return None, None
     try:
         commit = _ask(git, root, "rev-parse", "HEAD")
         return commit, bool(_ask(git, root, "status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.SubprocessError):
         return None, None
+
+
+def _installed_commit() -> tuple[str | None, bool | None]:
+    """Commit that pip installed from a repository, as it notes it (PEP 610); None for all other installations."""
+    try:
+        noted = distribution("calcidem").read_text("direct_url.json")
+    except PackageNotFoundError:
+        return None, None
+    commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
+    return commit, False if commit else None
 
 
 def _ask(git: str, root: Path, *arguments: str) -> str:

@@ -18,7 +18,6 @@ from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.patterns import pattern_of, stored_section
-from calcidem.app.campaign.provenance import version_of
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
@@ -43,6 +42,7 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
+from calcidem.version import __version__
 
 if sys.platform != "win32":
     import fcntl
@@ -113,7 +113,7 @@ class CellComputation:
 
 def _version() -> str:
     """What decides the bits of a cell."""
-    return f"calcidem {version_of('calcidem')} with physics version {PHYSICS_VERSION}"
+    return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
 
 
 def _prepared_computation(configuration: Configuration, packing: Packing, version: str) -> CellComputation:

@@ -5,7 +5,6 @@ import sys
 import warnings
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +12,7 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import print_any_text, printable, strange_argument
 from calcidem.storage.passwords import keep_passwords_back
+from calcidem.version import __version__
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -92,9 +92,13 @@ def main() -> None:
 
 
 def _show_version(wanted: bool) -> None:
-    """Write the version and end."""
+    """Write the version, with the commit where there is one, and end."""
     if wanted:
-        typer.echo(f"calcidem {version('calcidem')}")
+        from calcidem.app.campaign.provenance import source_commit
+
+        commit, changed = source_commit()
+        told = f" (commit {commit[:12]}{', changed' if changed else ''})" if commit else ""
+        typer.echo(f"calcidem {__version__}{told}")
         raise typer.Exit
 
 

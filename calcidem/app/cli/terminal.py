@@ -8,11 +8,11 @@ import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
 
 from calcidem.storage.passwords import hide_passwords
+from calcidem.version import __version__
 
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 """Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal answer."""
@@ -40,7 +40,7 @@ def strange_argument(arguments: Sequence[str]) -> str:
 
 def log_error(error: BaseException) -> Path | None:
     """Write the traceback into a new file, in this folder or the one for temporary files; None if none can be made."""
-    program = f"calcidem {version('calcidem')}, Python {platform.python_version()}, {platform.platform()}"
+    program = f"calcidem {__version__}, Python {platform.python_version()}, {platform.platform()}"
     text = hide_passwords("\n".join([program, repr(sys.argv), "".join(traceback.format_exception(error))]))
     name = f"calcidem-error-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.log"
     for folder in (Path.cwd, tempfile.gettempdir):

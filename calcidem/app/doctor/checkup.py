@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from calcidem.app.campaign.provenance import version_of
 from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker
 from calcidem.app.config.checks import can_make_files
@@ -21,6 +20,7 @@ from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesyst
 from calcidem.storage.sql.lease import FileLock
 from calcidem.sweep.environment import THREAD_VARIABLES, available_cores, launcher
 from calcidem.sweep.progress import pluralize
+from calcidem.version import __version__
 
 _COMMITS = 20
 """Transactions that are timed."""
@@ -37,7 +37,7 @@ _CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 def findings(folder: Path) -> Iterator[Finding]:
     """Check everything, quick things first; the database is to be in this folder."""
-    yield Finding(OK, "program", f"calcidem {version_of('calcidem')} on Python {platform.python_version()}")
+    yield Finding(OK, "program", f"calcidem {__version__} on Python {platform.python_version()}")
     yield _processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
         quota = _CPU_QUOTA.read_text(encoding="ascii") if _CPU_QUOTA.exists() else ""
