@@ -100,13 +100,17 @@ def critical_time_step(
     squared = _squares_of_stiffest((first, second, at_walls), assembly, features)[1].max(axis=0, initial=0.0)
     inverse = _inverse_masses(assembly)
     whole_walls = at_walls._replace(normal=2.0 * at_walls.normal, shear=2.0 * at_walls.shear)
-    own = inverse * _largest_eigenvalue(_contact_matrices((first, second, whole_walls), np.arange(scene.count), features))
+    own = inverse * _largest_eigenvalue(
+        _contact_matrices((first, second, whole_walls), np.arange(scene.count), features)
+    )
     root = np.sqrt(inverse)
     between = root[first.disk] * root[second.disk] * _coupling(first, second, features)
     to_first, to_second = (_sums(side.disk, scene.count) for side in (first, second))
     weights = np.ones_like(own)
     for _ in range(_ROUNDS):
-        grown = own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
+        grown = (
+            own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
+        )
         squared = np.minimum(squared, _ROUNDED_UP * (grown / weights).max(axis=0, initial=0.0))
         largest = grown.max(axis=0, initial=0.0)
         weights = grown / np.where(largest > 0.0, largest, 1.0) + _LEAST_WEIGHT
@@ -122,7 +126,7 @@ def critical_time_step_of_disks(
     *,
     rings: bool = False,
 ) -> Floats:
-    """Rigorous lower bound (L,) of the critical time step, s, that looks at each disk alone: for a step that is watched.
+    """Rigorous lower bound (L,) of the critical time step, s, from each disk alone: cheap, for a step that is watched.
 
     ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
     stiffness of Hertz contacts; those of the reference geometry by default. ``rings``: the disks have the moments of
@@ -165,14 +169,14 @@ def _coupling(first: _Springs, second: _Springs, features: Features) -> Floats:
     """
     normal, shear = first.normal, first.shear
     if not features.rotation:
-        return np.maximum(normal, shear)
+        return np.asarray(np.maximum(normal, shear))
     twist = np.sqrt(first.twist * second.twist)
     squared_arms = first.arm * first.arm + second.arm * second.arm
     turning = 2.0 * (shear * (first.arm * second.arm)) - twist
     total = (shear * shear) * (1.0 + 2.0 * squared_arms) + turning * turning
     product = shear * twist
     apart = np.sqrt(np.maximum((total - 2.0 * product) * (total + 2.0 * product), 0.0))
-    return np.maximum(normal, np.sqrt(0.5 * (total + apart)))
+    return np.asarray(np.maximum(normal, np.sqrt(0.5 * (total + apart))))
 
 
 def scaled_densities(
@@ -182,8 +186,8 @@ def scaled_densities(
 
     Where only the state of rest counts, the stiffest disks need not set the step of all (density scaling, as PFC's
     'timestep scale'). Disks get the moment of inertia of rings, since they are stiffest against turning. Those whose
-    part in the bound of `critical_time_step_of_disks` is above ``highest``, a share of the largest, then get so heavy that it
-    is not. All lanes share their masses and the step. The other arguments are those of `critical_time_step_of_disks`.
+    part in the bound of `critical_time_step_of_disks` is above ``highest``, a share of the largest, then get so heavy
+    that it is not. All lanes share their masses and the step. The other arguments are those of that function.
     """
     springs = _at_rings(_springs_at_disks(scene, assembly, features, overlap, wall_overlap))
     disks, squares = _squares_of_stiffest(springs, assembly, features, highest)
