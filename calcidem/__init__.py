@@ -7,10 +7,10 @@ Compute a campaign in this process, look at it, and find what it is:
 ...     print(campaign.summary())
 
 `run` computes, `open_campaign` reads a stored campaign, `load_paper_campaign` gives the numbers of the one that comes
-with the package. `load_configuration` reads and checks a TOML file without computing anything, `preset_text` gives one
-of the examples in `PRESETS` to start from, `import_packing` brings disks of another program. Errors that name what is
-wrong and what helps are `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and `WorkersLostError`.
-`calcidem.dem` simulates scenes of your own.
+with the package. `compare` puts campaigns beside one another. `load_configuration` reads and checks a TOML file without
+computing anything, `preset_text` gives one of the examples in `PRESETS` to start from, `import_packing` brings disks of
+another program. `calcidem.dem` simulates scenes of your own. Errors that name what is wrong and what helps are
+`ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and `WorkersLostError`.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     __version__: str
     from calcidem import dem
+    from calcidem.app.campaign.comparison import CampaignComparison, compare
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PRESETS",
     "Campaign",
+    "CampaignComparison",
     "Configuration",
     "ConfigurationError",
     "LaunchError",
@@ -42,6 +44,7 @@ __all__ = [
     "RunStage",
     "StoreError",
     "WorkersLostError",
+    "compare",
     "dem",
     "import_packing",
     "load_configuration",
@@ -53,6 +56,7 @@ __all__ = [
 
 _HOMES = {
     "Campaign": "calcidem.app.campaign.opened",
+    "CampaignComparison": "calcidem.app.campaign.comparison",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.errors",
@@ -62,6 +66,7 @@ _HOMES = {
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
     "WorkersLostError": "calcidem.sweep",
+    "compare": "calcidem.app.campaign.comparison",
     "import_packing": "calcidem.app.disks.packing_import",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",

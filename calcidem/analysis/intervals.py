@@ -114,6 +114,32 @@ def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Int
     return _around_mean(values, level, lambda n: 1 + 1 / n)
 
 
+def difference_interval(values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Give the confidence interval of the difference of two means by Welch's t; the variances may differ.
+
+    Parameters
+    ----------
+    values, references
+        Two independent samples, shapes (n,) and (m,); the mean of the second is subtracted.
+    level
+        Confidence level between 0 and 1.
+
+    Notes
+    -----
+    Welch (1947), doi:10.1093/biomet/34.1-2.28.
+    """
+    if min(values.size, references.size) <= 1:
+        return UNDEFINED
+    centre = float(mean(values) - mean(references))
+    parts = [float(standard_deviation(sample)) ** 2 / sample.size for sample in (values, references)]
+    variance = sum(parts)
+    if variance == 0:
+        return Interval(centre, centre)
+    freedom = variance**2 / (parts[0] ** 2 / (values.size - 1) + parts[1] ** 2 / (references.size - 1))
+    half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * math.sqrt(variance)
+    return Interval(centre - half, centre + half)
+
+
 def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Interval:
     """Interval of Student's t around the mean, of a variance in units of that of the values."""
     n = values.size

@@ -28,7 +28,7 @@ class Change:
     mean_ratio, deviation_ratio
         Mean and standard deviation over those of the reference, both over the seeds that have a velocity in both.
     deviation_ratio_interval
-        95 % bootstrap interval of that: seeds are drawn with replacement, the same ones on both sides.
+        Bootstrap interval of that: seeds are drawn with replacement, the same ones on both sides.
     """
 
     content: float
@@ -41,13 +41,15 @@ class Change:
     deviation_ratio_interval: Interval
 
 
-def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...]:
+def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
     """Compare two matrices of Vs content by content, on the seeds that they have in common.
 
     Parameters
     ----------
     variant, reference
         Vs in m/s along (seed, content), NaN where there is none. Contents that the reference lacks are left out.
+    level
+        Level of the interval, between 0 and 1.
     """
     first, second = xr.align(variant, reference, join="inner")
     changes = []
@@ -55,7 +57,7 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
         own = variant.sel(content=content).to_numpy()
         pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
         measured = own[np.isfinite(own)]
-        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
+        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)], level)
         changes.append(
             Change(
                 content=content,
@@ -71,7 +73,7 @@ def compare(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...
     return tuple(changes)
 
 
-def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
+def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interval]:
     """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
     count = pair.shape[1]
     if count < _FEWEST_PAIRS:
@@ -81,15 +83,15 @@ def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
         ratio = float(np.divide(*pair.std(axis=1)))
-    return float(np.divide(*pair.mean(axis=1))), ratio, _percentiles(deviations)
+    return float(np.divide(*pair.mean(axis=1))), ratio, _percentiles(deviations, level)
 
 
-def _percentiles(values: np.ndarray) -> Interval:
-    """Middle 95 % of bootstrap replicates."""
+def _percentiles(values: np.ndarray, level: float = 0.95) -> Interval:
+    """Middle part of bootstrap replicates."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return UNDEFINED
-    low, high = np.percentile(finite, [2.5, 97.5])
+    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2])
     return Interval(float(low), float(high))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.analysis.sensitivity import compare, variance_parts
+from calcidem.analysis.sensitivity import paired_changes, variance_parts
 
 
 def velocities(values: np.ndarray, contents: tuple[float, ...] = (5.0,)) -> xr.DataArray:
@@ -19,7 +19,7 @@ def test_common_seeds_tell_a_scaled_copy_exactly() -> None:
     """A variant that doubles every deviation from the mean has a ratio of 2 whose interval has no width."""
     reference = np.random.default_rng(1).normal(1000.0, 50.0, 24)
     variant = reference.mean() + 2.0 * (reference - reference.mean())
-    (change,) = compare(velocities(variant), velocities(reference))
+    (change,) = paired_changes(velocities(variant), velocities(reference))
     assert change.deviation_ratio == pytest.approx(2.0)
     assert change.deviation_ratio_interval.half_width < 1e-9
     assert change.mean_ratio == pytest.approx(1.0)
@@ -30,7 +30,7 @@ def test_unread_cells_are_left_out_on_both_sides() -> None:
     reference = np.random.default_rng(2).normal(1000.0, 50.0, 24)
     variant = 1.1 * reference
     variant[3] = np.nan
-    (change,) = compare(velocities(variant), velocities(reference))
+    (change,) = paired_changes(velocities(variant), velocities(reference))
     assert (change.measured, change.planned) == (23, 24)
     assert change.mean_ratio == pytest.approx(1.1)
     assert change.deviation_ratio == pytest.approx(1.1)
@@ -42,7 +42,7 @@ def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
     held = 0
     for _ in range(40):
         pair = generator.normal(0.0, 1.0, (2, 40)) * [[1.5], [1.0]] + 100.0
-        (change,) = compare(velocities(pair[0]), velocities(pair[1]))
+        (change,) = paired_changes(velocities(pair[0]), velocities(pair[1]))
         held += change.deviation_ratio_interval.contains(1.5)
     assert held >= 33
 

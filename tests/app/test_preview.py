@@ -12,7 +12,7 @@ from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.preview import _hard_to_read, _rough_time
 from calcidem.app.config.checks import _longest_step, check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.app.config.schema import Bonding, Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder
@@ -42,6 +42,21 @@ def test_a_frequency_that_a_sample_cannot_resolve_is_refused_before_the_run(
     with pytest.raises(ValueError, match="choose a lower frequency"):
         measure(low_content.experiment(small_packing), 0.02, low_content.campaign.seed_numbers)
     check_against_packing(replace(high, campaign=replace(high.campaign, contents=(9.0,))), small_packing)
+
+
+@pytest.mark.full
+def test_a_pulse_that_unbalanced_forces_would_hide_is_refused_before_the_run(
+    small_configuration: Configuration, small_packing: Packing
+) -> None:
+    """Bonds that do not preserve the forces leave what the packing left unbalanced; a louder pulse is heard."""
+    for amplitude, refused in ((1e-6, True), (1e-2, False)):
+        wave = replace(small_configuration.wave, regime="small", amplitude=amplitude)
+        chosen = replace(small_configuration, wave=wave, bonding=Bonding("zero"))
+        if refused:
+            with pytest.raises(ConfigurationError, match=r"wave\.amplitude = 1e-06: unbalanced forces of the packing"):
+                check_against_packing(chosen, small_packing)
+        else:
+            check_against_packing(chosen, small_packing)
 
 
 def test_costs_are_those_of_cells_that_were_computed(

@@ -24,8 +24,10 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     VS_LABEL,
     apply_style,
+    figure_of,
     letter_panels,
     new_figure,
+    new_panel,
 )
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.predictor import fit_predictor
@@ -103,8 +105,7 @@ def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Fi
     published_ratio
         The best ratio of the reproduced study, to show beside.
     """
-    figure = new_figure(height=3.4)
-    axes = figure.subplots()
+    axes, _ = new_panel(height=3.4)
     interval = scan.best_ratio_interval
     axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
     axes.plot(scan.ratios, scan.correlation, color=BLUE)
@@ -122,7 +123,7 @@ def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Fi
     axes.set_xlabel(r"weight ratio $\omega_{LPB}\,/\,\omega_h$")
     axes.set_ylabel("correlation of $C_{d,n}$ with $V_s$")
     axes.legend(loc="best")
-    return figure
+    return figure_of(axes)
 
 
 @apply_style

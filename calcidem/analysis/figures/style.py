@@ -1,11 +1,13 @@
 """One look for all figures: colours, sizes, units, and how a figure is written to files."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
 from string import ascii_lowercase
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, cast
 
 import matplotlib as mpl
 from cycler import cycler
@@ -87,14 +89,52 @@ def apply_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE):
-            return draw(*args, **kwargs)
+            return draw(*args, **kwargs).figure  # the whole one, where it was drawn on a part
 
     return inner
 
 
+_CALLERS_AXES: ContextVar[Axes | None] = ContextVar("place", default=None)
+"""Axes of the caller in which the next figure is drawn."""
+
+
+@contextmanager
+def drawn_in(place: Axes | None) -> Iterator[None]:
+    """Draw the figure made within in axes of the caller; None for a figure of its own.
+
+    A figure of one panel is drawn into these axes, beside what they hold. One of several panels takes their place, for
+    which they have to be of a grid, as `plt.subplots` makes them.
+    """
+    if place is not None and place.figure is None:
+        raise ValueError("ax was removed from its figure: make new axes with plt.subplots.")
+    token = _CALLERS_AXES.set(place)
+    try:
+        yield
+    finally:
+        _CALLERS_AXES.reset(token)
+
+
 def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
-    """Give an empty figure of a size in inches; it belongs to nobody's window."""
-    return Figure(figsize=(width, height), layout="constrained")
+    """Give an empty figure of a size in inches, which belongs to nobody's window, or a part of the caller's."""
+    if (place := _CALLERS_AXES.get()) is None:
+        return Figure(figsize=(width, height), layout="constrained")
+    if (cell := place.get_subplotspec()) is None:
+        raise ValueError("ax is not of a grid, and this figure has several panels: make it with plt.subplots.")
+    owner = place.figure
+    place.remove()
+    return cast("Figure", owner.add_subfigure(cell))  # all that is drawn on a figure can be drawn on a part of one
+
+
+def new_panel(height: float, width: float = FIGURE_WIDTH) -> tuple[Axes, bool]:
+    """Give the only panel of a figure, and whether it is one of the caller's."""
+    if (place := _CALLERS_AXES.get()) is None:
+        return new_figure(height, width).subplots(), False
+    return place, True
+
+
+def figure_of(axes: Axes) -> Figure:
+    """Give the whole figure that axes are in."""
+    return axes.figure.figure  # of a part of a figure it is the figure, of a figure itself
 
 
 def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 - of a text of matplotlib

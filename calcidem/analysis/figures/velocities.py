@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -20,12 +21,15 @@ from calcidem.analysis.figures.style import (
     CONTENT_MAP,
     GREY,
     ORANGE,
+    SEQUENCE,
     SKY,
     VERMILION,
     VS_LABEL,
     apply_style,
+    figure_of,
     letter_panels,
     new_figure,
+    new_panel,
 )
 from calcidem.analysis.published import PublishedVelocity
 from calcidem.storage.records.error_budget import NORMAL_95, departs
@@ -37,6 +41,8 @@ _MANY = 30
 """Marks of more samples than this are pixels in vector files, which keeps these small."""
 _SIDE_BY_SIDE = 0.006
 """How far the first and last sample of a content stand beside it, as a part of the range of contents."""
+_CAMPAIGNS_ASIDE = 0.012
+"""How far campaigns stand beside one another, as a part of the range of contents."""
 _PUBLISHED_ASIDE = 0.012
 """How far published means stand beside their content, as a part of the range of contents."""
 
@@ -59,14 +65,17 @@ def draw_range(
         Means and standard deviations to show beside, each with its content in percent.
     """
     rows = [row for row in distributions if row.vs.n]
-    figure = new_figure(height=4.6)
-    axes = figure.subplots()
+    axes, placed = new_panel(height=4.6)
+    figure = figure_of(axes)
     low = [row for row in rows if row.content <= _LOW_CONTENT]
-    enlarged = len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
+    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
     _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
+    if placed:  # what else is in the figure has its own legend
+        axes.legend(fontsize=7)
+    else:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
         _draw_range(inset, cells, low, [row for row in published if row[0] <= _LOW_CONTENT])
@@ -136,6 +145,48 @@ def _draw_range(
             label="published mean and standard\ndeviation (set off to the right)",
         )
     axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is below, whatever a band says
+
+
+@apply_style
+def draw_comparison(comparison: xr.Dataset) -> Figure:
+    """Draw mean and scatter of Vs of several campaigns, and their differences from the first.
+
+    Parameters
+    ----------
+    comparison
+        From `calcidem.analysis.comparison.compare_velocities`.
+    """
+    figure = new_figure(height=5.2)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1.0])
+    contents = comparison["content"].to_numpy()
+    step = _CAMPAIGNS_ASIDE * float(np.ptp(contents)) if contents.size > 1 else _CAMPAIGNS_ASIDE
+    middle = (comparison.sizes["campaign"] - 1) / 2
+    lower.axhline(0.0, color=GREY, linewidth=0.8)
+    for place, name in enumerate(comparison["campaign"].to_numpy()):
+        row = comparison.sel(campaign=name)
+        at, colour = contents + (place - middle) * step, SEQUENCE[place % len(SEQUENCE)]
+        means, deviations = row["mean"].to_numpy(), row["standard_deviation"].to_numpy()
+        upper.vlines(at, means - deviations, means + deviations, color=colour, alpha=0.3, linewidth=5)
+        _draw_bars(upper, at, row, "mean", fmt="o", color=colour, label=str(name))
+        if place:
+            paired = np.isfinite(row["paired_difference"].to_numpy())
+            _draw_bars(lower, np.where(paired, at, np.nan), row, "paired_difference", fmt="o", color=colour)
+            _draw_bars(lower, np.where(paired, np.nan, at), row, "difference", fmt="o", color=colour, mfc="white")
+    upper.set_title("mean, its interval (line) and standard deviation (bar)")
+    lower.set_title("difference of the mean to the first; filled: of the same seeds")
+    letter_panels((upper, lower))
+    upper.set_ylabel(VS_LABEL)
+    lower.set_ylabel("difference (m/s)")
+    lower.set_xlabel(CONTENT_LABEL)
+    upper.legend(loc="upper left")
+    return figure
+
+
+def _draw_bars(axes: Axes, at: NDArray[np.float64], row: xr.Dataset, name: str, **look: Any) -> None:  # noqa: ANN401 - of matplotlib
+    """Draw a quantity with its interval at places along content; an interval that is not known is left out."""
+    values = row[name].to_numpy()
+    low, high = row[f"{name}_interval"].transpose("bound", "content").to_numpy()
+    axes.errorbar(at, values, yerr=np.nan_to_num([values - low, high - values]), markersize=4, capsize=2, **look)
 
 
 @apply_style

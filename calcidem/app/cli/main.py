@@ -36,6 +36,7 @@ PANELS = {
     "Analyse": {
         "report": "One page with everything.",
         "analyse": "A folder of figures, tables and numbers.",
+        "compare": "Campaigns beside one another, and their differences.",
         "predict": "Vs of a sample that was not simulated.",
         "study": "How Vs depends on frequency and damping.",
         "sensitivity": "How each choice changes mean and scatter of Vs.",

@@ -161,7 +161,8 @@ def refuse_unfit_samples(
     """Raise a `ValueError` if one of some samples does not stand its pulse, as `send_waves` would.
 
     Samples are only looked at where that can be: where the pulse is short for a packing without cement, whose steps are
-    longest. Bonds that do not preserve the forces settle first, which takes long, and are not looked at.
+    longest. Bonds that do not preserve the forces settle first, which takes long: the packing without them, which is as
+    far from rest as they will be, stands for theirs.
 
     Parameters
     ----------
@@ -176,7 +177,10 @@ def refuse_unfit_samples(
     """
     frequency = experiment.frequency(content)
     longest = experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented=False)
-    if experiment.installation == "preserve" and longest * frequency * FEWEST_SAMPLES > 1.0:
+    if experiment.installation != "preserve":
+        bare = np.zeros(len(experiment.packing.pairs), dtype=bool)
+        prepare_recorder(experiment, [bare], min(frequency, 0.5 / (longest * FEWEST_SAMPLES)), lanes, lambda: None)
+    elif longest * frequency * FEWEST_SAMPLES > 1.0:
         bonded = [cement.at(content).bonded for cement in orderings]
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 

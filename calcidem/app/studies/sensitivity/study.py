@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import xarray as xr
 
-from calcidem.analysis.sensitivity import Change, compare
+from calcidem.analysis.sensitivity import Change, paired_changes
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.report.wording import ABSENT
@@ -44,7 +44,7 @@ def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...
     for variant in variants:
         own, other = found[variant.name], found[variant.against]
         if own is not None and other is not None:
-            compared[variant.name] = compare(own, other)
+            compared[variant.name] = paired_changes(own, other)
     return compared
 
 

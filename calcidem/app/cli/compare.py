@@ -1,0 +1,123 @@
+"""``calcidem compare``: campaigns beside one another."""
+
+import math
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from calcidem.app.cli.arguments import number_parser
+from calcidem.app.cli.terminal import printable
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    import pandas as pd
+
+ComparisonFormat = StrEnum("ComparisonFormat", ["TABLE", "CSV", "JSON"])
+
+_FIGURE_FORMATS = (".png", ".svg", ".pdf")
+
+
+def compare_command(
+    databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Figure to write, with the ending .png, .svg or .pdf.")
+    ] = None,
+    layout: Annotated[ComparisonFormat, typer.Option("--format", help="Output format.")] = ComparisonFormat.TABLE,
+    level: Annotated[
+        float,
+        typer.Option(
+            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),
+            help="Level of all intervals.",
+        ),
+    ] = 0.95,
+    campaign: Annotated[
+        list[str] | None,
+        typer.Option("--campaign", metavar="NAME", help="Campaigns of one database that has several; repeat it."),
+    ] = None,
+) -> None:
+    """Compare campaigns with the first of them, content by content: mean and scatter of Vs, and their differences.
+
+    The difference of means takes all samples as independent (Welch). The paired difference takes the seeds that both
+    campaigns have. Where the same seed places the cement alike, it is the sharper of the two.
+    """
+    from calcidem.app.campaign.comparison import compare
+    from calcidem.app.campaign.opened import open_campaign
+    from calcidem.storage.files import refuse_to_replace, write_atomically
+
+    if campaign and len(databases) > 1:
+        raise typer.BadParameter("give one database with it", param_hint="--campaign")
+    if out is not None:
+        if out.suffix.lower() not in _FIGURE_FORMATS:
+            raise typer.BadParameter(f"{out} ends with none of {', '.join(_FIGURE_FORMATS)}", param_hint="--out")
+        refuse_to_replace(out)
+    names: list[str | None] = list(campaign) if campaign else [None]
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_campaign(database, name)) for database in databases for name in names]
+        found = compare(opened, level)
+    table = found.to_dataframe()
+    if layout is ComparisonFormat.TABLE:
+        from calcidem.app.cli.tables import make_console
+
+        console = make_console()
+        console.print(_comparison_table(table, level))
+        for name, lines in found.differing.items():
+            typer.echo(printable(f"{name} differs from the first in: {'; '.join(lines) or 'nothing'}"))
+    else:
+        typer.echo(printable(_comparison_text(table, layout)), nl=False)
+    if out is not None:
+        from calcidem.analysis.figures.style import render
+
+        with write_atomically(out) as temporary:
+            temporary.write_bytes(render(found.draw(), out.suffix.lower().removeprefix(".")))
+        typer.echo(f"Wrote {out}", err=layout is not ComparisonFormat.TABLE)
+
+
+def _comparison_text(table: "pd.DataFrame", layout: ComparisonFormat) -> str:
+    """The table as CSV or JSON; what is missing is empty or null."""
+    from calcidem.storage.files import spreadsheet_value
+
+    if layout is ComparisonFormat.JSON:
+        return table.to_json(orient="records", indent=1, force_ascii=False, double_precision=15) + "\n"
+    return table.assign(campaign=table["campaign"].map(spreadsheet_value)).to_csv(index=False, lineterminator="\n")
+
+
+def _comparison_table(table: "pd.DataFrame", level: float) -> Table:
+    """The table as people read it: contents together, campaigns below one another."""
+    shown = Table(title="Shear-wave velocity, m/s", title_justify="left", box=SIMPLE_HEAD)
+    shown.add_column("content %", justify="right")
+    shown.add_column("campaign")
+    for name in ("n", "mean", "sd", "difference", "paired", "pairs", "sd ratio"):
+        shown.add_column(name, justify="right")
+    for content, rows in table.groupby("content"):
+        for place, (_, row) in enumerate(rows.iterrows()):
+            shown.add_row(
+                "" if place else f"{content:g}",
+                Text(printable(str(row["campaign"]))),
+                str(row["n"]),
+                *(
+                    _with_interval(row, name)
+                    for name in ("mean", "standard_deviation", "difference", "paired_difference")
+                ),
+                str(row["pairs"]).replace("<NA>", "-"),
+                _with_interval(row, "deviation_ratio", "{:.2f}"),
+            )
+    shown.caption = (
+        f"In brackets: {100 * level:g} % intervals. Differences are to the first campaign: of all samples, and of the "
+        "seeds that both have (paired), as is the ratio of the standard deviations."
+    )
+    shown.caption_justify = "left"
+    return shown
+
+
+def _with_interval(row: "pd.Series[Any]", name: str, form: str = "{:.0f}") -> str:
+    """A number of a row and its interval in brackets."""
+    value, low, high = (float(row[f"{name}{end}"]) for end in ("", "_interval_low", "_interval_high"))
+    if not math.isfinite(value):
+        return "-"
+    text = form.format(value)
+    return f"{text} ({form.format(low)} to {form.format(high)})" if math.isfinite(low) else text
