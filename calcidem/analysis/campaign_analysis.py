@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
-from calcidem.analysis.correlation import Correlations, correlate
+from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
@@ -205,6 +205,12 @@ class CampaignAnalysis:
             return correlate(self.table)
 
     @cached_property
+    def feature_tests(self) -> xr.Dataset:
+        """Which of the eight features go together with Vs within one content, with corrected p-values."""
+        with _translate_refusals():
+            return seed_permutation_test(self.table, "vs")
+
+    @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
         """Length of the shortest path for all weight ratios, for each of the samples."""
         with _translate_refusals():
@@ -327,6 +333,37 @@ class CampaignAnalysis:
             path=path,
             features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
         )
+
+
+def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
+    """Correlate the eight features with Vs within one content, over the selected cells alone.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along feature: ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and ``p_corrected``,
+        see `calcidem.analysis.correlation.seed_permutation_test`.
+
+    Raises
+    ------
+    UnavailableError
+        If the campaign has no cement, or no selected cell has a velocity.
+    """
+    table = analysis.table
+    chosen = np.zeros(analysis.vs.shape, dtype=bool)
+    columns = analysis.store.table(("seed", "content"), selection)
+    chosen[
+        np.searchsorted(table["seed"], columns["seed"].astype(np.int64)),
+        np.searchsorted(table["content"], columns["content"]),
+    ] = True
+    table = table.where(xr.DataArray(chosen, dims=("seed", "content")))
+    if not bool(table["vs"].notnull().any()):
+        raise UnavailableError("no selected cell has a velocity")
+    with _translate_refusals():
+        tests = seed_permutation_test(table, "vs")
+        within = correlate(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
+    found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
+    return found.rename(variable="feature").assign_attrs(tests.attrs)
 
 
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:

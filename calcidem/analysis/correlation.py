@@ -12,6 +12,12 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from calcidem.analysis.intervals import BOOTSTRAP_SEED
+
+_PERMUTATIONS = 9999
+_ROUND_OFF = 1e-12
+"""Relative size below which a variable does not vary, and two coefficients are equal."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correlations:
@@ -55,6 +61,86 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     independent. Those of different seeds are; those of one seed share their cement from content to content,
     so the intervals are somewhat too narrow.
     """
+    names, values = _complete_values(table)
+    complete = np.isfinite(values[..., 0])
+    groups = [values[complete[:, column], column] for column in range(values.shape[1])]
+    pooled = np.concatenate(groups)
+    centred = np.concatenate([pooled[:0], *(group - group.mean(axis=0) for group in groups if len(group))])
+    means_subtracted = sum(len(group) > 0 for group in groups)
+    return Correlations(
+        overall=_correlation_matrix(pooled, names, level),
+        within=_correlation_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
+    )
+
+
+def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
+    """Test which variables of a table go together with one of them within one content.
+
+    Parameters
+    ----------
+    table
+        As for `correlate`.
+    target
+        Variable that the others are tested against.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along variable, without the target: ``pearson`` as `correlate` gives it within one content, its two-sided
+        ``p``, and ``p_corrected``, the probability that the largest of all coefficients is as large by chance. NaN for
+        a variable that does not vary.
+
+    Raises
+    ------
+    ValueError
+        As `correlate`; also if the table lacks the target.
+
+    Notes
+    -----
+    The rows of whole seeds are exchanged at random against those of the target, so that samples of one seed, which
+    share their cement from content to content, are not taken as independent. A missing sample counts as the mean of
+    its content. The correction is that of the largest
+    statistic (Westfall and Young 1993, doi:10.2307/2532216): it needs no assumption on how the variables go together.
+    """
+    names, values = _complete_values(table)
+    if target not in names:
+        raise ValueError(f"table holds the variables {names}; {target} is not one of them")
+    values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
+    known = np.isfinite(values)
+    counts = known.any(axis=-1).sum(axis=0)
+    means = np.where(known, values, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
+    centred = np.where(known, values - means, 0.0)
+    scale = np.linalg.norm(centred, axis=(0, 1))
+    scale[scale <= _ROUND_OFF * np.linalg.norm(np.where(known, values, 0.0), axis=(0, 1))] = np.nan
+    scaled = centred / scale
+    place = names.index(target)
+    others = [number for number in range(len(names)) if number != place]
+    # Of each pair of seeds what it adds if the one's features stand beside the other's target.
+    added = np.einsum("acf,bc->abf", scaled[..., others], scaled[..., place])
+    seeds = np.arange(len(added))
+    observed = added[seeds, seeds].sum(axis=0)
+    random = np.random.default_rng(BOOTSTRAP_SEED)
+    drawn = np.array([added[random.permutation(seeds), seeds].sum(axis=0) for _ in range(_PERMUTATIONS)])
+    size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
+    largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
+
+    def share(as_large: NDArray[np.bool_]) -> NDArray[np.float64]:
+        found = (1 + as_large.sum(axis=0)) / (1 + _PERMUTATIONS)
+        return np.where(np.isfinite(observed), found, np.nan)
+
+    return xr.Dataset(
+        {
+            "pearson": ("variable", observed),
+            "p": ("variable", share(sizes >= size)),
+            "p_corrected": ("variable", share(largest[:, None] >= size)),
+        },
+        coords={"variable": [names[number] for number in others]},
+        attrs={"permutations": _PERMUTATIONS, "samples": int(counts.sum())},
+    )
+
+
+def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]:
+    """Names of the variables of a table and their values (seed, content, variable); NaN in all where one is missing."""
     names = [str(name) for name in table.data_vars]
     if len(names) <= 1:
         raise ValueError(f"table holds the variables {names}; a correlation needs at least two")
@@ -64,15 +150,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     values = np.stack([table[name].transpose("seed", "content").to_numpy() for name in names], axis=-1).astype(
         np.float64
     )
-    complete = np.asarray(np.isfinite(values).all(axis=-1))
-    groups = [values[complete[:, column], column] for column in range(values.shape[1])]
-    pooled = np.concatenate(groups)
-    centred = np.concatenate([pooled[:0], *(group - group.mean(axis=0) for group in groups if len(group))])
-    means_subtracted = sum(len(group) > 0 for group in groups)
-    return Correlations(
-        overall=_correlation_matrix(pooled, names, level),
-        within=_correlation_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
-    )
+    return names, np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.nan)
 
 
 def _fisher_interval(
@@ -128,7 +206,7 @@ def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.full((size, size), np.nan)
     centred = samples - samples.mean(axis=0)
     norms = np.linalg.norm(centred, axis=0)
-    constant = norms <= 1e-12 * np.linalg.norm(samples, axis=0)
+    constant = norms <= _ROUND_OFF * np.linalg.norm(samples, axis=0)
     scaled = centred / np.where(constant, np.nan, norms)
     matrix: NDArray[np.float64] = np.clip(scaled.T @ scaled, -1.0, 1.0)
     np.fill_diagonal(matrix, np.where(constant, np.nan, 1.0))

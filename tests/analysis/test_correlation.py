@@ -6,7 +6,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.correlation import _fisher_interval, correlate
+from calcidem.analysis.correlation import _fisher_interval, correlate, seed_permutation_test
 
 
 def table(**variables: NDArray[np.float64]) -> xr.Dataset:
@@ -124,3 +124,54 @@ def test_malformed_tables_are_refused(trending: xr.Dataset) -> None:
         correlate(trending[["x"]])
     with pytest.raises(ValueError, match="variable z"):
         correlate(trending.assign(z=("seed", np.zeros(200))))
+
+
+def test_p_of_one_content_is_scipys_and_the_correction_is_for_all_variables() -> None:
+    """With one content and one variable p is that of SciPy's permutation test; more variables raise it, as Sidak's."""
+    generator = np.random.default_rng(5)
+    y = generator.normal(size=(12, 1))
+    x = 0.55 * y + generator.normal(size=(12, 1))
+    (p,), (corrected,) = (seed_permutation_test(table(x=x, y=y), "y")[name].values for name in ("p", "p_corrected"))
+    expected = stats.permutation_test(
+        (x.ravel(),),
+        lambda drawn: stats.pearsonr(drawn, y.ravel()).statistic,
+        permutation_type="pairings",
+        n_resamples=9999,
+        rng=1,
+    )
+    assert 0.005 < p < 0.3  # neither clear nor absent
+    assert p == pytest.approx(expected.pvalue, abs=0.015)  # three standard errors of each
+    assert corrected == p
+    noise = {f"noise{number}": generator.normal(size=(12, 1)) for number in range(7)}
+    found = seed_permutation_test(table(x=x, y=y, **noise), "y").sel(variable="x")
+    assert float(found["p"]) == pytest.approx(p, abs=0.015)
+    assert float(found["p_corrected"]) == pytest.approx(1 - (1 - p) ** 8, abs=0.06)
+
+
+def test_a_trend_with_content_and_seeds_that_were_not_analysed_do_not_count() -> None:
+    """Common growth makes no small p-value; a variable that does not vary has none; empty seeds change nothing."""
+    generator = np.random.default_rng(6)
+    trend = 10.0 * np.arange(4)
+    y, x = (trend + generator.normal(size=(20, 4)) for _ in range(2))
+    flat = np.broadcast_to(trend, (20, 4))
+    found = seed_permutation_test(table(x=x, flat=flat, y=y), "y")
+    assert float(found["p"].sel(variable="x")) > 0.02
+    assert np.isnan(found.sel(variable="flat").to_array()).all()
+    longer = [np.concatenate([values, np.full((30, 4), np.nan)]) for values in (x, y)]
+    np.testing.assert_array_equal(
+        seed_permutation_test(table(x=longer[0], y=longer[1]), "y")["p"],
+        seed_permutation_test(table(x=x, y=y), "y")["p"],
+    )
+    with pytest.raises(ValueError, match="vs is not one of them"):
+        seed_permutation_test(table(x=x, y=y), "vs")
+
+
+@pytest.mark.full
+def test_false_alarms_are_as_rare_as_promised_though_contents_share_their_seeds() -> None:
+    """Of 400 tables of eight unrelated variables, each alike at all contents, 5 % have a corrected p below 0.05."""
+    generator = np.random.default_rng(8)
+    alarms = 0
+    for _ in range(400):
+        variables = {f"x{n}": np.repeat(generator.normal(size=(15, 1)), 5, axis=1) for n in range(9)}
+        alarms += bool((seed_permutation_test(table(**variables), "x0")["p_corrected"] < 0.05).any())
+    assert alarms / 400 == pytest.approx(0.05, abs=0.033)  # three standard errors

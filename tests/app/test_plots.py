@@ -1,16 +1,20 @@
 """Figures and movies from Python: `campaign.plot`."""
 
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
+from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.wave.domain import domain_of, listening_disks
 from calcidem.dem.wave.film import film_wave
@@ -27,13 +31,41 @@ def campaign(small_database: Path) -> Iterator[Campaign]:
 
 
 def test_plots_are_found_and_explained(campaign: Campaign) -> None:
-    """`dir` lists every figure of a report, each has its caption, and other names say what there is."""
-    assert {"movie", "signal", *(figure.name for figure in CAMPAIGN_FIGURES)} <= set(dir(campaign.plot))
-    assert all(figure.caption in str(getattr(campaign.plot, figure.name).__doc__) for figure in CAMPAIGN_FIGURES)
+    """Every figure of a report is a method whose documentation has its caption and says what `ax` is."""
+    for figure in CAMPAIGN_FIGURES:
+        method = getattr(CampaignPlots, figure.name)
+        assert figure.caption in str(method.__doc__)
+        assert inspect.signature(method).parameters["ax"].annotation == Axes | None
     assert isinstance(campaign.plot.histograms(), Figure)
-    assert isinstance(campaign.plot.signal(**CELL), Figure)
-    with pytest.raises(AttributeError, match=r"no figure 'vs_rage'; it has .*vs_range"):
-        campaign.plot.vs_rage()
+
+
+def test_a_figure_of_one_panel_is_drawn_into_own_axes(campaign: Campaign) -> None:
+    """What the axes hold stays, the velocities come beside it, and the figure returned is that of the axes."""
+    figure, (axes, other) = plt.subplots(1, 2)
+    own = axes.errorbar([2.4], [700.0], yerr=[60.0], label="own data")
+    assert campaign.plot.vs_range(ax=axes) is figure
+    assert figure.axes == [axes, other]
+    labels = axes.get_legend_handles_labels()[1]
+    assert own in axes.containers
+    assert {"own data", "mean", "95 % of new samples"} <= set(labels)
+    assert not other.has_data()
+    plt.close(figure)
+
+
+def test_a_figure_of_several_panels_takes_the_place_of_own_axes(campaign: Campaign) -> None:
+    """It is in the caller's figure, within the grid cell of the axes; axes without a grid are refused as they were."""
+    figure, (axes, other) = plt.subplots(1, 2, layout="constrained")
+    assert campaign.plot.signal(**CELL, ax=axes) is figure
+    assert campaign.plot.methods(ax=other) is figure
+    figure.draw_without_rendering()
+    assert len(figure.axes) >= 3
+    assert {axes, other}.isdisjoint(figure.axes)
+    assert sum(panel.get_window_extent().x0 > 0.5 * figure.bbox.width for panel in figure.axes) == 2
+    free = figure.add_axes((0.0, 0.0, 0.1, 0.1))
+    with pytest.raises(ValueError, match=r"make it with plt\.subplots"):
+        campaign.plot.methods(ax=free)
+    assert free in figure.axes
+    plt.close(figure)
 
 
 def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:

@@ -4,9 +4,11 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
@@ -14,6 +16,7 @@ from calcidem.analysis.figures.film import draw_film, frame_shower, movie_writer
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, read_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
+from calcidem.analysis.figures.style import drawn_in
 from calcidem.app.campaign.patterns import stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.film import film_wave
@@ -21,17 +24,49 @@ from calcidem.storage.files import write_atomically
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
 
+_ARGUMENTS = """Parameters
+----------
+ax
+    Axes of the caller in which, or in whose place, it is drawn; None for a figure of its own.
+
+Returns
+-------
+matplotlib.figure.Figure
+    The whole figure."""
+
+
+_Method = TypeVar("_Method", bound=Callable[..., Figure])
+
+
+def _with_caption(method: _Method) -> _Method:
+    """Add what is to be seen to the documentation of a method that draws a figure of the report."""
+    method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{_ARGUMENTS}"
+    return method
+
 
 class CampaignPlots:
-    """Figures of one campaign, each a method; those of `calcidem report` take no arguments.
+    """Figures of one campaign, each a method.
 
-    A figure is a `matplotlib.figure.Figure`: a notebook shows it, and ``figure.savefig("vs.pdf")`` writes it. One for
-    which the campaign lacks something raises `calcidem.analysis.campaign_analysis.UnavailableError`.
+    Each returns the `matplotlib.figure.Figure` that it drew: a notebook shows it, and ``figure.savefig("vs.pdf")``
+    writes it. Each takes `ax`, axes of the caller's own figure, which is then the one returned. `vs_range` and
+    `weight_scan` are drawn into these axes, where own data can be added. Figures of several panels take the place of
+    the axes, which have to be made by `plt.subplots`.
+
+    A figure for which the campaign lacks something raises `calcidem.analysis.campaign_analysis.UnavailableError`.
 
     Attributes
     ----------
     analysis
         Where the figures have their numbers from; cells that are stored after its first use are not in it.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt
+    >>> figure, axes = plt.subplots()
+    >>> plots = open_campaign("quick.db").plot
+    >>> plots.vs_range(ax=axes) is figure
+    True
+    >>> _ = axes.errorbar([2.4], [700.0], yerr=[60.0], fmt="s", label="own data")
     """
 
     def __init__(
@@ -49,35 +84,87 @@ class CampaignPlots:
         self.analysis = analysis
         self._cemented = cemented
 
-    def __dir__(self) -> list[str]:
-        """Methods, the figures of a report included."""
-        return sorted([*super().__dir__(), *_FIGURES])
+    @_with_caption
+    def vs_range(self, ax: Axes | None = None) -> Figure:
+        """Draw Vs of all samples against calcite content, with means and intervals."""
+        return self._draw("vs_range", ax)
 
-    def __getattr__(self, name: str) -> Callable[[], Figure]:
-        """Give one of the figures that take no arguments, see `calcidem.analysis.figures.registry`."""
-        if name not in _FIGURES:
-            raise AttributeError(f"a campaign has no figure '{name}'; it has {', '.join(sorted(_FIGURES))}")
-        figure = _FIGURES[name]
+    @_with_caption
+    def histograms(self, ax: Axes | None = None) -> Figure:
+        """Draw the distribution of Vs at each content."""
+        return self._draw("histograms", ax)
 
-        def draw() -> Figure:
-            return figure.draw(self.analysis)
+    @_with_caption
+    def samples(self, ax: Axes | None = None) -> Figure:
+        """Draw cemented samples of one seed."""
+        return self._draw("samples", ax)
 
-        draw.__name__, draw.__doc__ = name, f"{figure.title}.\n\n{figure.caption}"
-        return draw
+    @_with_caption
+    def measurement(self, ax: Axes | None = None) -> Figure:
+        """Draw where the wave is sent and received."""
+        return self._draw("measurement", ax)
 
-    def signal(self, *, seed: int, content: float) -> Figure:
-        """Draw what was sent through one sample and what arrived, with all readings."""
-        return draw_signals([load_arrival(self.analysis, seed, content)])
+    @_with_caption
+    def signals(self, ax: Axes | None = None) -> Figure:
+        """Draw transmitted and received signals of some contents, with their arrivals."""
+        return self._draw("signals", ax)
 
-    def cement(self, *, seed: int, content: float) -> Figure:
+    @_with_caption
+    def methods(self, ax: Axes | None = None) -> Figure:
+        """Draw Vs by three readings of the arrival."""
+        return self._draw("methods", ax)
+
+    @_with_caption
+    def dispersion(self, ax: Axes | None = None) -> Figure:
+        """Draw phase velocity against frequency."""
+        return self._draw("dispersion", ax)
+
+    @_with_caption
+    def paths(self, ax: Axes | None = None) -> Figure:
+        """Draw the preferential paths of a slow, a middle and a fast sample."""
+        return self._draw("paths", ax)
+
+    @_with_caption
+    def correlations(self, ax: Axes | None = None) -> Figure:
+        """Draw the correlation of path features and Vs."""
+        return self._draw("correlations", ax)
+
+    @_with_caption
+    def weight_scan(self, ax: Axes | None = None) -> Figure:
+        """Draw the correlation of C_d,n with Vs over the ratio of the contact weights."""
+        return self._draw("weight_scan", ax)
+
+    @_with_caption
+    def laws(self, ax: Axes | None = None) -> Figure:
+        """Draw Vs against connectivity, with the fitted laws."""
+        return self._draw("laws", ax)
+
+    @_with_caption
+    def narrowing(self, ax: Axes | None = None) -> Figure:
+        """Draw how intervals narrow with the number of seeds."""
+        return self._draw("narrowing", ax)
+
+    def signal(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
+        """Draw the transmitted and the received signal of one sample, with all readings."""
+        with drawn_in(ax):
+            return draw_signals([load_arrival(self.analysis, seed, content)])
+
+    def cement(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
         """Draw one sample with its cement."""
         sample = self.analysis.sample(seed, content)
-        return draw_cemented_samples(self.analysis.graphs[sample.packing_index], [sample])
+        with drawn_in(ax):
+            return draw_cemented_samples(self.analysis.graphs[sample.packing_index], [sample])
 
-    def path(self, *, seed: int, content: float) -> Figure:
-        """Draw one sample with the path that its wave prefers."""
+    def path(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
+        """Draw one sample with its preferential path."""
         sample = self.analysis.sample(seed, content)
-        return draw_preferential_paths(self.analysis.graphs[sample.packing_index], [sample])
+        with drawn_in(ax):
+            return draw_preferential_paths(self.analysis.graphs[sample.packing_index], [sample])
+
+    def _draw(self, name: str, ax: Axes | None) -> Figure:
+        """Draw a figure of the report, in axes of the caller if there are any."""
+        with drawn_in(ax):
+            return _FIGURES[name].draw(self.analysis)
 
     def movie(
         self,

@@ -186,7 +186,7 @@ def growth_table(analysis: CampaignAnalysis) -> Table | None:
 
 def feature_table(analysis: CampaignAnalysis) -> Table:
     """The eight features, their definitions, and how they go with Vs."""
-    matrices = analysis.correlations
+    matrices, tests = analysis.correlations, analysis.feature_tests
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
         cell = matrix.sel(variable=name, other="vs")
@@ -202,14 +202,16 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
             coefficient(matrices.overall, feature.name),
             decimal(float(matrices.overall["spearman"].sel(variable=feature.name, other="vs")), 2),
             coefficient(matrices.within, feature.name),
+            probability(float(tests["p_corrected"].sel(variable=feature.name))),
         )
         for feature in FEATURES
     )
     return Table(
         "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
         "contents a common growth with content inflates it; within one content, after the mean of each content "
-        "is subtracted, it tells how much of the scatter a feature explains.",
-        ("feature", "definition", "with Vs, all contents", "Spearman", "with Vs, within one content"),
+        "is subtracted, it tells how much of the scatter a feature explains. Its p-value is corrected for the number "
+        "of features: seeds are exchanged at random, and the largest coefficient counts.",
+        ("feature", "definition", "with Vs, all contents", "Spearman", "with Vs, within one content", "p, corrected"),
         rows,
     )
 

@@ -22,6 +22,7 @@ _MEANINGS: Mapping[str, str] = {
     "static speed": "Speed of very long shear waves, from the stiffness of the sample at rest.",
     "with Vs, all contents": "Pearson's correlation: 1 or -1 on a straight line, 0 if they are unrelated.",
     "Spearman": "Correlation of the ranks, which does not ask for a straight line.",
+    "p, corrected": "Probability that one of the features correlates so well if none has to do with Vs.",
     "residual deviation": "Scatter of Vs about the law.",
     "coverage": "Share of samples that lie in the 95 % interval predicted for them.",
     "step / limit": "Time step over the largest one at which the computation is stable.",

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
+from html import escape
 from typing import Annotated, Any
 
 from calcidem.storage.errors import DamagedStoreError
@@ -284,6 +285,22 @@ class CellResult:
     def path_departure(self) -> float | None:
         """Difference of path_vs and vs over its standard error; above `MOST_DEPARTURE` the cell is marked."""
         return self._derived("path_departure")
+
+    def _repr_html_(self) -> str:
+        """What is known of the cell, with units and meanings, for notebooks."""
+        parts = [part for part in (self.key, self, self.features, self.graph) if part is not None]
+        rows = []
+        for quantity in QUANTITY_BY_NAME.values():
+            value = next((found for part in parts if (found := getattr(part, quantity.name, None)) is not None), None)
+            if value is not None and value != "":
+                text = f"{value:.6g}" if quantity.kind == "real" else str(value)
+                unit = "" if quantity.unit == "1" else quantity.unit
+                entries = (quantity.name, f"{text} {unit}".rstrip(), quantity.meaning)
+                rows.append("".join(f"<td>{escape(entry)}</td>" for entry in entries))
+        kept = ", ".join(name for name in ARRAY_RECORDS if getattr(self, name) is not None)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        arrays = f"<p>With the arrays {kept}.</p>" if kept else ""
+        return f"<table><tr><th>quantity</th><th>value</th><th>meaning</th></tr>{body}</table>{arrays}"
 
     def _derived(self, name: str) -> float | None:
         quantity = QUANTITY_BY_NAME[name]

@@ -24,7 +24,7 @@ def numbers_of(text: str) -> list[float]:
 
 
 def test_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every cell runs, draws its four figures, and gives what stands in the committed notebook."""
+    """Every cell runs, draws its five figures, and gives what stands in the committed notebook."""
     pytest.importorskip("nbclient", reason="nbclient is not installed")
     nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
     pytest.importorskip("ipykernel", reason="ipykernel is not installed")
@@ -32,7 +32,7 @@ def test_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = runpy.run_path(str(CHECKOUT / "scripts" / "page_outputs.py"))
     now = outputs_of(program["run_notebook"](FILE, tmp_path))
     committed = outputs_of(nbformat.read(FILE, as_version=4))
-    assert sum("image/png" in output for output in now) == 4
+    assert sum("image/png" in output for output in now) == 5
     shown = [[numbers_of(output.get("text/plain", "")) for output in outputs] for outputs in (now, committed)]
     for numbers, printed in zip(*shown, strict=True):
         assert numbers == pytest.approx(printed), "run: python scripts/page_outputs.py docs/tutorial/tutorial.ipynb"
