@@ -29,7 +29,7 @@ _Entry = tuple[int, int]
 _UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
 
 _RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
-_ROUNDS = 12  # of the power method that finds weights of the disks
+_POWER_STEPS = 12  # of the power method that finds weights of the disks
 _LEAST_WEIGHT = 1e-6  # of the largest: no weight may be zero
 _ROUNDED_UP = 1.0 + 1e-12  # covers the rounding of a bound
 _SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
@@ -107,7 +107,7 @@ def critical_time_step(
     between = root[first.disk] * root[second.disk] * _coupling(first, second, features)
     to_first, to_second = (_sums(side.disk, scene.count) for side in (first, second))
     weights = np.ones_like(own)
-    for _ in range(_ROUNDS):
+    for _ in range(_POWER_STEPS):
         grown = (
             own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
         )
