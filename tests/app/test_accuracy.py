@@ -186,7 +186,7 @@ def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Exp
 
 def test_a_bound_above_five_percent_is_no_velocity(experiment: Experiment) -> None:
     """In the linear regime a pulse that would make contacts slip gives a reason and no number."""
-    strong = replace(with_wave(experiment, amplitude=1.5e-2), frequencies=HIGH)
+    strong = replace(with_wave(experiment, amplitude=2e-2), frequencies=HIGH)
     found = measure(strong, CONTENTS[-1], SEEDS)
     assert all(cell.result.outcome == Outcome.NO_ARRIVAL and cell.vs is None for cell in found)
     assert any("lower amplitude" in cell.result.reason for cell in found)

@@ -29,6 +29,9 @@ _Entry = tuple[int, int]
 _UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
 
 _RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
+_POWER_STEPS = 12  # of the power method that finds weights of the disks
+_LEAST_WEIGHT = 1e-6  # of the largest: no weight may be zero
+_ROUNDED_UP = 1.0 + 1e-12  # covers the rounding of a bound
 _SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
 
 
@@ -44,7 +47,7 @@ class _Springs(NamedTuple):
     normal, shear
         (M, L) stiffnesses, N/m.
     arm, twist
-        (M, L) arm over the disk's radius, and rotational stiffness, as `critical_time_step` scales it.
+        (M, L) arm over the disk's radius, and rotational stiffness, as `critical_time_step_of_disks` scales it.
     """
 
     disk: Integers
@@ -80,10 +83,50 @@ def critical_time_step(
     features: Features,
     overlap: Floats | None = None,
     wall_overlap: Floats | None = None,
+) -> Floats:
+    """Rigorous lower bound of the critical time step of a sample, (L,) s.
+
+    The arguments are those of `critical_time_step_of_disks`, which is cheaper and some 15 to 30 % lower.
+
+    Notes
+    -----
+    Central differences are stable iff ``dt < 2 / omega_max``. With the coordinates of `critical_time_step_of_disks`
+    ``omega_max^2`` is the largest eigenvalue of the symmetric matrix A of 3 x 3 blocks ``A_ij = K_ij / sqrt(m_i m_j)``.
+    By Gershgorin's theorem for blocks, with any positive weights x of the disks, it is at most
+    ``max_i (lambda_max(A_ii) + sum_j |A_ij| x_j / x_i)`` (Feingold & Varga 1962, doi:10.2140/pjm.1962.12.1241). Some
+    rounds of the power method on the matrix of these norms find good weights. A wall does not move and has no A_ij.
+    """
+    first, second, at_walls = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
+    squared = _squares_of_stiffest((first, second, at_walls), assembly, features)[1].max(axis=0, initial=0.0)
+    inverse = _inverse_masses(assembly)
+    whole_walls = at_walls._replace(normal=2.0 * at_walls.normal, shear=2.0 * at_walls.shear)
+    own = inverse * _largest_eigenvalue(
+        _contact_matrices((first, second, whole_walls), np.arange(scene.count), features)
+    )
+    root = np.sqrt(inverse)
+    between = root[first.disk] * root[second.disk] * _coupling(first, second, features)
+    to_first, to_second = (_sums(side.disk, scene.count) for side in (first, second))
+    weights = np.ones_like(own)
+    for _ in range(_POWER_STEPS):
+        grown = (
+            own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
+        )
+        squared = np.minimum(squared, _ROUNDED_UP * (grown / weights).max(axis=0, initial=0.0))
+        largest = grown.max(axis=0, initial=0.0)
+        weights = grown / np.where(largest > 0.0, largest, 1.0) + _LEAST_WEIGHT
+    return _step_of_squares(scene, squared)
+
+
+def critical_time_step_of_disks(
+    scene: Scene,
+    assembly: Assembly,
+    features: Features,
+    overlap: Floats | None = None,
+    wall_overlap: Floats | None = None,
     *,
     rings: bool = False,
 ) -> Floats:
-    """Rigorous lower bound of the critical time step, (L,) s.
+    """Rigorous lower bound (L,) of the critical time step, s, from each disk alone: cheap, for a step that is watched.
 
     ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
     stiffness of Hertz contacts; those of the reference geometry by default. ``rings``: the disks have the moments of
@@ -109,8 +152,31 @@ def critical_time_step(
     if rings:
         springs = _at_rings(springs)
     squared = _squares_of_stiffest(springs, assembly, features)[1].max(axis=0, initial=0.0)
+    return _step_of_squares(scene, squared)
+
+
+def _step_of_squares(scene: Scene, squared: Floats) -> Floats:
+    """Critical time step (L,), s, of bounds on the square of the highest frequency, rad^2/s^2."""
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
+
+
+def _coupling(first: _Springs, second: _Springs, features: Features) -> Floats:
+    """Spectral norms (M, L), N/m, of the blocks of stiffness that couple the two disks of each contact.
+
+    Along the normal that is k_n. Of the block of shear and rotation, ``k_s s_i s_j^T - 2 k_theta / (R_i R_j) e3 e3^T``,
+    the sum of the squared singular values and their product are known.
+    """
+    normal, shear = first.normal, first.shear
+    if not features.rotation:
+        return np.asarray(np.maximum(normal, shear))
+    twist = np.sqrt(first.twist * second.twist)
+    squared_arms = first.arm * first.arm + second.arm * second.arm
+    turning = 2.0 * (shear * (first.arm * second.arm)) - twist
+    total = (shear * shear) * (1.0 + 2.0 * squared_arms) + turning * turning
+    product = shear * twist
+    apart = np.sqrt(np.maximum((total - 2.0 * product) * (total + 2.0 * product), 0.0))
+    return np.asarray(np.maximum(normal, np.sqrt(0.5 * (total + apart))))
 
 
 def scaled_densities(
@@ -120,8 +186,8 @@ def scaled_densities(
 
     Where only the state of rest counts, the stiffest disks need not set the step of all (density scaling, as PFC's
     'timestep scale'). Disks get the moment of inertia of rings, since they are stiffest against turning. Those whose
-    part in the bound of `critical_time_step` is above ``highest``, a share of the largest, then get so heavy that it
-    is not. All lanes share their masses and the step. The other arguments are those of `critical_time_step`.
+    part in the bound of `critical_time_step_of_disks` is above ``highest``, a share of the largest, then get so heavy
+    that it is not. All lanes share their masses and the step. The other arguments are those of that function.
     """
     springs = _at_rings(_springs_at_disks(scene, assembly, features, overlap, wall_overlap))
     disks, squares = _squares_of_stiffest(springs, assembly, features, highest)
@@ -146,7 +212,7 @@ def _squares_of_stiffest(
     springs: Sequence[_Springs], assembly: Assembly, features: Features, share: float = 1.0
 ) -> tuple[Integers, Floats]:
     """Disks (K,), all those among them whose part in the bound reaches a share of the largest, and the parts (K, L)."""
-    factor = _inverse_masses(assembly)
+    factor = 2.0 * _inverse_masses(assembly)
     # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
     most = factor * sum(_sum_over_disks(side.disk, side.trace, len(factor)) for side in springs)
     tops = np.unique(most.argmax(axis=0))
@@ -158,27 +224,31 @@ def _squares_of_stiffest(
 def squared_frequencies(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
 ) -> Floats:
-    """Each disk's part in the bound of `critical_time_step` on the highest frequency: (N, L) squares, rad^2/s^2."""
+    """Each disk's part in the bound of `critical_time_step_of_disks`: (N, L) squares of frequencies, rad^2/s^2."""
     springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
     matrices = _contact_matrices(springs, np.arange(scene.count), features)
-    return np.asarray(_inverse_masses(assembly) * _largest_eigenvalue(matrices))
+    return np.asarray(2.0 * _inverse_masses(assembly) * _largest_eigenvalue(matrices))
 
 
 def _inverse_masses(assembly: Assembly) -> Floats:
-    """What makes squared frequencies (N, L) of the eigenvalues of `_contact_matrices`, (N, 1) 1/kg."""
+    """Inverse masses (N, 1), 1/kg; local damping acts on a force as smaller masses would."""
     grains = assembly.grains
-    return np.asarray(2.0 * (grains.inverse_mass.astype(float) * (1.0 + grains.damping.astype(float)))[:, None])
+    return np.asarray((grains.inverse_mass.astype(float) * (1.0 + grains.damping.astype(float)))[:, None])
+
+
+def _sums(disk: Integers, count: int) -> csr_array:
+    """Matrix (count, M) that adds up values of disks (M,), each sum in the order of its terms."""
+    return csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(count, len(disk)))
 
 
 def _sum_over_disks(disk: Integers, values: Floats, count: int) -> Floats:
     """Sums (count, ...) of values (M, ...) of disks (M,), each added up in their order."""
-    of_disk = csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(count, len(disk)))
-    sums: Floats = of_disk @ values.reshape(len(disk), int(np.prod(values.shape[1:])))
+    sums: Floats = _sums(disk, count) @ values.reshape(len(disk), int(np.prod(values.shape[1:])))
     return sums.reshape(count, *values.shape[1:])
 
 
 def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Features) -> Floats:
-    """Matrices (K, L, 3, 3) of `critical_time_step` of some disks (K,), which increase."""
+    """Matrices (K, L, 3, 3) of `critical_time_step_of_disks` of some disks (K,), which increase."""
     number = np.full(max(values.max(initial=-1) for values in (disks, *(side.disk for side in springs))) + 1, -1)
     number[disks] = np.arange(len(disks))
     chosen = [np.flatnonzero(number[side.disk] >= 0) for side in springs]
@@ -211,7 +281,7 @@ def _largest_eigenvalue(matrices: Floats) -> Floats:
         entry[1, 1] + (off[0] + off[2]),
         entry[2, 2] + (off[1] + off[2]),
     )
-    return np.asarray(np.maximum(np.maximum(rims[0], rims[1]), rims[2]) * scale * (1.0 + 1e-12))
+    return np.asarray(np.maximum(np.maximum(rims[0], rims[1]), rims[2]) * scale * _ROUNDED_UP)
 
 
 def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _Entry) -> None:

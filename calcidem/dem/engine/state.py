@@ -10,7 +10,7 @@ from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.histories import install_forces
 from calcidem.dem.engine.leapfrog import State, StepControl, duplicate, no_recording, run_in_place, start_leapfrog
 from calcidem.dem.engine.scene import Precision, Preload, Regime, Scene
-from calcidem.dem.engine.stability import critical_time_step
+from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks
 from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_blow_up, step_limit
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
@@ -116,7 +116,9 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     else:
         preload = None  # it is there already
     install_forces(scene, assembly, chosen, preload)
-    limit = critical_time_step(scene, assembly, chosen)
+    # A step that stays is worth the price of a tight bound; one that is watched is bounded again and again.
+    watched = not chosen.linear and steps_per_contact != 0.0
+    limit = (critical_time_step_of_disks if watched else critical_time_step)(scene, assembly, chosen)
     state = State(
         scene=scene,
         features=chosen,

@@ -13,7 +13,7 @@ from calcidem.dem.engine.energy import stored_energy
 from calcidem.dem.engine.impacts import Instant, contact_durations
 from calcidem.dem.engine.leapfrog import State, StepControl, change_step, look_ahead
 from calcidem.dem.engine.portable import length
-from calcidem.dem.engine.stability import critical_time_step, squared_frequencies
+from calcidem.dem.engine.stability import critical_time_step_of_disks, squared_frequencies
 from calcidem.dem.kernels.layout import ROTATION, SPEEDS, XY, Floats, X, Y
 
 SAFETY = 0.8  # default step as a part of the critical time step
@@ -37,7 +37,7 @@ def step_limit(state: State) -> Floats:
     """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
     overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
     wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
-    stability = critical_time_step(state.scene, state.assembly, state.features, overlap, wall_overlap)
+    stability = critical_time_step_of_disks(state.scene, state.assembly, state.features, overlap, wall_overlap)
     if not is_watched(state):
         return stability
     limits, _ = _impact_limits(state, _instant(state, look_ahead(state)))
@@ -109,7 +109,7 @@ def _watch_stability(state: State, now: Instant) -> StepControl:
     growth = np.where(state.time_step > _NEAR * control.stability, _GROWN, _NEAR**-4)
     if np.isfinite(control.overlap).all() and not (overlap > growth * control.overlap).any():
         return control
-    limit = critical_time_step(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+    limit = critical_time_step_of_disks(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
     return replace(control, stability=limit, overlap=overlap)
 
 

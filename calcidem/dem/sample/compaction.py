@@ -17,7 +17,7 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Scene, Wall
-from calcidem.dem.engine.stability import critical_time_step, scaled_densities
+from calcidem.dem.engine.stability import critical_time_step_of_disks, scaled_densities
 from calcidem.dem.engine.state import SKIN, advance, choose_features, start
 from calcidem.dem.engine.step_control import UnstableRunError, step_limit
 from calcidem.dem.kernels.features import Features
@@ -273,7 +273,7 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
     later, found, shortened = advance(replace(state, time_step=step), manner.steps), None, 0
     while _left_box(later) or (
         manner is _PRESSED
-        and (step > _TOO_LONG * (found := critical_time_step(*_present_contacts(later), rings=scaled))).any()
+        and (step > _TOO_LONG * (found := critical_time_step_of_disks(*_present_contacts(later), rings=scaled))).any()
     ):
         shortened += 1
         if shortened > _MOST_SHORTENED:
@@ -296,7 +296,7 @@ def _left_box(state: State) -> bool:
 
 
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
-    """What `critical_time_step` is told of a state."""
+    """What `critical_time_step_of_disks` is told of a state."""
     return state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
 
 

@@ -22,11 +22,11 @@ _RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: a velocity goes wit
 _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
-_CHATTER = 7.5e-3  # see `_chatter_error`
+_CHATTER = 1.8e-2  # see `_chatter_error`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _BREAKING = 2.0  # see `_breaking_error`
 
-_USUAL_STEP = 6.0e-5  # over step / limit
+_USUAL_STEP = 7.5e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
