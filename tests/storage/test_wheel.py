@@ -1,6 +1,5 @@
-"""The wheel has what calcidem needs besides Python modules, and takes its version from one place."""
+"""The wheel has what calcidem needs besides Python modules."""
 
-import re
 import subprocess
 import zipfile
 from pathlib import Path
@@ -21,10 +20,3 @@ def test_wheel_contains_data(tmp_path: Path) -> None:
         names = {name for name in archive.namelist() if name.startswith("calcidem/")}
     tracked = subprocess.run(["git", "ls-files", "calcidem"], cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S607 - whichever git there is
     assert {"calcidem/app/config/presets/paper.nc", "calcidem/py.typed"} <= set(tracked.stdout.splitlines()) <= names
-
-
-@pytest.mark.parametrize("name", ["CITATION.cff"])
-def test_other_files_name_the_version_of_the_package(name: str) -> None:
-    """Formats that want the version as text have the one of `calcidem.__version__`."""
-    found = re.findall(r"""^[ "]*(?:version|softwareVersion)"?: "?([\d.]+)""", (ROOT / name).read_text(), re.MULTILINE)
-    assert found == [calcidem.__version__]
