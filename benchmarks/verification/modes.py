@@ -145,7 +145,7 @@ def _bound() -> float:
 
 
 @check(
-    "Critical step of the packing, linear: the reported one falls short of the exact one by", source=_EIGEN, tolerance=0.15,
+    "Critical step of the packing, linear: the reported one falls short of the exact one by", source=_EIGEN, tolerance=0.1,
     reason="a bound: a tight one costs nothing, a loose one costs steps",
 )  # fmt: skip
 def _shortfall() -> float:
