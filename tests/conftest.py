@@ -15,11 +15,12 @@ from typing import Any
 
 import pytest
 
+from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
-from calcidem.app.report.folder import analyse
+from calcidem.app.report.folder import write_files
 from calcidem.app.report.page import write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
@@ -144,7 +145,8 @@ def small_report(small_database: Path, tmp_path_factory: pytest.TempPathFactory)
 def small_folder(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
     """Give the folder of figures, tables and numbers of the small campaign, and what could not be made."""
     folder = tmp_path_factory.mktemp("analysis") / "out"
-    return folder, analyse(small_database, folder)
+    with open_campaign(small_database) as campaign:
+        return folder, write_files(campaign.analyse(), folder)
 
 
 @pytest.fixture(scope="session")

@@ -188,8 +188,6 @@ COMMANDS = (
     ("query", "DB", "--where", "vs > 100", "--sort=-vs", "--limit", "3"),
     ("export", "DB", "OUT"),
     ("verify", "DB", "--integrity"),
-    ("retry", "DB", "--status", "failed"),
-    ("retry", "DB", "--damaged"),
     ("status", "DB", "--json"),
 )
 

@@ -71,7 +71,7 @@ def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0
     # The normal quantile gives too few, by two or three: Student's is larger.
     quantile = float(stats.norm.ppf((1 + level) / 2))
     n = max(2, math.ceil((quantile * standard_deviation / half_width) ** 2))
-    while _mean_half_width(standard_deviation, n, level) > half_width:
+    while mean_half_width(standard_deviation, n, level) > half_width:
         n += 1
     return n
 
@@ -101,7 +101,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unread
     return SeedPlan(
         half_width=half_width,
         present=sample.size,
-        present_half_width=_mean_half_width(deviation, sample.size, level),
+        present_half_width=mean_half_width(deviation, sample.size, level),
         unreadable=unreadable,
         needed=_seeds_needed(deviation, half_width, level),
         needed_low=_seeds_needed(spread.low, half_width, level),
@@ -150,7 +150,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     for count in counts:
         resampled = sample[generator.integers(sample.size, size=(replicates, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # a resample of equal values has no skewness
-        mean.append(_mean_half_width(deviation, count, level))
+        mean.append(mean_half_width(deviation, count, level))
         spread.append(_half_of_central(np.std(resampled, axis=1, ddof=1), level))
         skew.append(_half_of_central(stats.skew(varied, axis=1), level) if len(varied) else math.nan)
     return xr.Dataset(
@@ -160,7 +160,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     )
 
 
-def _mean_half_width(deviation: float, n: int, level: float) -> float:
+def mean_half_width(deviation: float, n: int, level: float) -> float:
     """Half of the width of the interval that holds the mean of n samples, in the unit of the deviation."""
     return float(stats.t.ppf((1 + level) / 2, n - 1)) * deviation / math.sqrt(n)
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calcidem.analysis.intervals import mean_interval
-from calcidem.analysis.planning import _mean_half_width, _seeds_needed, narrowing, plan_seeds
+from calcidem.analysis.planning import _seeds_needed, mean_half_width, narrowing, plan_seeds
 
 
 def test_seeds_for_the_papers_widest_content() -> None:
@@ -20,8 +20,8 @@ def test_seeds_for_the_papers_widest_content() -> None:
 def test_the_number_is_the_smallest_that_suffices(deviation: float, half_width: float, level: float) -> None:
     """The half-width with that many seeds is small enough, and with one fewer it is not."""
     n = _seeds_needed(deviation, half_width, level)
-    assert _mean_half_width(deviation, n, level) <= half_width
-    assert n == 2 or _mean_half_width(deviation, n - 1, level) > half_width
+    assert mean_half_width(deviation, n, level) <= half_width
+    assert n == 2 or mean_half_width(deviation, n - 1, level) > half_width
 
 
 def test_plan_counts_what_is_there() -> None:

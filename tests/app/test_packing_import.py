@@ -264,7 +264,7 @@ def test_a_campaign_computes_on_an_imported_packing(
     monkeypatch.chdir(tmp_path)
     disks = np.column_stack([small_packing.x - 0.015, small_packing.y, 0 * small_packing.x, small_packing.radius])
     np.savetxt("sand.txt", disks, fmt="%g", delimiter="\t", header="format x_y_z_r", comments="#")
-    shown = invoke("import-packing", "sand.txt", "--out", "disks.csv")
+    shown = invoke("import", "sand.txt", "--out", "disks.csv")
     section = shown[shown.index("[packing]") :]
     assert "width = 0.03\n" in section
     Path("c.toml").write_text(CAMPAIGN.format(section=section), encoding="utf-8")

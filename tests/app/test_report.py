@@ -22,7 +22,7 @@ from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.cell_figures import draw_cell
 from calcidem.app.report.comparison import disagreement_table, published_table
-from calcidem.app.report.folder import analyse
+from calcidem.app.report.folder import write_files
 from calcidem.app.report.one_cell import describe_cell
 from calcidem.app.report.page import write_report
 from calcidem.app.report.provenance import parameter_table
@@ -237,7 +237,7 @@ def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monk
         run_studies(small_database, ["colour"])
 
 
-def test_analyse_writes_figures_tables_and_numbers(
+def test_a_folder_has_figures_tables_and_numbers(
     small_database: Path, small_folder: tuple[Path, dict[str, str]]
 ) -> None:
     """The folder has three files for each figure, tables that can be read, and the exact numbers."""
@@ -257,7 +257,7 @@ def test_analyse_writes_figures_tables_and_numbers(
         )
 
 
-def test_no_table_that_analyse_writes_holds_a_formula(
+def test_no_table_of_the_folder_holds_a_formula(
     small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reason and a host that a spreadsheet would evaluate begin with an apostrophe in CSV; numbers do not."""
@@ -268,7 +268,8 @@ def test_no_table_that_analyse_writes_holds_a_formula(
         store.use_campaign()
         store.begin_run(replace(store.runs()[0][1], host=formulas[1]))
         store.record_results([CellResult(CellKey(6, 0.34), CellStatus.FAILED, formulas[0])])
-    analyse(database, tmp_path / "analysis")
+    with open_campaign(database) as campaign:
+        write_files(campaign.analyse(), tmp_path / "analysis")
     tables = sorted((tmp_path / "analysis").glob("table_*.csv"))
     values = [value for file in tables for row in csv.reader(file.open(encoding="utf-8")) for value in row]
     assert {f"'{formulas[0]}"} == {value for value in values if formulas[0] in value}

@@ -13,6 +13,7 @@ from calcidem.app.campaign.expected_cost import expected_cost, expected_speeds
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import check_against_packing, packing_warnings
@@ -21,7 +22,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store, open_store
 from calcidem.storage.store import Selection
 from calcidem.sweep import Batch, Cell
 from calcidem.sweep.environment import available_cores
@@ -47,11 +48,12 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     batches = planned_batches(configuration)
     own = [CellKey(*cell) for batch in batches for cell in batch.cells]
     part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
-    packing, settled = None, set[CellKey]()
+    packing, settled, widths = None, set[CellKey](), dict[float, float]()
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):
             statuses = store.statuses(Selection(plan.seed_numbers))  # a content may be new
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
+            widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
                 packing = readable_packing(store, 0)
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
@@ -61,6 +63,12 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         f"{len(settled)} of them settled; {len(own) - len(settled)} would be computed, "
         f"{configuration.run.lanes} side by side."
     )
+    if widths:
+        best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
+        yield (
+            f"All {len(plan.seed_numbers)} seeds give the mean of Vs to +- {widths[best]:.1f} m/s ({best:g} %) to "
+            f"+- {widths[worst]:.1f} m/s ({worst:g} %), 95 %; 'calcidem status DB --halfwidth M/S' plans for another."
+        )
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):
         yield note
@@ -80,6 +88,20 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
         yield f"Warning: {warning}."
     yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."
     yield from _hard_to_read(configuration, packing, speeds)
+
+
+def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
+    """Half-width (m/s) of the mean's 95 % interval with all planned seeds, by content, where its scatter is known."""
+    from calcidem.analysis.planning import mean_half_width  # noqa: PLC0415 - statistics of SciPy take half a second
+
+    plan, columns = configuration.campaign, store.table(("content", "vs"))
+    vs = {content: columns["vs"][columns["content"] == content].astype(float) for content in plan.contents}
+    known = {content: values[np.isfinite(values)] for content, values in vs.items()}
+    return {
+        content: mean_half_width(float(np.std(values, ddof=1)), max(len(plan.seed_numbers), 2), 0.95)
+        for content, values in known.items()
+        if len(values) >= FEWEST_TO_PLAN and content > 0.0  # without cement nothing scatters
+    }
 
 
 def _cost_lines(

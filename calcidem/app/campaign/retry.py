@@ -1,87 +1,55 @@
 """Giving cells that went wrong another chance."""
 
-from collections import Counter
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 
-from calcidem.storage.errors import StoreUnavailableError, UnknownCellError
-from calcidem.storage.records import STORED_STATUSES, CellKey, CellStatus
+from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.config.schema import Configuration
+from calcidem.storage.errors import StoreUnavailableError
+from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.store import Store, open_store
-from calcidem.storage.store import RETRIED_BY_DEFAULT, Selection
+from calcidem.storage.sql.store import open_store
+from calcidem.storage.store import Selection
 
-RETRIABLE = tuple(status for status in STORED_STATUSES if status is not CellStatus.DONE)
-"""Outcomes that can be given up for another attempt."""
+RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
+"""Outcomes that another attempt may change; cells that are unstable or have no arrival give the same again."""
 
 
-def retry_cells(
-    database: str,
-    statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT,
-    selection: Selection | None = None,
-    campaign_name: str | None = None,
-) -> tuple[tuple[CellKey, ...], Counter[CellStatus]]:
-    """Make the selected cells of these outcomes pending again.
+def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:
+    """Make the cells of a configuration that have these outcomes pending again, and give them.
+
+    Their history is kept, but workers that were lost to them no longer count against them.
 
     Parameters
     ----------
-    database, campaign_name
-        SQLite file or database URL; which campaign, if there are several.
-    statuses
+    configuration
+        Of a campaign that is in its database.
+    outcomes
         Of `RETRIABLE`.
-    selection
-        Seeds and contents; all by default.
-
-    Returns
-    -------
-    tuple of CellKey
-        The cells that are pending again.
-    Counter of CellStatus
-        What the other selected cells are.
 
     Raises
     ------
     StoreError
-        `LeaseHeldError` while a run writes the campaign, since it would not notice; `StoreUnavailableError` if there
-        is no such file; `UnknownCellError` if no planned cell has the seed and content.
+        `LeaseHeldError` while a run writes the campaign, since it would not notice; `StoreUnavailableError` if the
+        database or the campaign does not exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if
+        nothing can be changed in the file.
     """
-    with _open_for_retry(database, campaign_name) as store:
-        found = store.statuses(selection or Selection())
-        if not found:
-            raise UnknownCellError(
-                "No planned cell has such a seed and content.", "'calcidem status DB' shows which there are."
+    path = parse_address(configuration.database).path
+    if path is not None and not path.exists():
+        raise StoreUnavailableError(f"{path} does not exist.", "There is nothing to retry; leave --retry out.")
+    with open_store(configuration.database) as store:
+        if not choose_campaign(store, configuration):
+            raise StoreUnavailableError(
+                f"{configuration.database} has no campaign '{configuration.campaign.name}'.",
+                "There is nothing to retry; leave --retry out.",
             )
         store.acquire_lease()
-        pending = store.retry(statuses, list(found))
-    others = Counter(status for key, status in found.items() if key not in set(pending))
-    return pending, others
-
-
-def retry_damaged_cells(database: str, campaign_name: str | None = None) -> dict[CellKey, str]:
-    """Make all cells pending again whose stored outcome is not what was stored.
-
-    Returns
-    -------
-    dict of CellKey to str
-        These cells, and what was damaged of each.
-
-    Raises
-    ------
-    StoreError
-        As `retry_cells`; `DamagedStoreError` if the file is so damaged that nothing can be changed in it.
-    """
-    with _open_for_retry(database, campaign_name) as store:
-        store.acquire_lease()
-        damaged = store.integrity().cells
-        store.retry_damaged(list(damaged))
-    return damaged
-
-
-@contextmanager
-def _open_for_retry(database: str, campaign_name: str | None) -> Iterator[Store]:
-    """Open a campaign that is there for writing."""
-    path = parse_address(database).path
-    if path is not None and not path.exists():
-        raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
-    with open_store(database) as store:
-        store.use_campaign(campaign_name)
-        yield store
+        plan = configuration.campaign
+        found = store.statuses(Selection(plan.seed_numbers))
+        planned = [key for key in found if key.content in plan.contents]
+        settled = [outcome for outcome in outcomes if outcome is not CellStatus.DAMAGED]
+        pending = list(store.retry(settled, planned)) if settled else []
+        if CellStatus.DAMAGED in outcomes:
+            damaged = [key for key in store.integrity().cells if key in set(planned)]
+            store.retry_damaged(damaged)
+            pending += damaged
+    return tuple(pending)

@@ -28,11 +28,14 @@ _TROUBLES = (
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that the same computation gives again."""
 
+FEWEST_TO_PLAN = 3
+"""Velocities below which a standard deviation says nothing."""
+
 _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Place of each status, the most alarming first."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ContentStatus:
     """How far the cells of one content are.
 
@@ -44,8 +47,10 @@ class ContentStatus:
         Status by seed.
     counts
         Number of cells by status.
+    vs
+        Of the done cells, m/s.
     mean, deviation
-        Of Vs over the done cells, m/s; NaN where there are too few.
+        Of them, m/s; NaN where there are too few.
     interval
         Of the mean at 95 %, m/s (Student's t).
     budget
@@ -59,6 +64,7 @@ class ContentStatus:
     content: float
     statuses: Mapping[int, CellStatus]
     counts: Mapping[CellStatus, int]
+    vs: NDArray[np.float64]
     mean: float
     deviation: float
     interval: Interval
@@ -209,6 +215,7 @@ def _content_status(
         content=content,
         statuses=found,
         counts=counts,
+        vs=vs,
         mean=_mean_or_nan(vs),
         deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
         interval=mean_interval(vs),

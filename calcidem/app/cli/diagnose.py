@@ -41,9 +41,9 @@ def diagnose_command(
 ) -> None:
     """Say of every cell without a velocity why it has none, and which values may give it one.
 
-    Another computation of such a cell gives the same result, so 'calcidem retry' does not help. Its configuration has
-    to change, which makes another campaign. --try tests the remedies on some of the cells, beside readable ones of the
-    same content. Nothing is written to the database.
+    Another computation of such a cell gives the same result, so 'calcidem run --retry' does not help. Its
+    configuration has to change, which makes another campaign. --try tests the remedies on some of the cells, beside
+    readable ones of the same content. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
     from calcidem.app.cli.tables import make_console, tell
@@ -94,7 +94,7 @@ def _overview_lines(store: "Store", found: "Sequence[Diagnosis]", *, chosen: boo
         if packing:
             yield f"All cells at {', '.join(contents)} % failed. Look at the packing first: {packing}"
     if others := counts[CellStatus.FAILED] + counts[CellStatus.TIMED_OUT]:
-        yield f"{others} more failed or ran out of time: those 'calcidem retry' makes pending again."
+        yield f"{others} more failed or ran out of time: 'calcidem run CONFIG --retry failed --retry timed_out'."
 
 
 def _cell_lines(diagnosis: "Diagnosis") -> Iterator[str]:

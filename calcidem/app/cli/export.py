@@ -1,32 +1,53 @@
-"""``calcidem export``: a campaign as a NetCDF file."""
+"""``calcidem export``: a campaign as a NetCDF file, or one of its samples for other programs."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 
 
 def export_command(
     database: Database,
-    netcdf: Annotated[Path, typer.Argument(metavar="OUT.nc", help="NetCDF file to write or replace.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.nc|.vtu|.csv", help="File to write or replace.")],
+    seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the sample.")] = None,
+    content: Annotated[
+        float | None, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Its calcite content.")
+    ] = None,
     campaign: CampaignName = None,
     without: Annotated[
         list[str] | None,
         typer.Option(
             metavar="path|signal|cement",
-            help="Leave out these arrays of single cells, nearly all of the file; may be repeated.",
+            help="Leave these arrays of single cells, nearly all of the NetCDF file, out; may be repeated.",
         ),
     ] = None,
 ) -> None:
-    """Write a campaign to a NetCDF file."""
-    from calcidem.storage.netcdf.export import export_netcdf
-    from calcidem.storage.records import ARRAY_RECORDS
-    from calcidem.storage.sql.store import read_campaign
+    """Write a campaign to a NetCDF file, or one sample of it to a file of another program.
 
-    for name in without or ():
-        if name not in ARRAY_RECORDS:
-            raise typer.BadParameter(f"{name!r} is none of {', '.join(ARRAY_RECORDS)}.", param_hint="--without")
-    with read_campaign(database, campaign) as store:
-        typer.echo(f"Wrote {export_netcdf(store, netcdf, without=without or ())}")
+    With --seed and --content: the sample with its contacts and cement for ParaView (.vtu), or the disks of its packing
+    as CSV (x, y, radius in m).
+    """
+    if seed is None and content is None:
+        from calcidem.storage.netcdf.export import export_netcdf
+        from calcidem.storage.records import ARRAY_RECORDS
+        from calcidem.storage.sql.store import read_campaign
+
+        for name in without or ():
+            if name not in ARRAY_RECORDS:
+                raise typer.BadParameter(f"{name!r} is none of {', '.join(ARRAY_RECORDS)}.", param_hint="--without")
+        if out.suffix.lower() in {".vtu", ".csv"}:
+            raise typer.BadParameter("give --seed and --content: it holds one sample", param_hint="OUT")
+        with read_campaign(database, campaign) as store:
+            export_netcdf(store, out, without=without or ())
+    else:
+        from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
+
+        if seed is None or content is None or without:
+            raise typer.BadParameter("one sample has both --seed and --content, and nothing --without")
+        if out.suffix.lower() not in SUFFIXES:
+            raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
+        with open_campaign(database, campaign) as opened:
+            write_sample(opened.sample(seed=seed, content=content), out)
+    typer.echo(f"Wrote {out}")

@@ -1,4 +1,4 @@
-"""``calcidem import``: a database from an exported file."""
+"""``calcidem import``: a database from an exported file, or a packing from the disks of another program."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.cli.arguments import number_parser
 from calcidem.app.cli.terminal import printable
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
@@ -15,15 +16,61 @@ _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, Value
 
 
 def import_command(
-    file: Annotated[Path, typer.Argument(help="NetCDF file that 'calcidem export' wrote.")],
-    database: Annotated[
-        str, typer.Option("--db", metavar="DB", help="SQLite file or database URL; created if it does not exist.")
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="NetCDF file that 'calcidem export' wrote; or disks: LAMMPS data or dump, YADE text export, PFC ball "
+            "list, or a table."
+        ),
     ],
+    database: Annotated[
+        str | None,
+        typer.Option("--db", metavar="DB", help="SQLite file or database URL for the campaign; made if missing."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write for [packing].")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Disks: unit of length, m, cm, mm, um or nm; by default the file's.")
+    ] = None,
+    columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
+    types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type; may be repeated.")] = None,
+    plane: Annotated[str, typer.Option(help="Disks: axes of the file that become x and y.")] = "xy",
+    walls: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            parser=number_parser(-1e12, 1e12, "is no coordinate from -1e12 to 1e12"),
+            metavar="LEFT RIGHT FLOOR LID",
+            help="Disks: walls in the file's unit and frame; disks beyond are left out. By default the outermost disks "
+            "touch.",
+        ),
+    ] = None,
+    timestep: Annotated[
+        int | None, typer.Option(min=0, help="Disks: snapshot of a LAMMPS dump; by default the last.")
+    ] = None,
 ) -> None:
-    """Rebuild a campaign's database from its exported file; what a database already has is kept.
+    """Read an exported campaign into a database (--db), or disks of another program into a packing's file (--out).
 
-    A file that was changed, and one whose cells are on another packing than the database's, are refused.
+    What a database already has is kept. A file that was changed, and one whose cells are on another packing than the
+    database's, are refused.
+
+    The content of a file of disks says which program wrote it. Left wall and floor become x = 0 and y = 0.
     """
+    if (database is None) is (out is None):
+        raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")
+    if database is not None:
+        _import_campaign(file, database)
+    elif out is not None:
+        from calcidem.app.disks.packing_import import import_packing
+
+        names = tuple(name.strip() for name in columns.split(",")) if columns else ()
+        imported = import_packing(
+            file, out, unit=unit, columns=names, types=types or (), plane=plane, walls=walls, timestep=timestep
+        )
+        typer.echo(printable(imported))
+        typer.echo(f'Wrote {out}\n\n[packing]\nfile = "{out}"\nwidth = {imported.width!r}')
+
+
+def _import_campaign(file: Path, database: str) -> None:
+    """Rebuild a campaign's database from its exported file."""
     from calcidem.app.campaign.stored_packing import identify_packing
     from calcidem.storage.files import write_atomically
     from calcidem.storage.netcdf.import_netcdf import import_netcdf

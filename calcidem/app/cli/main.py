@@ -17,43 +17,35 @@ from calcidem.version import __version__
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 PANELS = {
-    "Set up": {
-        "init": "Write an example configuration.",
-        "doctor": "Check what a campaign needs on this machine.",
+    "Compute": {
+        "init": "Write a configuration to start from.",
+        "run": "Compute a campaign, or continue it after a stop; --check computes nothing.",
+        "doctor": "Check what this machine lacks.",
     },
-    "Run": {
-        "run": "Compute a campaign, or what is left of it.",
-        "retry": "Make cells that went wrong pending again.",
-        "plan": "How many more seeds a mean needs, and how long they take.",
-    },
-    "Look": {
-        "status": "Progress of a campaign, even while it runs.",
-        "serve": "A live page of campaigns in the browser.",
-        "query": "Cells that meet some conditions, as a table or a file.",
-        "show": "One cell, with figures.",
+    "See results": {
+        "status": "Progress, Vs so far, what went wrong; also while it runs.",
+        "report": "One HTML page with all tables, figures and cells.",
+        "serve": "The same in the browser, live.",
+        "query": "Cells that meet conditions, as a table or a file.",
+        "show": "One cell: its quantities, figures, and a movie of its wave.",
         "diagnose": "Why cells have no velocity, and what to try.",
     },
-    "Analyse": {
-        "report": "One page with everything.",
-        "analyse": "A folder of figures, tables and numbers.",
-        "compare": "Campaigns beside one another, and their differences.",
+    "Move data": {
+        "export": "A campaign as NetCDF, or one sample for ParaView or as CSV.",
+        "import": "An exported campaign, or disks of LAMMPS, YADE or PFC.",
+        "merge": "Join databases of one campaign.",
+    },
+    "Compare and fit": {
+        "compare": "Campaigns side by side, with their differences.",
         "predict": "Vs of a sample that was not simulated.",
-        "study": "How Vs depends on frequency and damping.",
-        "sensitivity": "How each choice changes mean and scatter of Vs.",
+        "sensitivity": "How Vs depends on frequency, damping and other choices.",
         "calibrate": "Fit parameters to measured velocities.",
     },
-    "Trust": {
+    "Check the method": {
+        "verify": "Compute stored cells again and compare; check for damage.",
         "explain": "What the computation leaves out, and why that is safe.",
-        "verify": "Compute stored cells again and compare.",
         "accuracy": "Error against run time of every numerical setting.",
-        "stability": "Which extreme scenes are stable, refused or detected.",
-    },
-    "Move data": {
-        "export": "A campaign as a NetCDF file.",
-        "import": "A database from an exported file.",
-        "merge": "One database from several of the same campaign.",
-        "sample": "One sample for ParaView, or its packing as CSV.",
-        "import-packing": "Disks of another program as a packing's file.",
+        "stability": "Extreme scenes: which are stable, refused or detected.",
     },
 }
 """What the list of all commands says of each."""

@@ -16,6 +16,10 @@ def report_command(
     with_studies: Annotated[
         bool, typer.Option("--with-studies", help="Run the frequency and damping studies and include them.")
     ] = False,
+    files: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
+    ] = None,
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
@@ -34,5 +38,7 @@ def report_command(
         def watch(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        page = write_report(database, out, campaign_name=campaign, studies=studies, watch=watch)
+        page = write_report(database, out, campaign_name=campaign, studies=studies, files=files, watch=watch)
     typer.echo(f"Wrote {page}")
+    if files is not None:
+        typer.echo(f"Wrote {len(list(files.iterdir()))} files to {files}")

@@ -1,6 +1,8 @@
 """``calcidem run``: one campaign, in this process or on MPI ranks."""
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,10 +11,16 @@ import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
 from calcidem.app.cli.terminal import printable
+from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.schema import Configuration
+
+_Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
+
+_MOST_LISTED = 10
+"""Cells that are listed one by one; more are only counted."""
 
 
 def run_command(
@@ -60,6 +68,10 @@ def run_command(
     with_report: Annotated[
         bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")
     ] = False,
+    retry: Annotated[
+        list[_Retried] | None,
+        typer.Option(help="Also compute the cells that went wrong in this way again; may be repeated."),
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Compute nothing: check the configuration and say what would be computed.")
     ] = False,
@@ -73,31 +85,18 @@ def run_command(
         ),
     ] = False,
 ) -> None:
-    """Compute a campaign, or what is left of it: after a stop, the same command continues."""
+    """Compute a campaign, or what is left of it: after a stop, the same command continues.
+
+    Cells that failed, ran out of time or were given up (quarantined: three workers were lost while computing them) stay
+    as they are until --retry says so. Damaged cells, which are no longer what was stored, do so, too.
+    """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:
         raise typer.BadParameter("a part is no whole campaign; merge the parts first", param_hint="--report")
-    if serve and (check or packing_only):
-        raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve")
-    if packing_only:
-        from calcidem.app.campaign.packing import provide_packing
-        from calcidem.app.cli.tables import packing_lines
-        from calcidem.app.config.checks import check_against_packing, packing_warnings
-        from calcidem.app.config.reader import load_configuration
-
-        loaded = load_configuration(configuration, overrides)
-        packing = provide_packing(loaded, None, typer.echo)
-        typer.echo("\n".join(packing_lines(packing)))
-        check_against_packing(loaded, packing)
-        for warning in packing_warnings(loaded, packing):
-            typer.echo(f"Warning: {warning}.")
-        return
-    if check:
-        from calcidem.app.campaign.preview import preview_lines
-        from calcidem.app.config.reader import load_configuration
-
-        lines = list(preview_lines(load_configuration(configuration, overrides)))  # or nothing, if something is wrong
-        typer.echo(printable("\n".join(lines)))
+    if check or packing_only:
+        if serve or retry:
+            raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve" if serve else "--retry")
+        (_preview if check else _make_packing)(_read_overridden(configuration, overrides))
         return
     if dask is not None and ranks is not None:
         raise typer.BadParameter("leave --ranks out: the workers of the cluster compute", param_hint="--dask")
@@ -109,6 +108,8 @@ def run_command(
         if ranks is not None and ranks != 1:
             from calcidem.app.campaign.launch import Launch, default_ranks
 
+            if retry:  # here, since the ranks may be started several times
+                _read_overridden(configuration, overrides, retry)
             arguments = ["run", str(configuration)]
             arguments += ["--db", database] if database is not None else []
             arguments += ["--output", str(output)] if output is not None else []
@@ -122,10 +123,30 @@ def run_command(
         from calcidem.app.campaign.ranks import run_on_ranks
 
         run_on_ranks(
-            partial(_read_overridden, configuration, overrides),
+            partial(_read_overridden, configuration, overrides, retry or ()),
             partial(_open_view, with_report=with_report, one_process=dask is None),
             nullcontext if dask is None else partial(dask_executor, dask),
         )
+
+
+def _preview(configuration: "Configuration") -> None:
+    """Say what would be computed, or nothing but what is wrong."""
+    from calcidem.app.campaign.preview import preview_lines
+
+    typer.echo(printable("\n".join(preview_lines(configuration))))
+
+
+def _make_packing(configuration: "Configuration") -> None:
+    """Make the packing alone, and report on it."""
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.cli.tables import packing_lines
+    from calcidem.app.config.checks import check_against_packing, packing_warnings
+
+    packing = provide_packing(configuration, None, typer.echo)
+    typer.echo("\n".join(packing_lines(packing)))
+    check_against_packing(configuration, packing)
+    for warning in packing_warnings(configuration, packing):
+        typer.echo(f"Warning: {warning}.")
 
 
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
@@ -141,11 +162,23 @@ def _live_page(configuration: Path, overrides: dict[str, str | None]) -> Abstrac
     return page_beside_run(wanted.database, wanted.campaign.name, lambda text: typer.echo(printable(text)))
 
 
-def _read_overridden(configuration: Path, overrides: dict[str, str | None]) -> "Configuration":
-    """The configuration, on rank 0 alone; the others do not wait for what reads it."""
+def _read_overridden(
+    configuration: Path, overrides: dict[str, str | None], retry: Sequence[_Retried] = ()
+) -> "Configuration":
+    """The configuration, on rank 0 alone; the others do not wait for what reads it. Cells to retry become pending."""
     from calcidem.app.config.reader import load_configuration
 
-    return load_configuration(configuration, overrides)
+    loaded = load_configuration(configuration, overrides)
+    if retry:
+        from calcidem.app.campaign.retry import retry_cells
+        from calcidem.storage.records import CellStatus
+
+        pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
+        names = [f"  seed {key.seed}, {key.content:g} %" for key in pending[:_MOST_LISTED]]
+        more = [f"  and {len(pending) - _MOST_LISTED} more"] if len(pending) > _MOST_LISTED else []
+        head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."
+        typer.echo("\n".join([head, *names, *more]))
+    return loaded
 
 
 def _open_view(*, with_report: bool, one_process: bool) -> "TerminalView":

@@ -1,11 +1,11 @@
-"""``calcidem sensitivity``: how the choices of a campaign change mean and scatter of Vs, one by one or together."""
+"""``calcidem sensitivity``: how Vs depends on the choices of a campaign, its frequency and its damping."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import StudyCores
+from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores
 from calcidem.sweep.environment import available_cores
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -13,14 +13,27 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 
 def sensitivity_command(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Variants or ranges of a configuration.")],
+    plan: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLAN.toml|frequency|damping", help="Variants or ranges of a configuration; or what is varied."
+        ),
+    ],
     database: Annotated[
         str,
-        typer.Option("--db", metavar="DB", help="Database for all variants; with --sobol a NetCDF file of points."),
+        typer.Option(
+            "--db",
+            metavar="DB",
+            help="Database for all variants; with --sobol a NetCDF file of points; for frequency and damping that of "
+            "the campaign.",
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option(metavar="TABLE.md", help="File for the table, and beside it the figure of --sobol.")
+        Path | None,
+        typer.Option(metavar="TABLE.md", help="File for the table; figures, and numbers as NetCDF, go beside it."),
     ] = None,
+    content: OnlyContents = None,
+    campaign: CampaignName = None,
     only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
     sobol: Annotated[
         int | None,
@@ -37,6 +50,9 @@ def sensitivity_command(
     r"""Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
 
     With --sobol the numbers in the plan's \[ranges] are varied all together, and shares of the variance are shown.
+
+    With 'frequency' or 'damping' instead of a plan some samples of a stored campaign are computed with other
+    frequencies or other damping; --content and --campaign choose which. Nothing is written to its database.
     """
     from calcidem.app.cli.tables import tell
     from calcidem.app.studies.sensitivity.plan import load_plan
@@ -46,7 +62,9 @@ def sensitivity_command(
 
     if out is not None:
         refuse_to_replace(out)
-    if sobol is None:
+    if str(plan) in {"frequency", "damping"}:
+        table = _vary_one(str(plan), database, content, campaign, out)
+    elif sobol is None:
         variants = load_plan(plan, database)
         if not only_table:
             compute_variants(variants, tell)
@@ -60,6 +78,24 @@ def sensitivity_command(
     else:
         write_text_atomically(out, table)
         typer.echo(f"Wrote {out}")
+
+
+def _vary_one(name: str, database: str, contents: list[float] | None, campaign: str | None, out: Path | None) -> str:
+    """Table of mean Vs against frequency or damping on samples of a campaign; figures and numbers go beside ``out``."""
+    from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+    from calcidem.analysis.figures.style import save
+    from calcidem.app.studies.frequency_and_damping import run_studies, study_table
+    from calcidem.storage.netcdf.export import write_netcdf
+
+    found = run_studies(database, [name], contents=contents, campaign_name=campaign)[name]
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_netcdf(found, out.with_suffix(".nc"))
+        typer.echo(f"Wrote {out.with_suffix('.nc')}")
+        for entry in (entry for entry in STUDY_FIGURES if entry.study == name):
+            for file in save(entry.draw(found), out.parent, entry.name):
+                typer.echo(f"Wrote {file}")
+    return study_table(found, name)
 
 
 def _sobol_study(plan: "SobolPlan", file: Path, out: Path | None, cores: int) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
@@ -10,11 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.analysis.error_budget import budget_text
-from calcidem.app.campaign.status import UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
+from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
 from calcidem.app.cli.tables import MEAN_IN_DOUBT, departure_mark, departure_remark, doubt_mark, format_number
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
+
+if TYPE_CHECKING:  # loaded when it is asked for
+    from calcidem.analysis.planning import SeedPlan
 
 _STATUS_CHARACTERS = {
     CellStatus.DONE: ("#", "green"),
@@ -42,8 +45,8 @@ _MOST_TROUBLES = 12
 """Cells that are named with their reason; more are only counted."""
 
 
-def status_view(status: CampaignStatus, width: int) -> RenderableType:
-    """All there is to see, for a terminal of this many columns."""
+def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
+    """All there is to see, for a terminal of this many columns, and the seeds that a half-width (m/s) needs."""
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
@@ -53,6 +56,8 @@ def status_view(status: CampaignStatus, width: int) -> RenderableType:
         parts.append(Text(f"  {departure_remark(status.budget.departing)}"))
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {budget_text(status.budget)}"))
+    if half_width is not None:
+        parts += map(Text, _seed_lines(status, half_width))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
     return Group(*parts)
 
@@ -148,10 +153,8 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     if went_wrong & {*UNREAD}:
         kinds = " and ".join(_words(kind) for kind in UNREAD if kind in went_wrong)
         yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' says why, and what to try."
-    for kind in sorted(went_wrong - {*UNREAD, CellStatus.DAMAGED}):
-        yield f"'calcidem retry DB --status {kind}' makes cells that are {_words(kind)} pending again."
-    if CellStatus.DAMAGED in went_wrong:
-        yield "'calcidem retry DB --damaged' makes damaged cells pending again."
+    for kind in sorted(went_wrong - {*UNREAD}):
+        yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {_words(kind)} again."
 
 
 def _trouble_line(trouble: Trouble) -> str:
@@ -170,8 +173,32 @@ def _words(status: CellStatus) -> str:
     return status.value.replace("_", " ")
 
 
-def status_as_json(status: CampaignStatus) -> dict[str, Any]:
+def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
+    """Seeds that a content needs for a half-width in m/s; None if its scatter is not known."""
+    from calcidem.analysis.planning import plan_seeds  # statistics of SciPy, which take half a second
+
+    if len(content.vs) < FEWEST_TO_PLAN:
+        return None
+    return plan_seeds(content.vs, half_width, unreadable=sum(content.counts.get(kind, 0) for kind in UNREAD))
+
+
+def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
+    """What a half-width in m/s needs at each content."""
+    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
+    for content in status.contents:
+        plan = _plan_of(content, half_width)
+        if plan is None:
+            yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"
+            continue
+        seconds = None if math.isnan(content.seconds_per_cell) else plan.more * content.seconds_per_cell
+        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high}, since the scatter is uncertain)"
+        more = f"{plan.more} more, about {duration(seconds)} on one core"
+        yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
+
+
+def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
     """All there is to know, in JSON's types; a missing number is null."""
+    plans = [None if half_width is None else _plan_of(content, half_width) for content in status.contents]
     run = status.last_run
     return {
         "campaign": status.name,
@@ -199,7 +226,8 @@ def status_as_json(status: CampaignStatus) -> dict[str, Any]:
                 "seconds_per_cell": _finite_or_none(content.seconds_per_cell),
                 "core_seconds_left": _finite_or_none(content.seconds_left),
             }
-            for content in status.contents
+            | ({} if plan is None else {"seeds_needed": plan.needed, "more_seeds": plan.more})
+            for content, plan in zip(status.contents, plans, strict=True)
         ],
         "troubles": [
             {"seed": trouble.key.seed, "content": trouble.key.content}

@@ -69,7 +69,7 @@ def _verify_integrity(database: str, campaign_name: str | None) -> None:
         typer.echo(printable(sentence))
     typer.echo(f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages.")
     if found.cells:
-        typer.echo(f"'calcidem retry {database} --damaged' and 'calcidem run' make the damaged cells anew.")
+        typer.echo("'calcidem run CONFIG --retry damaged' computes the damaged cells again.")
     if found.others:
         typer.echo(f"'calcidem export {database} OUT.nc' saves what is good; 'calcidem import' makes a database of it.")
     if found.cells or found.others:

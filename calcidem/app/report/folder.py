@@ -11,7 +11,6 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
-from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.wording import Table
 from calcidem.storage.files import spreadsheet_value
@@ -26,19 +25,15 @@ _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
 """What NetCDF files hold, by their names."""
 
 
-def analyse(
-    database: str | os.PathLike[str], out: str | os.PathLike[str], *, campaign_name: str | None = None
-) -> dict[str, str]:
+def write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
     Parameters
     ----------
-    database
-        SQLite file or database URL.
+    analysis
+        Of the campaign.
     out
         Folder; made if missing, files of the same names are replaced.
-    campaign_name
-        Which campaign, where the database has several.
 
     Returns
     -------
@@ -47,28 +42,24 @@ def analyse(
 
     Raises
     ------
-    StoreError
-        If the database can't be read.
     OSError
         If the folder can't be written.
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     reasons: dict[str, str] = {}
-    with open_campaign(database, campaign_name) as campaign:
-        analysis = campaign.analyse()
-        for entry in CAMPAIGN_FIGURES:
-            figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
-            if figure is not None:
-                save(figure, folder, entry.name)
-        for name, make in TABLES.items():
-            table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
-            if table is not None:
-                _write_table(table, folder / f"table_{name}.csv")
-        for name, gather in _NUMBERS.items():
-            numbers, reasons[name] = make_or_explain(gather, analysis)
-            if numbers is not None:
-                write_netcdf(numbers, folder / f"{name}.nc")
+    for entry in CAMPAIGN_FIGURES:
+        figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
+        if figure is not None:
+            save(figure, folder, entry.name)
+    for name, make in TABLES.items():
+        table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
+        if table is not None:
+            _write_table(table, folder / f"table_{name}.csv")
+    for name, gather in _NUMBERS.items():
+        numbers, reasons[name] = make_or_explain(gather, analysis)
+        if numbers is not None:
+            write_netcdf(numbers, folder / f"{name}.nc")
     return {name: reason for name, reason in reasons.items() if reason}
 
 

@@ -20,6 +20,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
+from calcidem.app.report.folder import write_files
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.terms import explained_terms
@@ -107,6 +108,7 @@ def write_report(
     *,
     campaign_name: str | None = None,
     studies: Mapping[str, xr.Dataset] | None = None,
+    files: str | os.PathLike[str] | None = None,
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
     """Write the report of a campaign.
@@ -121,6 +123,8 @@ def write_report(
         Which campaign, where the database has several.
     studies
         Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
+    files
+        Folder to which all figures, tables and numbers are written, too.
     watch
         Told after each section how many of how many parts are made; the last part is the cells.
 
@@ -138,8 +142,10 @@ def write_report(
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
-        text = _render_page(CampaignAnalysis(store, _MOST_SAMPLES, with_patterns), studies or {}, watch)
-    write_text_atomically(target, text)
+        analysis = CampaignAnalysis(store, _MOST_SAMPLES, with_patterns)
+        write_text_atomically(target, _render_page(analysis, studies or {}, watch))
+        if files is not None:
+            write_files(analysis, files)
     return target
 
 

@@ -199,6 +199,18 @@ def _set_units(study: xr.Dataset) -> None:
         variable.attrs["units"] = _UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
 
 
+def study_table(study: xr.Dataset, varied: str) -> str:
+    """Mean of Vs from peak to peak (m/s) against the content and what was varied, as a table in Markdown."""
+    means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
+    unit = "Hz" if varied == "frequency" else "1"
+    lines = [f"| content, % | {' | '.join(f'{value:g} {unit}' for value in study[varied].values)} |"]
+    lines.append("|---" * (1 + study.sizes[varied]) + "|")
+    for content in study["content"].values:
+        row = means.sel(content=content).values
+        lines.append(f"| {content:g} | {' | '.join('-' if np.isnan(vs) else f'{vs:.0f}' for vs in row)} |")
+    return "\n".join(lines) + "\n"
+
+
 _STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}
 
 

@@ -314,7 +314,7 @@ class CellResult:
         if self.status is CellStatus.DAMAGED:
             raise DamagedStoreError(
                 f"What is stored of seed {self.key.seed} and content {self.key.content} % is damaged: {self.reason}.",
-                "'calcidem retry DB --damaged' has such cells computed anew.",
+                "'calcidem run CONFIG --retry damaged' computes such cells again.",
             )
 
     def _check_status(self) -> None:

@@ -84,7 +84,7 @@ def _columns_for_reading(connection: Connection, address: Address) -> tuple[str,
         raise OlderSchemaError(
             f"{address} lacks the quantities {', '.join(quantity.name for quantity in missing)}, which an earlier "
             "calcidem did not know.",
-            "Open it for writing once, with 'calcidem retry' for example; that adds them and keeps all values.",
+            "Open it for writing once, with 'calcidem run' for example; that adds them and keeps all values.",
         )
     nothing = ", ".join(f"NULL AS {quantity.name}" for quantity in missing)
     return (f"CREATE TEMP VIEW result AS SELECT *, {nothing} FROM main.result",) if missing else ()  # noqa: S608 - names of the catalogue

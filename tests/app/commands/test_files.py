@@ -1,4 +1,4 @@
-"""`calcidem import` and `calcidem sample`: databases and samples as files, and back."""
+"""`calcidem export` and `calcidem import`: databases and samples as files, and back."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_import_refuses_other_files(invoke: Invoke, tmp_path: Path) -> None:
 def test_sample_for_paraview(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path) -> None:
     """The file holds all disks with their radii and all contacts with their cement."""
     file = tmp_path / "sample.vtu"
-    invoke("sample", database, file, "--seed", 1, "--content", 5)
+    invoke("export", database, file, "--seed", 1, "--content", 5)
     mesh, sample = meshio.read(file), campaign.sample(seed=1, content=5.0)
     np.testing.assert_array_equal(mesh.points[:, 0], sample.packing.x)
     np.testing.assert_array_equal(mesh.point_data["radius"].ravel(), sample.packing.radius)
@@ -54,7 +54,7 @@ def test_sample_for_paraview(database: Path, invoke: Invoke, campaign: Campaign,
 def test_packing_as_csv(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: Path) -> None:
     """The disks in the CSV file are those of the packing, to the last bit."""
     file = tmp_path / "packing.csv"
-    invoke("sample", database, file, "--seed", 1, "--content", 5)
+    invoke("export", database, file, "--seed", 1, "--content", 5)
     x, y, radius, _ = _read_disks(file)
     packing = campaign.packing()
     for written, stored in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
@@ -64,6 +64,6 @@ def test_packing_as_csv(database: Path, invoke: Invoke, campaign: Campaign, tmp_
 def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: Path) -> None:
     """An ending that stands for no format is refused before anything is written."""
     for ending in ("stl", "vtk"):  # VTK 9 cannot read what meshio writes as .vtk
-        output = invoke("sample", database, tmp_path / f"a.{ending}", "--seed", 1, "--content", 5, exit_code=2)
+        output = invoke("export", database, tmp_path / f"a.{ending}", "--seed", 1, "--content", 5, exit_code=2)
         assert ".vtu" in output
     assert list(tmp_path.iterdir()) == []

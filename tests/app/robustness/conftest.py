@@ -9,6 +9,9 @@ import pytest
 from places import TUTORIAL
 from workbench import Workbench, open_workbench
 
+from calcidem.app.config.presets import preset_text
+from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import open_store
 
@@ -27,6 +30,18 @@ def complete(tmp_path: Path) -> Path:
     path = Path(shutil.copy(TUTORIAL, tmp_path / "complete.db"))
     open_store(path).close()
     return path
+
+
+@pytest.fixture
+def as_configured(tmp_path: Path) -> Callable[[Path], Configuration]:
+    """Give a function that gives the configuration of such a campaign, with ten seeds, and writes it to `c.toml`."""
+
+    def configure(database: Path) -> Configuration:
+        text = preset_text("quick").replace("seeds = 4", "seeds = 10")
+        (tmp_path / "c.toml").write_text(text, encoding="utf-8")
+        return load_configuration(tmp_path / "c.toml", {"database": str(database)})
+
+    return configure
 
 
 @pytest.fixture

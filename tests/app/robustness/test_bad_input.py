@@ -68,12 +68,12 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "an array that is none": (("export", "quick.db", "new.nc", "--without", "paths"), {}, "'paths' is none of"),
     "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is no content"),
     "a width that is none": (
-        ("plan", "quick.db", "--content", "5", "--halfwidth", "nan"),
+        ("status", "quick.db", "--halfwidth", "nan"),
         {},
         "'nan' is not a number above 0",
     ),
     "a width out of reach": (
-        ("plan", "quick.db", "--content", "5", "--halfwidth", "1e-300"),
+        ("status", "quick.db", "--halfwidth", "1e-300"),
         {},
         "'1e-300' is not a number above 0",
     ),
@@ -146,13 +146,10 @@ SHOWN = (
     "query --columns all",
     "query --format csv --columns reason,host",
     "verify",
-    "retry",
 )
 
 
-@pytest.mark.parametrize(
-    "line", [*SHOWN, "show --seed 1 --content 0", "query --campaign none", "plan --content 0 --halfwidth 1"]
-)
+@pytest.mark.parametrize("line", [*SHOWN, "show --seed 1 --content 0", "query --campaign none", "status --halfwidth 1"])
 def test_stored_text_does_not_control_a_terminal(bench: Workbench, line: str) -> None:
     """Texts of a database are shown with their control characters as escapes, and are no markup."""
     command, *options = line.split()

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.storage.records import STATUS_CODES, CellStatus
+from calcidem.app.campaign.retry import retry_cells
+from calcidem.app.config.schema import Configuration
+from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
 from calcidem.storage.sql.store import open_store
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "damage" / "run.py"
@@ -47,9 +49,9 @@ def change(path: Path, *statements: str) -> None:
     ],
 )
 def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
-    complete: Path, tmp_path: Path, invoke: Invoke, statement: str
+    complete: Path, tmp_path: Path, invoke: Invoke, as_configured: Callable[[Path], Configuration], statement: str
 ) -> None:
-    """Verify --integrity names it, export flags it and has all others, retry --damaged makes it pending."""
+    """Verify --integrity names it, export flags it and has all others, run --retry damaged makes it pending."""
     assert "40 cells: 0 damaged, 0 other damages." in invoke("verify", complete, "--integrity")
     with open_store(complete, read_only=True) as store:
         store.use_campaign()
@@ -63,8 +65,8 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
         assert int((dataset["status"] == STATUS_CODES[CellStatus.DAMAGED]).sum()) == 1
         assert np.isnan(dataset["vs"].sel(seed=1, content=5.0))
         assert int(dataset["vs"].count()) == read - 1 > 0
-    assert "1 cell is pending again:\n  seed 1, 5 %" in invoke("retry", complete, "--damaged")
-    assert "Nothing is damaged" in invoke("retry", complete, "--damaged")
+    assert retry_cells(as_configured(complete), [CellStatus.DAMAGED]) == (CellKey(1, 5.0),)
+    assert retry_cells(as_configured(complete), [CellStatus.DAMAGED]) == ()
     with open_store(complete, read_only=True) as store:
         store.use_campaign()
         assert [(key.seed, key.content) for key in store.pending()] == [(1, 5.0)]
@@ -83,7 +85,7 @@ def test_a_cell_without_its_attempts_is_shown(troubled: Path, invoke: Invoke) ->
     with sqlite3.connect(troubled, isolation_level=None) as connection:
         connection.execute("DELETE FROM attempt")
     connection.close()
-    assert "cells that are quarantined pending again" in invoke("status", troubled)
+    assert "computes cells that are quarantined again" in invoke("status", troubled)
 
 
 @pytest.mark.parametrize("number", ["'text'", "1.0000000001", "4611686018427387904", "x'ff'"])
@@ -93,16 +95,11 @@ def test_a_damaged_number_of_an_attempt_is_not_counted_on(troubled: Path, invoke
         connection.execute("PRAGMA ignore_check_constraints=ON")
         connection.execute(f"UPDATE attempt SET number = {number} WHERE number = 1")  # noqa: S608 - a test's own
     connection.close()
-    assert "cells that are quarantined pending again" in invoke("status", troubled)
+    assert "computes cells that are quarantined again" in invoke("status", troubled)
     with open_store(troubled, read_only=True) as store:
         store.use_campaign()
         assert {count.attempts for count in store.attempt_counts().values()} <= {0, 1, 2, 3}
     assert "An attempt at seed" in invoke("verify", troubled, "--integrity", exit_code=1)
-
-
-def test_damaged_stands_alone(complete: Path, invoke: Invoke) -> None:
-    """Retry --damaged goes with no other choice of cells."""
-    assert "stands alone" in invoke("retry", complete, "--damaged", "--seed", 1, exit_code=2)
 
 
 @pytest.mark.parametrize("count", [7, pytest.param(500, marks=pytest.mark.full)])

@@ -123,7 +123,7 @@ def test_a_password_is_found_nowhere(workshop: "Workshop", server: str, postgres
     said = [done.output, done.errors, *(line.decode() for line in seen.values())]
     (workshop.folder / "c.toml").unlink()  # its words are the user's
     for *words, code in (
-        ("analyse", address, "--out", "folder", 0),
+        ("report", address, "--files", "folder", 0),
         ("status", address, "--json", 0),
         ("status", address.replace("sand", "mud"), 2),
         ("status", address.replace("%40", "@"), 2),

@@ -86,7 +86,7 @@ def test_an_import_of_impossible_values_writes_nothing(
     assert codes == [2]
 
 
-@pytest.mark.parametrize("command", ["report", "retry", "import"])
+@pytest.mark.parametrize("command", ["report", "import"])
 def test_what_is_no_file_of_a_database_is_told_as_such(
     command: str, complete: Path, invoke: Callable[..., str]
 ) -> None:
@@ -95,7 +95,6 @@ def test_what_is_no_file_of_a_database_is_told_as_such(
         export_netcdf(campaign.store, complete.with_suffix(".nc"))
     words = {
         "report": ("report", "/proc/self/mem"),
-        "retry": ("retry", "sqlite:////dev/null"),
         "import": ("import", complete.with_suffix(".nc"), "--db", "/dev/null"),
     }[command]
     with pytest.raises(StoreError, match="is not a database file") as refused:

@@ -1,17 +1,20 @@
-"""`calcidem retry`: cells that went wrong become pending again, and nothing else does."""
+"""`calcidem run --retry`: cells that went wrong become pending again, and nothing else does."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.retry import retry_cells
-from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError, UnknownCellError
+from calcidem.app.campaign.retry import RETRIABLE, retry_cells
+from calcidem.app.config.schema import Configuration
+from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import open_store
-from calcidem.storage.store import Selection
 
 PENDING_BEFORE = 6
+
+AsConfigured = Callable[[Path], Configuration]
 
 
 def pending(database: Path) -> set[CellKey]:
@@ -21,58 +24,71 @@ def pending(database: Path) -> set[CellKey]:
         return set(store.pending())
 
 
-def test_failed_and_timed_out_cells_are_retried_by_default(troubled: Path, invoke: Callable[..., str]) -> None:
-    """Without options the failed and the timed-out cell become pending, no others."""
+def test_the_command_names_what_it_computes_again(
+    troubled: Path, as_configured: AsConfigured, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells with the outcomes given become pending, no others, before anything is computed; without any it is said."""
+    as_configured(troubled)
+    monkeypatch.setattr("calcidem.app.campaign.ranks.run_on_ranks", lambda load, *_: load())  # computes nothing
     before = pending(troubled)
-    output = invoke("retry", troubled)
-    assert "2 cells are pending again" in output
+    command = ("run", troubled.with_name("c.toml"), "--db", troubled, "--retry", "failed", "--retry", "timed_out")
+    assert "2 cells to compute again:\n  seed 9, 0 %\n  seed 9, 0.66 %\n" in invoke(*command)
     assert pending(troubled) - before == {CellKey(9, 0.0), CellKey(9, 0.66)}
+    assert "There is nothing to retry." in invoke(*command)
 
 
-def test_a_status_and_a_cell_can_be_chosen(troubled: Path, invoke: Callable[..., str]) -> None:
-    """Only the quarantined cell of the seed and content given becomes pending, and its lost worker is forgiven."""
-    output = invoke("retry", troubled, "--status", "quarantined", "--seed", 9, "--content", 2.55)
-    assert "seed 9, 2.55 %" in output
+def test_ranks_are_not_told_to_retry(
+    troubled: Path, as_configured: AsConfigured, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command itself makes cells pending: ranks that are started again would do so with cells of the last start."""
+    as_configured(troubled)
+    told: list[list[str]] = []
+    monkeypatch.setattr("calcidem.app.campaign.launch.Launch.run", lambda launch: told.append(launch.arguments) or 0)
+    invoke("run", troubled.with_name("c.toml"), "--db", troubled, "--retry", "failed", "--ranks", 3)
+    assert told == [["run", str(troubled.with_name("c.toml")), "--db", str(troubled)]]
     assert len(pending(troubled)) == PENDING_BEFORE + 1
+
+
+def test_a_lost_worker_is_forgiven(troubled: Path, as_configured: AsConfigured) -> None:
+    """A quarantined cell becomes pending with its history, and without the workers that were lost to it."""
+    assert retry_cells(as_configured(troubled), [CellStatus.QUARANTINED]) == (CellKey(9, 2.55),)
     with open_store(troubled, read_only=True) as store:
         store.use_campaign()
         count = store.attempt_counts([CellKey(9, 2.55)])[CellKey(9, 2.55)]
     assert (count.attempts, count.losses) == (2, 0)
 
 
-def test_nothing_to_retry_is_said(complete: Path, invoke: Callable[..., str]) -> None:
-    """A complete campaign stays as it is, with exit code 0 and a sentence."""
-    assert "Nothing to retry" in invoke("retry", complete)
-    assert pending(complete) == set()
+def test_only_cells_of_the_configuration_are_retried(troubled: Path, as_configured: AsConfigured) -> None:
+    """What the configuration does not plan stays as it is."""
+    whole = as_configured(troubled)
+    part = replace(whole, campaign=replace(whole.campaign, seeds=(1, 9), contents=(0.66, 5.0)))
+    assert retry_cells(part, RETRIABLE) == (CellKey(9, 0.66),)
 
 
-@pytest.mark.parametrize("status", ["done", "pending", "nonsense"])
-def test_what_cannot_be_retried_is_refused(troubled: Path, invoke: Callable[..., str], status: str) -> None:
-    """Exit code 2 for a status that is no outcome gone wrong, and the database stays as it is."""
+@pytest.mark.parametrize("outcome", ["done", "pending", "no_arrival", "nonsense"])
+def test_what_cannot_be_retried_is_refused(
+    troubled: Path, as_configured: AsConfigured, invoke: Callable[..., str], outcome: str
+) -> None:
+    """Exit code 2 for what another attempt would not change, and the database stays as it is."""
+    as_configured(troubled)
     before = pending(troubled)
-    invoke("retry", troubled, "--status", status, exit_code=2)
+    invoke("run", troubled.with_name("c.toml"), "--db", troubled, "--retry", outcome, exit_code=2)
     assert pending(troubled) == before
 
 
-def test_a_cell_that_is_not_planned_is_refused(troubled: Path) -> None:
-    """A seed that does not occur is an error with advice, not silence."""
-    with pytest.raises(UnknownCellError, match="calcidem status"):
-        retry_cells(str(troubled), selection=Selection(seeds=(99,)))
-
-
-def test_a_missing_database_is_not_made(tmp_path: Path) -> None:
+def test_a_missing_database_is_not_made(tmp_path: Path, as_configured: AsConfigured) -> None:
     """A file name with a typing error makes no empty database."""
     with pytest.raises(StoreUnavailableError, match="does not exist"):
-        retry_cells(str(tmp_path / "no.db"))
-    assert list(tmp_path.iterdir()) == []
+        retry_cells(as_configured(tmp_path / "no.db"), RETRIABLE)
+    assert {path.name for path in tmp_path.iterdir()} == {"c.toml"}
 
 
-def test_a_running_campaign_is_left_alone(troubled: Path) -> None:
+def test_a_running_campaign_is_left_alone(troubled: Path, as_configured: AsConfigured) -> None:
     """While a run writes the campaign a retry is refused, since the run would not notice."""
     before = pending(troubled)
     with open_store(troubled) as master:
         master.use_campaign()
         master.acquire_lease()
         with pytest.raises(LeaseHeldError):
-            retry_cells(str(troubled), [CellStatus.FAILED])
+            retry_cells(as_configured(troubled), [CellStatus.FAILED])
     assert pending(troubled) == before

@@ -1,0 +1,105 @@
+"""The formats of what commands answer: a table for people, or JSON, CSV and Parquet for programs."""
+
+import csv
+import io
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from calcidem.app.cli.terminal import printable
+
+Format = StrEnum("Format", ["TABLE", "JSON", "CSV", "PARQUET"])
+
+FormatOption = Annotated[
+    Format, typer.Option("--format", help="A table for people, or rows for programs; parquet needs a file or a pipe.")
+]
+
+Rows = Sequence[Mapping[str, Any]]
+"""Rows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""
+
+
+def tell_rows(rows: Rows, layout: Format, out: Path | None = None, whole: object = None) -> None:
+    """Write rows as JSON, CSV or Parquet.
+
+    Parameters
+    ----------
+    rows
+        What is told; values that are neither numbers nor texts are in JSON alone.
+    layout
+        Any but the table.
+    out
+        File to write; standard output if there is none.
+    whole
+        What JSON has instead of the rows.
+    """
+    if layout is Format.JSON:
+        told: str | bytes = json.dumps(_plain(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
+    elif layout is Format.CSV:
+        told = _as_csv([_flat(row) for row in rows])
+    else:
+        if out is None and sys.stdout.isatty():
+            raise typer.BadParameter("parquet is binary: write it to a file with > FILE.parquet", param_hint="--format")
+        told = _as_parquet([_flat(row) for row in rows])
+    if out is not None:
+        from calcidem.storage.files import write_atomically
+
+        with write_atomically(out) as temporary:
+            temporary.write_bytes(told.encode() if isinstance(told, str) else told)
+    else:
+        typer.echo(printable(told) if isinstance(told, str) else told, nl=False)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
+    """A value with null for what JSON has no number for."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers and texts of a row."""
+    return {
+        name: value
+        for name, value in _plain(row).items()
+        if value is None or isinstance(value, bool | int | float | str)
+    }
+
+
+def _as_csv(rows: Rows) -> str:
+    """Rows as CSV, with texts that no spreadsheet takes for formulas."""
+    from calcidem.storage.files import spreadsheet_value
+
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(rows[0] if rows else ())
+    writer.writerows([spreadsheet_value(value) for value in row.values()] for row in rows)
+    return stream.getvalue()
+
+
+def _as_parquet(rows: Rows) -> bytes:
+    """Rows as Parquet; whole numbers stay whole where some are missing."""
+    import pandas as pd
+
+    frame = pd.DataFrame(list(rows))
+    for name in frame.columns:
+        given = [row[name] for row in rows if row[name] is not None]
+        if given and all(type(value) is int for value in given):
+            frame[name] = pd.array([row[name] for row in rows], dtype="Int64")
+        elif given and all(isinstance(value, int | float) for value in given):
+            frame[name] = frame[name].astype(float)
+    stream = io.BytesIO()
+    try:
+        frame.to_parquet(stream, index=False)
+    except ImportError as error:
+        raise typer.BadParameter(
+            "parquet needs a library that isn't installed: pip install 'calcidem[parquet]'", param_hint="--format"
+        ) from error
+    return stream.getvalue()
