@@ -66,7 +66,6 @@ LONG = (
     "calcidem.app.studies.stability.command.random_scenes",
     "calcidem.app.studies.stability.command.stability",
     "calcidem.app.cli.status.time.sleep",
-    "calcidem.app.report.folder.CampaignAnalysis",
     "calcidem.app.campaign.plots.CampaignAnalysis",
     "calcidem.app.report.page.CampaignAnalysis",
     "calcidem.app.studies.frequency_and_damping.send_waves",

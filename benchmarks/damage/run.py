@@ -188,7 +188,7 @@ COMMANDS = (
     ("query", "DB", "--where", "vs > 100", "--sort=-vs", "--limit", "3"),
     ("export", "DB", "OUT"),
     ("verify", "DB", "--integrity"),
-    ("status", "DB", "--json"),
+    ("status", "DB", "--format", "json"),
 )
 
 

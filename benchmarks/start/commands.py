@@ -25,7 +25,7 @@ DATABASE = ROOT / "docs" / "tutorial" / "quick.db"
 COMMANDS = {
     "--help": ["--help"],
     "status": ["status", "quick.db"],
-    "status --json": ["status", "quick.db", "--json"],
+    "status --format json": ["status", "quick.db", "--format", "json"],
     "query": ["query", "quick.db"],
     "show": ["show", "quick.db", "--seed", "1", "--content", "5"],
     "show --out": ["show", "quick.db", "--seed", "1", "--content", "5", "--out", "figures"],

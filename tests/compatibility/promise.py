@@ -74,11 +74,13 @@ def _commands() -> Names:
     group = typer.main.get_command(build_application())
     context = group.make_context("calcidem", [], resilient_parsing=True)
     found = {"": sorted(option for parameter in group.params for option in parameter.opts if option[:2] == "--")}
+    common = {"--help", "-h", "--quiet", "-q", "--verbose", "-v"}
+    found["each"] = sorted(common)
     for name in (name for commands in PANELS.values() for name in commands):
         _, command, _ = group.resolve_command(context, [name])
         options = {o for p in command.params if p.param_type_name == "option" for o in (*p.opts, *p.secondary_opts)}
         arguments = [str(p.metavar or p.name) for p in command.params if p.param_type_name == "argument"]
-        found[name] = arguments + sorted(options - {"--help", "-h"})
+        found[name] = arguments + sorted(options - common)
     return found
 
 

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from calcidem.app.campaign.progress import ProgressDisplay, RunProgress, RunStage
 from calcidem.launch.channel import tell_progress
+from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import duration, pluralize
 
 _FRAMES_PER_SECOND = 4
@@ -214,9 +215,10 @@ def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> P
     if callable(progress):
         return _CallbackDisplay(progress)
     console = Console(highlight=False)
-    if progress is False or not (progress or console.is_terminal or console.is_jupyter):
+    is_terminal = console.is_terminal and launcher() is None  # mpirun gives a rank a pseudo-terminal that none reads
+    if progress is False or not (progress or is_terminal or console.is_jupyter):
         return SilentDisplay()
-    return LiveDisplay(console) if console.is_terminal and not console.is_jupyter else LineDisplay(console)
+    return LiveDisplay(console) if is_terminal and not console.is_jupyter else LineDisplay(console)
 
 
 def _described(progress: RunProgress) -> list[str]:

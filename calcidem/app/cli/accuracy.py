@@ -1,5 +1,6 @@
 """``calcidem accuracy``: error against run time."""
 
+import json
 from typing import Annotated
 
 import typer
@@ -10,9 +11,10 @@ from calcidem.app.cli.arguments import (
     ConfigurationFile,
     JudgedDatabase,
     OnlyContents,
-    StudyAsJson,
     StudyFolder,
 )
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.terminal import tell
 
 
 def accuracy_command(
@@ -33,17 +35,19 @@ def accuracy_command(
     ] = None,
     db: JudgedDatabase = None,
     out: StudyFolder = None,
-    as_json: StudyAsJson = False,
+    layout: FormatOption = Format.TABLE,
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign.
 
     With --db these are cells of the campaign in the database, on its own packing, and the scatter of the samples is
     that of its velocities. A campaign of another configuration is refused.
     """
-    from calcidem.app.cli.tables import tell
     from calcidem.app.config.checks import plan_contents
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
+    from calcidem.app.studies.accuracy.findings import findings_json
+    from calcidem.app.studies.accuracy.report import accuracy_tables, name_of
+    from calcidem.app.studies.accuracy.study import cheapest
 
     loaded = load_configuration(configuration)
     task = plan_task(plan_contents(loaded, content or loaded.campaign.contents), (), seeds, db, tell)
@@ -52,4 +56,12 @@ def accuracy_command(
         parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    accuracy(task, only=only or (), out=out, json=as_json, target=target, say=typer.echo, progress=tell)
+    findings = accuracy(task, only=only or (), out=out, progress=tell)
+    if layout is Format.TABLE:
+        typer.echo("\n\n".join(accuracy_tables(findings).values()))
+        if target is not None:
+            chosen = cheapest(findings.study, parse_target(target))
+            typer.echo(f"Cheapest setting with an error of at most {target}: {name_of(chosen)}")
+    else:
+        whole = json.loads(findings_json(findings))
+        tell_rows(whole["study"]["cells"], layout, whole=whole)

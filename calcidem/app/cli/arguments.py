@@ -64,5 +64,4 @@ OneContent = Annotated[
 ]
 OneSeed = Annotated[int, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Seed of the cell.")]
 StudyFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for figure, tables and JSON.")]
-StudyAsJson = Annotated[bool, typer.Option("--json", help="Write JSON instead of tables.")]
 StudyCores = Annotated[int, typer.Option(min=0, help="Cores to compute on; 0 for all.")]

@@ -15,6 +15,7 @@ from calcidem.app.cli.arguments import (
     number_parser,
     parse_percentage,
 )
+from calcidem.app.cli.terminal import tell
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.environment import available_cores
 
@@ -74,13 +75,13 @@ def calibrate_command(
     refuse_to_replace(out)
     loaded = load_configuration(configuration)
     targets = read_targets(target)
-    packing = provide_packing(loaded, None, typer.echo)
+    packing = provide_packing(loaded, None, tell)
     ranges = [parse_range(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
     kept = out.with_suffix(".trials.jsonl")
-    typer.echo(f"Every trial is kept in {kept}; after a stop the same command goes on.")
-    fitted = calibrate(loaded, packing, plan, cores or available_cores(), typer.echo, kept)
+    tell(f"Every trial is kept in {kept}; after a stop the same command goes on.")
+    fitted = calibrate(loaded, packing, plan, cores or available_cores(), tell, kept)
     typer.echo("\n".join(_calibration_lines(fitted)))
     if not fitted.is_fitted:
         typer.echo(f"Nothing was fitted: {out} is not written.")

@@ -2,7 +2,6 @@
 
 import math
 from contextlib import ExitStack
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.cli.arguments import number_parser
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     import pandas as pd
-
-ComparisonFormat = StrEnum("ComparisonFormat", ["TABLE", "CSV", "JSON"])
 
 _FIGURE_FORMATS = (".png", ".svg", ".pdf")
 
@@ -27,7 +25,7 @@ def compare_command(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Figure to write, with the ending .png, .svg or .pdf.")
     ] = None,
-    layout: Annotated[ComparisonFormat, typer.Option("--format", help="Output format.")] = ComparisonFormat.TABLE,
+    layout: FormatOption = Format.TABLE,
     level: Annotated[
         float,
         typer.Option(
@@ -60,7 +58,7 @@ def compare_command(
         opened = [stack.enter_context(open_campaign(database, name)) for database in databases for name in names]
         found = compare(opened, level)
     table = found.to_dataframe()
-    if layout is ComparisonFormat.TABLE:
+    if layout is Format.TABLE:
         from calcidem.app.cli.tables import make_console
 
         console = make_console()
@@ -68,22 +66,13 @@ def compare_command(
         for name, lines in found.differing.items():
             typer.echo(printable(f"{name} differs from the first in: {'; '.join(lines) or 'nothing'}"))
     else:
-        typer.echo(printable(_comparison_text(table, layout)), nl=False)
+        tell_rows(table.astype(object).where(table.notna(), None).to_dict("records"), layout)
     if out is not None:
         from calcidem.analysis.figures.style import render
 
         with write_atomically(out) as temporary:
             temporary.write_bytes(render(found.draw(), out.suffix.lower().removeprefix(".")))
-        typer.echo(f"Wrote {out}", err=layout is not ComparisonFormat.TABLE)
-
-
-def _comparison_text(table: "pd.DataFrame", layout: ComparisonFormat) -> str:
-    """The table as CSV or JSON; what is missing is empty or null."""
-    from calcidem.storage.files import spreadsheet_value
-
-    if layout is ComparisonFormat.JSON:
-        return table.to_json(orient="records", indent=1, force_ascii=False, double_precision=15) + "\n"
-    return table.assign(campaign=table["campaign"].map(spreadsheet_value)).to_csv(index=False, lineterminator="\n")
+        typer.echo(f"Wrote {out}", err=layout is not Format.TABLE)
 
 
 def _comparison_table(table: "pd.DataFrame", level: float) -> Table:

@@ -4,14 +4,15 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
-from calcidem.app.cli.terminal import printable
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.terminal import printable, tell
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -37,6 +38,7 @@ def diagnose_command(
     trials: Annotated[
         int, typer.Option("--try", min=0, metavar="N", help="Compute N of these cells again with each remedy.")
     ] = 0,
+    layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Say of every cell without a velocity why it has none, and which values may give it one.
@@ -46,12 +48,15 @@ def diagnose_command(
     readable ones of the same content. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
-    from calcidem.app.cli.tables import make_console, tell
+    from calcidem.app.cli.tables import make_console
     from calcidem.storage.sql.store import read_campaign
     from calcidem.storage.store import Selection
 
     with read_campaign(database, campaign) as store:
         found = diagnose(store, Selection(seed, content), tell)
+        if layout is not Format.TABLE:
+            tell_rows([_cell_row(diagnosis) for diagnosis in found], layout)
+            return
         typer.echo(printable("\n".join(_overview_lines(store, found, chosen=bool(seed or content)))))
         shown = found if seed or content else found[:_MOST_SHOWN]
         for diagnosis in shown:
@@ -97,6 +102,20 @@ def _overview_lines(store: "Store", found: "Sequence[Diagnosis]", *, chosen: boo
         yield f"{others} more failed or ran out of time: 'calcidem run CONFIG --retry failed --retry timed_out'."
 
 
+def _cell_row(diagnosis: "Diagnosis") -> dict[str, Any]:
+    """What is known of a cell."""
+    key, remedies = diagnosis.key, [str(remedy) for remedy in diagnosis.remedies]
+    return {
+        "seed": key.seed,
+        "content": key.content,
+        "status": diagnosis.status.value,
+        "reason": diagnosis.reason,
+        "finding": diagnosis.finding,
+        "packing": diagnosis.packing,
+        "remedies": "; ".join(remedies),
+    }
+
+
 def _cell_lines(diagnosis: "Diagnosis") -> Iterator[str]:
     """Reason, finding and remedies of a cell."""
     key = diagnosis.key
@@ -137,7 +156,6 @@ def _frequency_lines(
 def _try(store: "Store", found: "Sequence[Diagnosis]", count: int) -> "list[RemedyTrial]":
     """Compute the remedies on some cells; the best of each content first."""
     from calcidem.app.campaign.remedy_trials import rank_trials, try_remedies
-    from calcidem.app.cli.tables import tell
 
     return rank_trials(try_remedies(store, found, count, tell))
 

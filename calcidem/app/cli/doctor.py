@@ -1,6 +1,7 @@
 """``calcidem doctor``: what stands between this machine and a campaign, one finding per line."""
 
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding, FindingLevel
 
 _STYLES = {OK: "green", WARNING: "yellow", PROBLEM: "bold red"}
@@ -17,6 +19,7 @@ def doctor_command(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder for the database; the current one by default.")
     ] = Path(),
+    layout: FormatOption = Format.TABLE,
 ) -> None:
     """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; say what to do about what is wrong.
 
@@ -26,11 +29,17 @@ def doctor_command(
 
     console = Console(highlight=False)
     levels: Counter[FindingLevel] = Counter()
+    found = []
     for finding in findings(folder):
-        console.print(_finding_line(finding), soft_wrap=True)
+        found.append(asdict(finding))
+        if layout is Format.TABLE:
+            console.print(_finding_line(finding), soft_wrap=True)
         levels[finding.level] += 1
-    all_well = levels.keys() == {OK}
-    console.print("All is well." if all_well else ", ".join(f"{levels[level]} {level}" for level in FindingLevel))
+    if layout is Format.TABLE:
+        all_well = levels.keys() == {OK}
+        console.print("All is well." if all_well else ", ".join(f"{levels[level]} {level}" for level in FindingLevel))
+    else:
+        tell_rows(found, layout)
     if levels[PROBLEM]:
         raise typer.Exit(1)
 

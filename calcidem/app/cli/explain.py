@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase, OnlyContents
-from calcidem.app.cli.terminal import printable
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.terminal import printable, tell
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.accuracy.findings import MeasuredErrors
@@ -26,6 +27,7 @@ def explain_command(
         Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out' for this campaign.")
     ] = None,
     db: JudgedDatabase = None,
+    layout: FormatOption = Format.TABLE,
 ) -> None:
     """Show which parts of the computation each content needs, and why leaving out the others is safe and what it saves.
 
@@ -34,7 +36,7 @@ def explain_command(
     """
     from calcidem.app.campaign.opened import open_campaign_of
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.cli.tables import make_console, tell
+    from calcidem.app.cli.tables import make_console
     from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.checks import check_against_packing, plan_contents
     from calcidem.app.config.reader import load_configuration
@@ -45,7 +47,7 @@ def explain_command(
     contents = sorted(loaded.campaign.contents)
     loaded = plan_contents(loaded, content or {contents[0], contents[len(contents) // 2], contents[-1]})
     if db is None:
-        packing = provide_packing(loaded, None, typer.echo)
+        packing = provide_packing(loaded, None, tell)
     else:
         with open_campaign_of(loaded, db) as opened:
             packing = opened.experiment().packing
@@ -55,7 +57,7 @@ def explain_command(
         raise typer.BadParameter(str(error)) from error
     check_against_packing(loaded, packing)
     if note := calibration_note(loaded):
-        typer.echo(note, err=True)
+        tell(note)
     chosen = loaded.campaign.contents
     seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
     rows = explain(
@@ -66,6 +68,9 @@ def explain_command(
         measured,
         progress=lambda text: tell(f"Measuring {text}"),
     )
+    if layout is not Format.TABLE:
+        tell_rows([_explanation_row(row) for row in rows], layout)
+        return
     console = make_console()
     for value in chosen:
         console.print(_explanation_table(value, [row for row in rows if row.content == value]))
@@ -97,6 +102,21 @@ def _explanation_table(content: float, rows: "Iterable[Explanation]") -> Table:
             f"{_percent(row.error)}, {_percent(row.other_error)}" if row.alternative.setting else "-",
         )
     return table
+
+
+def _explanation_row(row: "Explanation") -> dict[str, Any]:
+    """What is known of one part."""
+    part = row.alternative
+    return {
+        "content": row.content,
+        "part": part.what,
+        "needed": part.needed,
+        "why": part.why,
+        "time_ratio": row.time_ratio,
+        "difference": row.difference,
+        "error": row.error,
+        "other_error": row.other_error,
+    }
 
 
 def _percent(error: float | None) -> str:

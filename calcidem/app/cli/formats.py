@@ -20,11 +20,13 @@ FormatOption = Annotated[
     Format, typer.Option("--format", help="A table for people, or rows for programs; parquet needs a file or a pipe.")
 ]
 
-Rows = Sequence[Mapping[str, Any]]
+Rows = Sequence[Mapping[Any, Any]]
 """Rows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""
 
 
-def tell_rows(rows: Rows, layout: Format, out: Path | None = None, whole: object = None) -> None:
+def tell_rows(
+    rows: Rows, layout: Format, out: Path | None = None, *, names: Sequence[str] = (), whole: object = None
+) -> None:
     """Write rows as JSON, CSV or Parquet.
 
     Parameters
@@ -35,17 +37,19 @@ def tell_rows(rows: Rows, layout: Format, out: Path | None = None, whole: object
         Any but the table.
     out
         File to write; standard output if there is none.
+    names
+        Of the columns where there are no rows.
     whole
         What JSON has instead of the rows.
     """
     if layout is Format.JSON:
         told: str | bytes = json.dumps(_plain(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
     elif layout is Format.CSV:
-        told = _as_csv([_flat(row) for row in rows])
+        told = _as_csv(_flat(rows, names), names)
     else:
         if out is None and sys.stdout.isatty():
             raise typer.BadParameter("parquet is binary: write it to a file with > FILE.parquet", param_hint="--format")
-        told = _as_parquet([_flat(row) for row in rows])
+        told = _as_parquet(_flat(rows, names), names)
     if out is not None:
         from calcidem.storage.files import write_atomically
 
@@ -59,36 +63,39 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
     """A value with null for what JSON has no number for."""
     if isinstance(value, Mapping):
         return {str(name): _plain(inner) for name, inner in value.items()}
+    if hasattr(value, "item"):
+        value = value.item()
     if isinstance(value, list | tuple):
         return [_plain(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers and texts of a row."""
-    return {
-        name: value
-        for name, value in _plain(row).items()
-        if value is None or isinstance(value, bool | int | float | str)
-    }
+def _flat(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Numbers and texts of rows, all with the same names."""
+    plain = [_plain(row) for row in rows]
+    left_out = {name for row in plain for name, value in row.items() if isinstance(value, dict | list)}
+    wanted = [
+        name for name in dict.fromkeys([*names, *(name for row in plain for name in row)]) if name not in left_out
+    ]
+    return [{name: row.get(name) for name in wanted} for row in plain]
 
 
-def _as_csv(rows: Rows) -> str:
+def _as_csv(rows: Rows, names: Sequence[str]) -> str:
     """Rows as CSV, with texts that no spreadsheet takes for formulas."""
     from calcidem.storage.files import spreadsheet_value
 
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(rows[0] if rows else ())
+    writer.writerow(rows[0] if rows else names)
     writer.writerows([spreadsheet_value(value) for value in row.values()] for row in rows)
     return stream.getvalue()
 
 
-def _as_parquet(rows: Rows) -> bytes:
+def _as_parquet(rows: Rows, names: Sequence[str]) -> bytes:
     """Rows as Parquet; whole numbers stay whole where some are missing."""
     import pandas as pd
 
-    frame = pd.DataFrame(list(rows))
+    frame = pd.DataFrame(list(rows), columns=list(rows[0]) if rows else list(names))
     for name in frame.columns:
         given = [row[name] for row in rows if row[name] is not None]
         if given and all(type(value) is int for value in given):

@@ -1,7 +1,10 @@
 """The command `calcidem`."""
 
+import functools
+import inspect
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from importlib import import_module
@@ -10,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from calcidem.app.cli.terminal import print_any_text, printable, strange_argument
+from calcidem.app.cli.terminal import QUIET, VERBOSE, be_plain_under_mpi, print_any_text, printable, strange_argument
 from calcidem.storage.passwords import keep_passwords_back
 from calcidem.version import __version__
 
@@ -19,7 +22,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 PANELS = {
     "Compute": {
         "init": "Write a configuration to start from.",
-        "run": "Compute a campaign, or continue it after a stop; --check computes nothing.",
+        "run": "Compute a campaign, or continue it after a stop.",
         "doctor": "Check what this machine lacks.",
     },
     "See results": {
@@ -51,6 +54,13 @@ PANELS = {
 """What the list of all commands says of each."""
 
 
+COMMON_OPTIONS: dict[str, Any] = {
+    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Write results and errors only.")],
+    "verbose": Annotated[bool, typer.Option("--verbose", "-v", help="Also write times, and tracebacks of errors.")],
+}
+"""Options of every command, by the names of their arguments."""
+
+
 class _LazyGroup(TyperGroup):
     """Commands whose modules are imported when they are used: they need libraries that take seconds to load.
 
@@ -71,6 +81,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     warnings.formatwarning = _format_warning
     print_any_text()
+    be_plain_under_mpi()
     if wrong := strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
@@ -98,7 +109,8 @@ def build_application() -> typer.Typer:
     """Application with a list of all commands, of which only the one that is used will be imported."""
     application = typer.Typer(
         cls=_LazyGroup,
-        help="How much does the shear-wave velocity of sand vary because calcite cements its grains at random places?",
+        help="How much does the shear-wave velocity of sand vary because calcite cements its grains at random places?"
+        "\n\nBegin with: calcidem init; calcidem run --ranks 0; calcidem report results/quick.db",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -131,8 +143,33 @@ def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
     function = command_function(name)
     paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    alone.command(name, help="\n\n".join(paragraphs))(function)
+    alone.command(name, help="\n\n".join(paragraphs))(_with_common_options(name, function))
     return typer.main.get_command(alone)
+
+
+def _with_common_options(name: str, function: Callable[..., None]) -> Callable[..., None]:
+    """A command's function with the options that all commands have."""
+
+    @functools.wraps(function)
+    def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
+        QUIET.set(quiet)
+        VERBOSE.set(verbose)
+        begin = time.perf_counter()
+        try:
+            function(**given)
+        finally:
+            if verbose:
+                seconds = f"{time.perf_counter() - begin:.2f} s, {time.process_time():.2f} s of CPU"
+                sys.stderr.write(f"calcidem {name}: {seconds} with its libraries\n")
+
+    signature = inspect.signature(function)
+    options = [
+        inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+        for option, annotation in COMMON_OPTIONS.items()
+    ]
+    command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]  # which typer reads
+    command.__annotations__ = function.__annotations__ | COMMON_OPTIONS
+    return command
 
 
 def _format_warning(

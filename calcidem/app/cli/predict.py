@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, number_parser, parse_percentage
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.storage.records import P_CONTACT, CementPattern
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -45,6 +47,7 @@ def predict_command(
             help="Probability of the interval.",
         ),
     ] = 0.95,
+    layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
@@ -71,9 +74,13 @@ def predict_command(
             prediction = Campaign(store).predict(
                 content=content, seed=seed, pattern=cement, features=features, level=level
             )
-            typer.echo(_prediction_line(content, prediction, level))
+            typer.echo(_prediction_line(content, prediction, level), err=layout is not Format.TABLE)
         checks = check_predictions(CampaignAnalysis(store, with_cement=with_patterns), level=level)
-        if content is None:
+        if layout is not Format.TABLE:
+            chosen = {known: check for known, check in checks.items() if content is None or np.isclose(known, content)}
+            rows = [{"content": known, **asdict(check)} for known, check in chosen.items()]
+            tell_rows([row | {"used": _used(checks[row["content"]])} for row in rows], layout)
+        elif content is None:
             make_console().print(_check_table(checks))
             typer.echo(_overall_line(checks))
         else:

@@ -1,15 +1,11 @@
 """``calcidem query``: the cells of a database that meet some conditions, as a table or a file."""
 
-import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
@@ -17,9 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
+from calcidem.app.cli.formats import Format, FormatOption, Rows, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.errors import QueryError
-from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
@@ -28,9 +24,6 @@ _DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
-
-
-Format = StrEnum("Format", ["TABLE", "CSV", "JSON", "PARQUET"])
 
 
 def query_command(
@@ -42,7 +35,7 @@ def query_command(
     columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
     limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Show at most this many rows.")] = None,
-    layout: Annotated[Format, typer.Option("--format", help="Output format.")] = Format.TABLE,
+    layout: FormatOption = Format.TABLE,
     out: Annotated[Path | None, typer.Option(help="File to write instead of showing the rows.")] = None,
     features: Annotated[
         bool,
@@ -59,35 +52,28 @@ def query_command(
 
     selection = Selection(seed or None, content or None, status or None, where)
     if features:
-        if columns is not None or sort or limit is not None or layout is Format.PARQUET:
-            raise typer.BadParameter(
-                "goes with neither --columns, --sort, --limit nor parquet", param_hint="--features"
-            )
-        _show(_features_text(database, selection, layout, campaign), out)
-        return
-    names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
-    names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
-    found = find(database, selection, names, _split_list(sort), limit, campaign)
-    if layout is Format.PARQUET:
-        if out is None:
-            raise QueryError("Parquet is a binary format.", "Give a file with --out.")
-        _write_parquet(found, out)
+        if columns is not None or sort or limit is not None:
+            raise typer.BadParameter("goes with neither --columns, --sort nor --limit", param_hint="--features")
+        rows, remark = _feature_rows(database, selection, campaign)
+        headings = {name: name != "feature" for name in rows[0]}
     else:
-        _show(_as_text(found, layout), out)
-
-
-def _show(text: str, out: Path | None) -> None:
-    """Write a text to a file, or show it."""
-    from calcidem.storage.files import write_text_atomically
-
-    if out is not None:
-        write_text_atomically(out, text)
+        names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+        names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+        found = find(database, selection, names, _split_list(sort), limit, campaign)
+        rows, headings = as_rows(found), _headings(names)
+        remark = pluralize(len(rows), "cell")
+    if layout is not Format.TABLE:
+        tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
+    elif out is None:
+        typer.echo(_as_table(headings, rows, remark), nl=False)
     else:
-        typer.echo(printable(text), nl=False)
+        from calcidem.storage.files import write_text_atomically
+
+        write_text_atomically(out, _as_table(headings, rows, remark))
 
 
-def _features_text(database: str, selection: Selection, layout: Format, campaign_name: str | None) -> str:
-    """How path features of the selected cells go with Vs within one content."""
+def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[Rows, str]:
+    """How path features of the selected cells go with Vs within one content, and how many cells these are."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
     from calcidem.app.campaign.patterns import with_patterns
     from calcidem.storage.sql.store import read_campaign
@@ -97,13 +83,8 @@ def _features_text(database: str, selection: Selection, layout: Format, campaign
             found = feature_correlations(CampaignAnalysis(store, with_cement=with_patterns), selection)
         except UnavailableError as error:
             raise QueryError(f"Features have nothing to go with: {error}.", "Select cells with a velocity.") from error
-    rows = [
-        (name, *(None if math.isnan(value) else value for value in values))
-        for name, *values in found.to_dataframe().itertuples(name=None)
-    ]
-    headings = {"feature": False} | {str(name): True for name in found.data_vars}
-    remark = f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
-    return _rows_as_text(headings, rows, layout, remark)
+    rows = found.to_dataframe().rename_axis("feature").reset_index().to_dict("records")
+    return rows, f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
 
 
 def find(
@@ -121,38 +102,38 @@ def find(
         return store.table(columns, selection, sort=sort, limit=limit)
 
 
+def cell_row(database: str, seed: int, content: float, campaign_name: str | None) -> Mapping[str, Any]:
+    """All quantities of one cell; `UnknownCellError` if it has no outcome."""
+    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.sql.store import read_campaign
+
+    with read_campaign(database, campaign_name) as store:
+        store.cell(seed=seed, content=content)
+        return as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))[0]
+
+
 def _split_list(text: str) -> list[str]:
     """Parts of a list with commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _as_text(columns: Columns, layout: Format) -> str:
-    """Columns as a table, CSV or JSON."""
+def as_rows(columns: Columns) -> Rows:
+    """Columns as rows."""
+    values = (_plain_values(name, column) for name, column in columns.items())
+    return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+
+
+def _headings(names: Sequence[str]) -> dict[str, bool]:
+    """What stands above each column of a table, and whether it is of numbers."""
     from calcidem.storage.records import QUANTITY_BY_NAME
 
-    rows = list(zip(*(_plain_values(name, values) for name, values in columns.items()), strict=True))
-    if layout is not Format.TABLE:
-        return _rows_as_text(dict.fromkeys(columns, True), rows, layout)
     headings = {}
-    for name in columns:
+    for name in names:
         quantity = QUANTITY_BY_NAME[name]
         bare = quantity.unit == "1" and quantity.kind == "real"  # a fraction or a ratio, and no percent
         unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
         headings[f"{name}{unit}"] = quantity.kind != "text"
-    return _rows_as_text(headings, rows, layout, pluralize(len(rows), "cell"))
-
-
-def _rows_as_text(headings: Mapping[str, bool], rows: Sequence[Sequence[Any]], layout: Format, remark: str = "") -> str:
-    """Rows in a layout; `headings` say what stands above them, and whether it is of numbers."""
-    if layout is Format.JSON:
-        return json.dumps([dict(zip(headings, row, strict=True)) for row in rows], indent=1, ensure_ascii=False) + "\n"
-    if layout is Format.CSV:
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(headings)
-        writer.writerows([spreadsheet_value(value) for value in row] for row in rows)
-        return stream.getvalue()
-    return _as_table(headings, rows, remark)
+    return headings
 
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
@@ -166,13 +147,13 @@ def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     return [None if math.isnan(value) else number(value) for value in values.tolist()]
 
 
-def _as_table(headings: Mapping[str, bool], rows: Sequence[Sequence[Any]], remark: str) -> str:
+def _as_table(headings: Mapping[str, bool], rows: Rows, remark: str) -> str:
     """Rows in aligned columns; no wider than the numbers need."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*(Text(_format_value(value)) for value in row))
+        table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
     Console(file=stream, width=100_000, highlight=False).print(table)
@@ -187,21 +168,3 @@ def _format_value(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return printable(value).partition("\n")[0]
-
-
-def _write_parquet(columns: Columns, out: Path) -> None:
-    """Write columns into a Parquet file, replaced in one step."""
-    import pandas as pd
-
-    from calcidem.storage.files import write_atomically
-    from calcidem.storage.records import QUANTITY_BY_NAME
-
-    frame = pd.DataFrame({name: np.asarray(values) for name, values in columns.items()})
-    frame = frame.astype({name: "Int64" for name in columns if QUANTITY_BY_NAME[name].kind == "whole"})
-    try:
-        with write_atomically(out) as temporary:
-            frame.to_parquet(temporary, index=False)
-    except ImportError as error:
-        raise QueryError(
-            "Writing Parquet needs a library that isn't installed.", "Install it: pip install 'calcidem[parquet]'."
-        ) from error

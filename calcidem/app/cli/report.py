@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
 from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.terminal import progress_bar
 
 
 def report_command(
@@ -32,12 +31,7 @@ def report_command(
         from calcidem.app.studies.frequency_and_damping import run_studies
 
         studies = run_studies(database, campaign_name=campaign)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("Report")
-
-        def watch(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
+    with progress_bar("Report") as watch:
         page = write_report(database, out, campaign_name=campaign, studies=studies, files=files, watch=watch)
     typer.echo(f"Wrote {page}")
     if files is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
-from calcidem.app.cli.terminal import printable
+from calcidem.app.cli.terminal import QUIET, VERBOSE, printable, tell
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -115,6 +115,8 @@ def run_command(
             arguments += ["--output", str(output)] if output is not None else []
             arguments += ["--part", part] if part is not None else []
             arguments += ["--report"] if with_report else []
+            arguments += ["--quiet"] if QUIET.get() else []
+            arguments += ["--verbose"] if VERBOSE.get() else []
             launch = Launch(
                 arguments, ranks or default_ranks(), 3 if restarts is None else restarts, start_timeout, silence_timeout
             )
@@ -142,7 +144,7 @@ def _make_packing(configuration: "Configuration") -> None:
     from calcidem.app.cli.tables import packing_lines
     from calcidem.app.config.checks import check_against_packing, packing_warnings
 
-    packing = provide_packing(configuration, None, typer.echo)
+    packing = provide_packing(configuration, None, tell)
     typer.echo("\n".join(packing_lines(packing)))
     check_against_packing(configuration, packing)
     for warning in packing_warnings(configuration, packing):

@@ -2,12 +2,12 @@
 
 import sys
 
-from calcidem.app.campaign.display import ChannelDisplay, LineDisplay, LiveDisplay
+from calcidem.app.campaign.display import ChannelDisplay, LineDisplay, LiveDisplay, SilentDisplay
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
-from calcidem.app.cli.terminal import printable
+from calcidem.app.cli.terminal import QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import parse_address
@@ -20,15 +20,20 @@ class TerminalView:
 
     def __init__(self, *, with_report: bool, one_process: bool) -> None:
         self.console = make_console()
+        self.quiet = QUIET.get()
         self.one_process = one_process and launcher() is None
         self.with_report = with_report
 
     def say(self, text: str) -> None:
-        """Write a line as it is."""
+        """Write a line as it is, unless only results are wanted."""
+        if self.quiet:
+            return
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
     def display(self) -> ProgressDisplay:
         """A picture on a terminal, drawn here or by the command that started the ranks; lines in a log."""
+        if self.quiet:
+            return SilentDisplay()
         if not self.console.is_terminal:
             return LineDisplay(self.console)
         return ChannelDisplay(self.console) if command_listens() else LiveDisplay(self.console)

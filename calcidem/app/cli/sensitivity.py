@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores
+from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -54,7 +55,6 @@ def sensitivity_command(
     With 'frequency' or 'damping' instead of a plan some samples of a stored campaign are computed with other
     frequencies or other damping; --content and --campaign choose which. Nothing is written to its database.
     """
-    from calcidem.app.cli.tables import tell
     from calcidem.app.studies.sensitivity.plan import load_plan
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
     from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
@@ -103,7 +103,6 @@ def _sobol_study(plan: "SobolPlan", file: Path, out: Path | None, cores: int) ->
     from calcidem.analysis.figures.sensitivity import draw_sobol
     from calcidem.analysis.figures.style import save
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.cli.tables import tell
     from calcidem.app.studies.sensitivity.sobol import evaluate_points, indices_of_points, sobol_table, stored_points
 
     if cores:

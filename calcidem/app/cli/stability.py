@@ -1,10 +1,13 @@
 """``calcidem stability``: extreme cases."""
 
-from typing import Annotated
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import typer
 
-from calcidem.app.cli.arguments import StudyAsJson, StudyFolder
+from calcidem.app.cli.arguments import StudyFolder
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.terminal import tell
 
 
 def stability_command(
@@ -13,16 +16,24 @@ def stability_command(
     ] = 0,
     draw: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the random scenes.")] = 1,
     out: StudyFolder = None,
-    as_json: StudyAsJson = False,
+    layout: FormatOption = Format.TABLE,
 ) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
-    from calcidem.app.cli.tables import tell
     from calcidem.app.studies.stability.command import random_scenes, stability
+    from calcidem.app.studies.stability.report import random_scene_tables
     from calcidem.app.studies.stability.verdict import StabilityVerdict
 
     if scenes:
-        judgements = random_scenes(scenes, draw, json=as_json, say=typer.echo, progress=tell)
-        if any(judgement.verdict == StabilityVerdict.WRONG for judgement in judgements):
-            raise typer.Exit(1)
+        found = random_scenes(scenes, draw, progress=tell)
+        whole: dict[str, Any] = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
+        rows = [{"box": box, **judgement} for box, row in whole.items() for judgement in row]
+        text = random_scene_tables(found)
     else:
-        stability(out=out, json=as_json, say=typer.echo, progress=tell)
+        text, whole = stability(out=out, progress=tell)
+        rows = [{"quantity": name, **judgement} for name, walk in whole["walks"].items() for judgement in walk]
+    if layout is Format.TABLE:
+        typer.echo(text)
+    else:
+        tell_rows(rows, layout, whole=whole)
+    if scenes and any(judgement.verdict == StabilityVerdict.WRONG for row in found.values() for judgement in row):
+        raise typer.Exit(1)

@@ -11,6 +11,7 @@ from rich.console import Console, Group
 from rich.live import Live
 
 from calcidem.app.cli.arguments import CampaignName, Database, number_parser
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.status import CampaignStatus
@@ -37,7 +38,7 @@ def status_command(
             help="Also say how many more seeds make the 95 % interval of the means so narrow, and how long they take.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Write JSON; with --watch, one object per line.")] = False,
+    layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Show the progress of a campaign, even while it is running: every cell, Vs so far, time left, what went wrong."""
@@ -46,7 +47,7 @@ def status_command(
     read = partial(read_status, database, campaign)
     found = _until_finished(read, interval) if watch else iter([read()])
     try:
-        _show_status(found, half_width, as_json=as_json, one_per_line=watch)
+        _show_status(found, half_width, layout, one_per_line=watch)
     except KeyboardInterrupt:
         typer.echo()
 
@@ -62,15 +63,19 @@ def _until_finished(read: "Callable[[], CampaignStatus]", interval: float) -> "I
 
 
 def _show_status(
-    statuses: "Iterator[CampaignStatus]", half_width: float | None, *, as_json: bool, one_per_line: bool
+    statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, one_per_line: bool
 ) -> None:
     """Show each status of a campaign, on a terminal in the place of the former."""
     from calcidem.app.cli.status_view import status_as_json, status_view
     from calcidem.app.cli.tables import PLAIN_WIDTH
 
-    if as_json:
+    if layout is not Format.TABLE:
         for found in statuses:
-            typer.echo(json.dumps(status_as_json(found, half_width), indent=None if one_per_line else 1))
+            whole = status_as_json(found, half_width)
+            if one_per_line and layout is Format.JSON:
+                typer.echo(json.dumps(whole))
+            else:
+                tell_rows([row | row["cells"] for row in whole["contents"]], layout, whole=whole)
         return
     console = Console(highlight=False)
     if not console.is_terminal:

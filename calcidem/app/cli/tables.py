@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -38,11 +37,6 @@ def make_console() -> Console:
         return Console(highlight=False)
     columns = int(os.environ.get(TERMINAL_VARIABLE, "0"))
     return Console(highlight=False, force_terminal=columns > 0, width=columns or PLAIN_WIDTH)
-
-
-def tell(text: str) -> None:
-    """Write what is being done, apart from the result."""
-    typer.echo(text, err=True)
 
 
 def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:

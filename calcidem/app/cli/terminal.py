@@ -5,17 +5,54 @@ import platform
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from io import TextIOWrapper
 from pathlib import Path
 
 from calcidem.storage.passwords import hide_passwords
+from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.version import __version__
 
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 """Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal answer."""
+
+
+QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
+"""Whether only results and errors are wanted; each command sets it."""
+
+VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
+"""Whether tracebacks of errors and the time that a command took are wanted, too."""
+
+
+def tell(text: str) -> None:
+    """Write what is being done, apart from the result."""
+    if not QUIET.get():
+        sys.stderr.write(printable(f"{text}\n"))
+        sys.stderr.flush()
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    """Give a function that is told how many of how many parts are done, for a bar on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=QUIET.get() or not console.is_terminal) as progress:
+        task = progress.add_task(title)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def be_plain_under_mpi() -> None:
+    """Have a rank write no colours and move no cursor unless the command that started it has a terminal.
+
+    mpirun gives its ranks a pseudo-terminal, also where a file or a pipe takes what they write.
+    """
+    if launcher() is not None and TERMINAL_VARIABLE not in os.environ:
+        os.environ["TERM"] = "dumb"
 
 
 def printable(text: object) -> str:

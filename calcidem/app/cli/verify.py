@@ -2,11 +2,12 @@
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
@@ -25,6 +26,7 @@ def verify_command(
     integrity: Annotated[
         bool, typer.Option("--integrity", help="Compute nothing: compare everything stored with its checksums.")
     ] = False,
+    layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
@@ -40,29 +42,37 @@ def verify_command(
     from calcidem.app.studies.verify import Agreement, random_cells, verify, worst_agreement
 
     if integrity:
-        _verify_integrity(database, campaign)
+        _verify_integrity(database, campaign, layout)
         return
     with open_campaign(database, campaign) as opened:
         keys = random_cells(opened.store, cells, choice)
         found = []
         for verification in verify(opened.store, keys, opened.experiment):
-            typer.echo(printable(_verification_line(verification)))
+            if layout is Format.TABLE:
+                typer.echo(printable(_verification_line(verification)))
             found.append(verification)
-    counts = Counter(verification.agreement for verification in found)
-    verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
-    typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
+    if layout is Format.TABLE:
+        counts = Counter(verification.agreement for verification in found)
+        verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
+        typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
+    else:
+        tell_rows([_verification_row(verification) for verification in found], layout)
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
     if code := codes[worst_agreement(found)]:
         raise typer.Exit(code)
 
 
-def _verify_integrity(database: str, campaign_name: str | None) -> None:
+def _verify_integrity(database: str, campaign_name: str | None, layout: Format) -> None:
     """Name all that is no longer what was stored; exit code 1 if there is any."""
     from calcidem.app.campaign.opened import open_campaign
 
     with open_campaign(database, campaign_name) as opened:
         found = opened.store.integrity()
         cells = len(opened.store.statuses())
+    if layout is not Format.TABLE:
+        rows = [{"seed": key.seed, "content": key.content, "damage": text} for key, text in found.cells.items()]
+        tell_rows([*rows, *({"seed": None, "content": None, "damage": text} for text in found.others)], layout)
+        raise typer.Exit(EXIT_ERROR if rows or found.others else 0)
     for key, damage in found.cells.items():
         typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
     for sentence in found.others:
@@ -74,6 +84,20 @@ def _verify_integrity(database: str, campaign_name: str | None) -> None:
         typer.echo(f"'calcidem export {database} OUT.nc' saves what is good; 'calcidem import' makes a database of it.")
     if found.cells or found.others:
         raise typer.Exit(EXIT_ERROR)
+
+
+def _verification_row(verification: "Verification") -> dict[str, Any]:
+    """What came of one cell."""
+    key, name = verification.stored.key, verification.most_different
+    size = verification.differences[name] if name else 0.0
+    return {
+        "seed": key.seed,
+        "content": key.content,
+        "agreement": verification.agreement.value,
+        "most_different": name,
+        "relative_difference": size,
+        "differences": dict(verification.differences),
+    }
 
 
 def _verification_line(verification: "Verification") -> str:

@@ -142,7 +142,7 @@ def test_no_command_writes_over_a_database(bench: Workbench, line: str) -> None:
 
 SHOWN = (
     "status",
-    "status --json",
+    "status --format json",
     "query --columns all",
     "query --format csv --columns reason,host",
     "verify",

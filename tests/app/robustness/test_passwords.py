@@ -124,7 +124,7 @@ def test_a_password_is_found_nowhere(workshop: "Workshop", server: str, postgres
     (workshop.folder / "c.toml").unlink()  # its words are the user's
     for *words, code in (
         ("report", address, "--files", "folder", 0),
-        ("status", address, "--json", 0),
+        ("status", address, "--format", "json", 0),
         ("status", address.replace("sand", "mud"), 2),
         ("status", address.replace("%40", "@"), 2),
         ("status", address, address, 2),

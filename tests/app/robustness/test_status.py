@@ -42,7 +42,7 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
         store.record_results([replace(cell, retry=why)], replace_done=True)
     history = f"done after 1 attempt, wave sent again with half the time step ({why})"
     assert f"seed 3, 5 %: {history}" in invoke("status", complete)
-    troubles = json.loads(invoke("status", complete, "--json"))["troubles"]
+    troubles = json.loads(invoke("status", complete, "--format", "json"))["troubles"]
     (trouble,) = (one for one in troubles if (one["seed"], one["content"]) == (3, 5.0))
     assert trouble["retry"] == why
     with open_campaign(complete) as campaign:
@@ -51,7 +51,7 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
 
 def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str]) -> None:
     """Mean, scatter, 95 % interval and time left in JSON are those computed from the cells by hand."""
-    told = json.loads(invoke("status", troubled, "--json"))
+    told = json.loads(invoke("status", troubled, "--format", "json"))
     with open_campaign(troubled) as campaign:
         cells = list(campaign.select(content=5.0, status="done"))
         computed = [cell.seconds for cell in campaign.select(content=5.0) if cell.seconds is not None]
@@ -69,7 +69,7 @@ def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str
 
 def test_seeds_for_a_half_width_are_told(complete: Path, invoke: Callable[..., str]) -> None:
     """The mean at each content needs the seeds that Student's t says; pending cells are not counted on."""
-    told = json.loads(invoke("status", complete, "--json", "--halfwidth", 20))
+    told = json.loads(invoke("status", complete, "--format", "json", "--halfwidth", 20))
     with open_campaign(complete) as campaign:
         vs = campaign.vs().sel(content=5.0).dropna("seed").to_numpy()
     (of_content,) = (row for row in told["contents"] if row["content"] == 5.0)
@@ -117,7 +117,7 @@ def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
 
 def test_watching_ends_when_all_is_settled(complete: Path, invoke: Callable[..., str]) -> None:
     """A complete campaign is shown once; as JSON it is one line."""
-    assert len(invoke("status", complete, "--watch", "--json").splitlines()) == 1
+    assert len(invoke("status", complete, "--watch", "--format", "json").splitlines()) == 1
 
 
 def test_a_living_master_is_seen(complete: Path) -> None:

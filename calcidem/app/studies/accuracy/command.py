@@ -15,10 +15,10 @@ from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json
 from calcidem.app.studies.accuracy.reference import measure_convergence
-from calcidem.app.studies.accuracy.report import accuracy_page, accuracy_tables, draw_error_against_run_time, name_of
+from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.scatter import SCATTER_SEEDS, quick_campaign, scatter_rows
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
-from calcidem.app.studies.accuracy.study import Study, cheapest, run_study
+from calcidem.app.studies.accuracy.study import Study, run_study
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
@@ -123,12 +123,9 @@ def accuracy(
     *,
     only: Sequence[str] = (),
     out: Path | None = None,
-    json: bool = False,
-    target: str | None = None,
-    say: Callable[[str], None],
     progress: Callable[[str], None] = lambda _: None,
-) -> None:
-    """Measure error against run time and say what came out.
+) -> Findings:
+    """Measure error against run time.
 
     Parameters
     ----------
@@ -138,28 +135,20 @@ def accuracy(
         Names of settings; with any, these and the default are compared with the reference and nothing else is measured.
     out
         Folder for the figure, ``accuracy.md`` and ``accuracy.json``.
-    json
-        Say JSON instead of tables.
-    target
-        Error of Vs, as in ``0.5%`` or ``0.005``: also says the cheapest setting that meets it.
-    say, progress
-        Told the result, and what is done.
+    progress
+        Told what is done.
 
     Raises
     ------
     ValueError
-        If the target is no positive number, or there is no setting of a name.
+        If there is no setting of a name.
     """
-    wanted = None if target is None else parse_target(target)
     findings = _compare_some(task, only, progress) if only else _measure_everything(task, progress)
     if out is not None:
         save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
         write_text_atomically(out / "accuracy.md", accuracy_page(findings))
         write_text_atomically(out / "accuracy.json", findings_json(findings))
-    say(findings_json(findings) if json else "\n\n".join(accuracy_tables(findings).values()))
-    if wanted is not None and not json:
-        chosen = cheapest(findings.study, wanted)
-        say(f"Cheapest setting with an error of at most {100 * wanted:g} %: {name_of(chosen)}")
+    return findings
 
 
 def _compare_some(task: Task, only: Sequence[str], progress: Callable[[str], None]) -> Findings:

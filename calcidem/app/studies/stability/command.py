@@ -1,15 +1,16 @@
 """The command `calcidem stability`: maps of extreme scenes, scenes drawn at random, limits, long runs, detection."""
 
-import json as to_json
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from calcidem.analysis.figures.style import save
 from calcidem.app.studies.stability.endurance import Endurance, endurance
 from calcidem.app.studies.stability.limits import Detection, Limits, detections, limits
 from calcidem.app.studies.stability.own_scenes import draw_own_scenes
-from calcidem.app.studies.stability.report import draw_maps, random_scene_tables, stability_tables
+from calcidem.app.studies.stability.report import draw_maps, stability_tables
 from calcidem.app.studies.stability.scenes import BOXES, Extreme, draw_scenes
 from calcidem.app.studies.stability.verdict import Judgement, judge_own_scene, judge_scene, packing_map, walks
 from calcidem.storage.files import write_text_atomically
@@ -47,11 +48,12 @@ class _Maps:
 def stability(
     *,
     out: Path | None = None,
-    json: bool = False,
-    say: Callable[[str], None],
     progress: Callable[[str], None] = lambda _: None,
-) -> None:
-    """Map what is stable, refused and detected; ``out`` takes ``stability.png``, ``.md`` and ``.json``."""
+) -> tuple[str, dict[str, Any]]:
+    """Map what is stable, refused and detected: tables, and the same for programs.
+
+    ``out`` takes ``stability.png``, ``.md`` and ``.json``.
+    """
     found = _Maps(
         walks=walks(progress=progress),
         packings=packing_map(progress=progress),
@@ -60,12 +62,11 @@ def stability(
         detections=detections(),
     )
     text = stability_tables(found.walks, found.packings, found.limits, found.endurance, found.detections)
-    as_json = to_json.dumps(asdict(found), indent=1)
     if out is not None:
         save(draw_maps(found.walks), out, "stability", ("png",))
         write_text_atomically(out / "stability.md", text)
-        write_text_atomically(out / "stability.json", as_json)
-    say(as_json if json else text)
+        write_text_atomically(out / "stability.json", json.dumps(asdict(found), indent=1))
+    return text, asdict(found)
 
 
 def _limits_at(contrast: float) -> tuple[Limits, ...]:
@@ -77,10 +78,8 @@ def random_scenes(
     count: int,
     draw: int,
     *,
-    json: bool = False,
-    say: Callable[[str], None],
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Judgement, ...]:
+) -> dict[str, list[Judgement]]:
     """Judge scenes drawn at random from each of the `scenes.BOXES`, and scenes of one's own of all kinds.
 
     Parameters
@@ -89,10 +88,13 @@ def random_scenes(
         Of the scenes of each box, and of one's own.
     draw
         Seed of the draw; another one draws other scenes.
-    json
-        Say JSON instead of a table.
-    say, progress
-        Told the result, and what is done.
+    progress
+        Told what is done.
+
+    Returns
+    -------
+    dict
+        Verdicts by box or kind, for `random_scene_tables`.
     """
     found: dict[str, list[Judgement]] = {}
     for box in BOXES:
@@ -103,6 +105,4 @@ def random_scenes(
                 progress(f"{box}: {len(found[box])} of {count}")
     for own in draw_own_scenes(count, draw):
         found.setdefault(own.kind, []).append(judge_own_scene(own))
-    data = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
-    say(to_json.dumps(data, indent=1) if json else random_scene_tables(found))
-    return tuple(judgement for row in found.values() for judgement in row)
+    return found

@@ -1,0 +1,55 @@
+"""`--format`: every command that answers in a table also answers in rows for programs."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from calcidem.app.cli.formats import Format, _as_csv, _as_parquet, _flat
+from calcidem.app.cli.main import build_application
+
+Invoke = Callable[..., str]
+
+ANSWERS = {
+    "status": ((), 5),
+    "query": ((), 40),
+    "show": (("--seed", "1", "--content", "5"), 1),
+    "compare": ((), 10),
+}
+"""Options of some commands, and rows of their answers on the tutorial's database."""
+
+
+@pytest.mark.parametrize("command", ANSWERS)
+def test_all_formats_have_the_same_rows(command: str, database: Path, invoke: Invoke) -> None:
+    """CSV, JSON and Parquet have as many rows, of the same cells; numbers are those of JSON to the last bit."""
+    options, count = ANSWERS[command]
+    words = [command, *[database] * (2 if command == "compare" else 1), *options, "--format"]
+    told = json.loads(invoke(*words, "json"))
+    rows = told["contents"] if command == "status" else told
+    table = list(csv.DictReader(io.StringIO(invoke(*words, "csv"))))
+    binary = CliRunner().invoke(build_application(), [*map(str, words), "parquet"])
+    frame = pd.read_parquet(io.BytesIO(binary.stdout_bytes))
+    assert len(rows) == len(table) == len(frame) == count
+    assert list(frame.columns) == list(table[0])
+    for row, line, content in zip(rows, table, frame["content"], strict=True):
+        assert row["content"] == float(line["content"]) == content
+
+
+def test_rows_of_different_names_have_all_columns() -> None:
+    """What a row lacks is empty; what has parts of its own is left out; a formula is no formula for a spreadsheet."""
+    rows = _flat([{"a": 1, "list": [1], "text": "=1"}, {"a": None, "b": float("nan")}], ())
+    assert _as_csv(rows, ()) == "a,text,b\n1,'=1,\n,,\n"
+    frame = pd.read_parquet(io.BytesIO(_as_parquet(rows, ())))
+    assert frame["a"].dtype == "Int64"
+
+
+def test_no_rows_have_columns(database: Path, invoke: Invoke) -> None:
+    """A query that finds nothing gives the names of its columns."""
+    words = ("query", database, "--where", "vs > 1e6", "--columns", "seed,vs", "--format")
+    assert invoke(*words, Format.CSV.value) == "seed,vs\n"
+    assert json.loads(invoke(*words, Format.JSON.value)) == []
