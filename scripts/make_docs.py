@@ -47,8 +47,8 @@ _COMMANDS = """# Command reference
 `DB` is a SQLite file or a database URL, `CONFIG` a TOML file. Exit codes: 0 complete, 75 stopped but resumable, 2 bad
 input, 1 anything else. `calcidem --install-completion` makes the shell complete commands and options.
 
-Every command takes `--quiet` (`-q`: results and errors only) and `--verbose` (`-v`: also times, and tracebacks of errors). `NO_COLOR=1`
-turns colours off. There are none where no terminal reads what is written.
+Every command takes `--quiet` (`-q`: results and errors only) and `--verbose` (`-v`: also times, and tracebacks of
+errors). `NO_COLOR=1` turns colours off. There are none where no terminal reads what is written.
 """
 
 

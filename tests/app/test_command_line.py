@@ -1,16 +1,19 @@
 """The command line: what it writes, what it refuses, and how it ends."""
 
 import os
+import pty
+import re
 import subprocess
 import sys
 import venv
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, get_type_hints
 
 import pytest
 import typer
 import xarray as xr
-from places import CHECKOUT
+from places import CHECKOUT, TUTORIAL
 
 import calcidem
 from calcidem.app.cli.main import PANELS, command_function
@@ -78,6 +81,48 @@ main()
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, check=True, env=os.environ | variables, capture_output=True, text=True)
     assert done.stdout.split() == found.split()
+
+
+def shown_on_a_terminal(arguments: list[str], **variables: str) -> str:
+    """What the command writes on a pseudo-terminal, with these variables."""
+    master, slave = pty.openpty()
+    names = {"CI", "FORCE_COLOR", "GITHUB_ACTIONS", "NO_COLOR"}
+    kept = {name: value for name, value in os.environ.items() if name not in names}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "calcidem", *arguments],
+        stdout=slave,
+        stderr=slave,
+        env=kept | {"PYTHONPATH": str(CHECKOUT), "TERM": "xterm-256color"} | variables,
+    )
+    os.close(slave)
+    shown = b""
+    with suppress(OSError):  # Linux ends a terminal that nobody writes any more with an error
+        while data := os.read(master, 1 << 16):
+            shown += data
+    os.close(master)
+    assert process.wait() == 0, shown
+    return shown.decode()
+
+
+def test_escape_codes_are_for_terminals() -> None:
+    """A terminal gets colours, with NO_COLOR none; a rank of mpirun, whose terminal is none, gets no escape at all."""
+    colour = re.compile(r"\x1b\[[0-9;]*3[0-7]m")
+    assert colour.search(shown_on_a_terminal(["run", "--help"]))
+    assert not colour.search(shown_on_a_terminal(["run", "--help"], NO_COLOR="1"))
+    assert "\x1b" not in shown_on_a_terminal(["run", "--help"], OMPI_COMM_WORLD_SIZE="3")
+
+
+def test_every_command_can_be_quiet_or_tell_more(workshop: "Workshop") -> None:
+    """--quiet leaves notes out, --verbose adds the time and the traceback of an error; both are results as before."""
+    workshop.configure()
+    (workshop.folder / "quick.db").write_bytes(TUTORIAL.read_bytes())
+    plain, told = (workshop.run("query", "quick.db", *options) for options in ((), ("--verbose",)))
+    assert told.output == plain.output
+    assert "calcidem query: " in told.errors
+    assert "s of CPU" in told.errors
+    failed = workshop.run("query", "none.db", "-v")
+    assert failed.code == 2
+    assert "Traceback" in failed.errors
 
 
 @pytest.mark.parametrize("name", COMMANDS)

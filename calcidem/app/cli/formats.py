@@ -72,12 +72,9 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
 
 def _flat(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:
     """Numbers and texts of rows, all with the same names."""
-    plain = [_plain(row) for row in rows]
-    left_out = {name for row in plain for name, value in row.items() if isinstance(value, dict | list)}
-    wanted = [
-        name for name in dict.fromkeys([*names, *(name for row in plain for name in row)]) if name not in left_out
-    ]
-    return [{name: row.get(name) for name in wanted} for row in plain]
+    left_out = {name for row in rows for name, value in row.items() if isinstance(value, Mapping | list | tuple)}
+    wanted = dict.fromkeys([*names, *(str(name) for row in rows for name in row if name not in left_out)])
+    return [{name: row.get(name) for name in wanted} for row in rows]
 
 
 def _as_csv(rows: Rows, names: Sequence[str]) -> str:
@@ -87,7 +84,7 @@ def _as_csv(rows: Rows, names: Sequence[str]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(rows[0] if rows else names)
-    writer.writerows([spreadsheet_value(value) for value in row.values()] for row in rows)
+    writer.writerows([spreadsheet_value(_plain(value)) for value in row.values()] for row in rows)
     return stream.getvalue()
 
 
@@ -100,8 +97,6 @@ def _as_parquet(rows: Rows, names: Sequence[str]) -> bytes:
         given = [row[name] for row in rows if row[name] is not None]
         if given and all(type(value) is int for value in given):
             frame[name] = pd.array([row[name] for row in rows], dtype="Int64")
-        elif given and all(isinstance(value, int | float) for value in given):
-            frame[name] = frame[name].astype(float)
     stream = io.BytesIO()
     try:
         frame.to_parquet(stream, index=False)

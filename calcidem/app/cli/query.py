@@ -137,14 +137,15 @@ def _headings(names: Sequence[str]) -> dict[str, bool]:
 
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
-    """Values of a column as Python's own, None where missing."""
+    """Values of a column as Python's own; NaN where a real number is missing, None where anything else is."""
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     kind = QUANTITY_BY_NAME[name].kind
     if kind == "text":
         return list(values)
-    number = int if kind == "whole" else float
-    return [None if math.isnan(value) else number(value) for value in values.tolist()]
+    if kind == "whole":
+        return [None if math.isnan(value) else int(value) for value in values.tolist()]
+    return [float(value) for value in values.tolist()]
 
 
 def _as_table(headings: Mapping[str, bool], rows: Rows, remark: str) -> str:
@@ -163,7 +164,7 @@ def _as_table(headings: Mapping[str, bool], rows: Rows, remark: str) -> str:
 
 def _format_value(value: object) -> str:
     """Value as people read it: six digits, the first line of a text, nothing where it is missing."""
-    if value is None:
+    if value is None or value != value:  # noqa: PLR0124 - NaN
         return ""
     if isinstance(value, float):
         return f"{value:.6g}"
