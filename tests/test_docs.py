@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import calcidem.storage.errors
 from calcidem.app.campaign.merge import MergeConflictError
-from calcidem.app.cli.main import COMMON_OPTIONS, PANELS, build_application
+from calcidem.app.cli.main import _COMMON_OPTIONS, PANELS, build_application
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import full_text, key_references, written
@@ -54,7 +54,7 @@ def test_the_command_reference_has_every_option() -> None:
     for name, section in rows.items():
         _, command, _ = group.resolve_command(context, [name])
         for parameter in command.params:
-            if parameter.param_type_name == "option" and parameter.name not in {"help", *COMMON_OPTIONS}:
+            if parameter.param_type_name == "option" and parameter.name not in {"help", *_COMMON_OPTIONS}:
                 assert f"| `{', '.join(parameter.opts)}" in section, (name, parameter.opts)
 
 

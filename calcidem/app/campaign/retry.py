@@ -10,7 +10,7 @@ from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
 
-RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
+_RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
 """Outcomes that another attempt may change; cells that are unstable or have no arrival give the same again."""
 
 
@@ -24,7 +24,7 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
     configuration
         Of a campaign that is in its database.
     outcomes
-        Of `RETRIABLE`.
+        Of `_RETRIABLE`.
 
     Raises
     ------

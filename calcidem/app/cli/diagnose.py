@@ -55,7 +55,7 @@ def diagnose_command(
     with read_campaign(database, campaign) as store:
         found = diagnose(store, Selection(seed, content), tell)
         if layout is not Format.TABLE:
-            tell_rows([_cell_row(diagnosis) for diagnosis in found], layout)
+            tell_rows([_diagnosis_row(diagnosis) for diagnosis in found], layout)
             return
         typer.echo(printable("\n".join(_overview_lines(store, found, chosen=bool(seed or content)))))
         shown = found if seed or content else found[:_MOST_SHOWN]
@@ -102,7 +102,7 @@ def _overview_lines(store: "Store", found: "Sequence[Diagnosis]", *, chosen: boo
         yield f"{others} more failed or ran out of time: 'calcidem run CONFIG --retry failed --retry timed_out'."
 
 
-def _cell_row(diagnosis: "Diagnosis") -> dict[str, Any]:
+def _diagnosis_row(diagnosis: "Diagnosis") -> dict[str, Any]:
     """What is known of a cell."""
     key, remedies = diagnosis.key, [str(remedy) for remedy in diagnosis.remedies]
     return {

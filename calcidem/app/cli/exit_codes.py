@@ -4,7 +4,7 @@ import errno
 import sys
 import traceback
 
-from calcidem.app.cli.terminal import VERBOSE, log_error, printable
+from calcidem.app.cli.terminal import IS_VERBOSE, log_error, printable
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.dem.sample.packing import PackingError, PackingFileError
 from calcidem.storage.errors import (
@@ -80,7 +80,7 @@ def tell_error(error: Exception) -> int:
             if path
             else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
         )
-    if VERBOSE.get():
+    if IS_VERBOSE.get():
         text += f"\n{''.join(traceback.format_exception(error))}"
     sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
     return _exit_code_of(error)

@@ -20,12 +20,12 @@ FormatOption = Annotated[
     Format, typer.Option("--format", help="A table for people, or rows for programs; parquet needs a file or a pipe.")
 ]
 
-Rows = Sequence[Mapping[Any, Any]]
-"""Rows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""
+RecordRows = Sequence[Mapping[Any, Any]]
+"""RecordRows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""
 
 
 def tell_rows(
-    rows: Rows, layout: Format, out: Path | None = None, *, names: Sequence[str] = (), whole: object = None
+    rows: RecordRows, layout: Format, out: Path | None = None, *, names: Sequence[str] = (), whole: object = None
 ) -> None:
     """Write rows as JSON, CSV or Parquet.
 
@@ -43,7 +43,9 @@ def tell_rows(
         What JSON has instead of the rows.
     """
     if layout is Format.JSON:
-        told: str | bytes = json.dumps(_plain(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
+        told: str | bytes = (
+            json.dumps(_json_value(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
+        )
     elif layout is Format.CSV:
         told = _as_csv(_flat(rows, names), names)
     else:
@@ -59,37 +61,37 @@ def tell_rows(
         typer.echo(printable(told) if isinstance(told, str) else told, nl=False)
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
+def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
     """A value with null for what JSON has no number for."""
     if isinstance(value, Mapping):
-        return {str(name): _plain(inner) for name, inner in value.items()}
+        return {str(name): _json_value(inner) for name, inner in value.items()}
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_json_value(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _flat(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:
+def _flat(rows: RecordRows, names: Sequence[str]) -> list[dict[str, Any]]:
     """Numbers and texts of rows, all with the same names."""
     left_out = {name for row in rows for name, value in row.items() if isinstance(value, Mapping | list | tuple)}
     wanted = dict.fromkeys([*names, *(str(name) for row in rows for name in row if name not in left_out)])
     return [{name: row.get(name) for name in wanted} for row in rows]
 
 
-def _as_csv(rows: Rows, names: Sequence[str]) -> str:
-    """Rows as CSV, with texts that no spreadsheet takes for formulas."""
+def _as_csv(rows: RecordRows, names: Sequence[str]) -> str:
+    """RecordRows as CSV, with texts that no spreadsheet takes for formulas."""
     from calcidem.storage.files import spreadsheet_value
 
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(rows[0] if rows else names)
-    writer.writerows([spreadsheet_value(_plain(value)) for value in row.values()] for row in rows)
+    writer.writerows([spreadsheet_value(_json_value(value)) for value in row.values()] for row in rows)
     return stream.getvalue()
 
 
-def _as_parquet(rows: Rows, names: Sequence[str]) -> bytes:
-    """Rows as Parquet; whole numbers stay whole where some are missing."""
+def _as_parquet(rows: RecordRows, names: Sequence[str]) -> bytes:
+    """RecordRows as Parquet; whole numbers stay whole where some are missing."""
     import pandas as pd
 
     frame = pd.DataFrame(list(rows), columns=list(rows[0]) if rows else list(names))

@@ -13,7 +13,14 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from calcidem.app.cli.terminal import QUIET, VERBOSE, be_plain_under_mpi, print_any_text, printable, strange_argument
+from calcidem.app.cli.terminal import (
+    IS_QUIET,
+    IS_VERBOSE,
+    be_plain_under_mpi,
+    print_any_text,
+    printable,
+    strange_argument,
+)
 from calcidem.storage.passwords import keep_passwords_back
 from calcidem.version import __version__
 
@@ -54,7 +61,7 @@ PANELS = {
 """What the list of all commands says of each."""
 
 
-COMMON_OPTIONS: dict[str, Any] = {
+_COMMON_OPTIONS: dict[str, Any] = {
     "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Write results and errors only.")],
     "verbose": Annotated[bool, typer.Option("--verbose", "-v", help="Also write times, and tracebacks of errors.")],
 }
@@ -152,8 +159,8 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
 
     @functools.wraps(function)
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
-        QUIET.set(quiet)
-        VERBOSE.set(verbose)
+        IS_QUIET.set(quiet)
+        IS_VERBOSE.set(verbose)
         begin = time.perf_counter()
         try:
             function(**given)
@@ -165,10 +172,10 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
     signature = inspect.signature(function)
     options = [
         inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
-        for option, annotation in COMMON_OPTIONS.items()
+        for option, annotation in _COMMON_OPTIONS.items()
     ]
     command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]  # which typer reads
-    command.__annotations__ = function.__annotations__ | COMMON_OPTIONS
+    command.__annotations__ = function.__annotations__ | _COMMON_OPTIONS
     return command
 
 

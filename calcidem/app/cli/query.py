@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
-from calcidem.app.cli.formats import Format, FormatOption, Rows, tell_rows
+from calcidem.app.cli.formats import Format, FormatOption, RecordRows, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
@@ -60,7 +60,7 @@ def query_command(
         names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
         found = find(database, selection, names, _split_list(sort), limit, campaign)
-        rows, headings = as_rows(found), _headings(names)
+        rows, headings = _as_rows(found), _headings(names)
         remark = pluralize(len(rows), "cell")
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
@@ -72,7 +72,7 @@ def query_command(
         write_text_atomically(out, _as_table(headings, rows, remark))
 
 
-def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[Rows, str]:
+def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
     """How path features of the selected cells go with Vs within one content, and how many cells these are."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
     from calcidem.app.campaign.patterns import with_patterns
@@ -102,14 +102,14 @@ def find(
         return store.table(columns, selection, sort=sort, limit=limit)
 
 
-def cell_row(database: str, seed: int, content: float, campaign_name: str | None) -> Mapping[str, Any]:
+def quantities_row(database: str, seed: int, content: float, campaign_name: str | None) -> Mapping[str, Any]:
     """All quantities of one cell; `UnknownCellError` if it has no outcome."""
     from calcidem.storage.records import QUANTITY_BY_NAME
     from calcidem.storage.sql.store import read_campaign
 
     with read_campaign(database, campaign_name) as store:
         store.cell(seed=seed, content=content)
-        return as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))[0]
+        return _as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))[0]
 
 
 def _split_list(text: str) -> list[str]:
@@ -117,7 +117,7 @@ def _split_list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def as_rows(columns: Columns) -> Rows:
+def _as_rows(columns: Columns) -> RecordRows:
     """Columns as rows."""
     values = (_plain_values(name, column) for name, column in columns.items())
     return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
@@ -148,8 +148,8 @@ def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
     return [float(value) for value in values.tolist()]
 
 
-def _as_table(headings: Mapping[str, bool], rows: Rows, remark: str) -> str:
-    """Rows in aligned columns; no wider than the numbers need."""
+def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:
+    """RecordRows in aligned columns; no wider than the numbers need."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
-from calcidem.app.cli.terminal import QUIET, VERBOSE, printable, tell
+from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -96,7 +96,7 @@ def run_command(
     if check or packing_only:
         if serve or retry:
             raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve" if serve else "--retry")
-        (_preview if check else _make_packing)(_read_overridden(configuration, overrides))
+        (_preview if check else _make_packing_alone)(_read_overridden(configuration, overrides))
         return
     if dask is not None and ranks is not None:
         raise typer.BadParameter("leave --ranks out: the workers of the cluster compute", param_hint="--dask")
@@ -115,8 +115,8 @@ def run_command(
             arguments += ["--output", str(output)] if output is not None else []
             arguments += ["--part", part] if part is not None else []
             arguments += ["--report"] if with_report else []
-            arguments += ["--quiet"] if QUIET.get() else []
-            arguments += ["--verbose"] if VERBOSE.get() else []
+            arguments += ["--quiet"] if IS_QUIET.get() else []
+            arguments += ["--verbose"] if IS_VERBOSE.get() else []
             launch = Launch(
                 arguments, ranks or default_ranks(), 3 if restarts is None else restarts, start_timeout, silence_timeout
             )
@@ -138,7 +138,7 @@ def _preview(configuration: "Configuration") -> None:
     typer.echo(printable("\n".join(preview_lines(configuration))))
 
 
-def _make_packing(configuration: "Configuration") -> None:
+def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.tables import packing_lines

@@ -7,7 +7,7 @@ from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import make_console, packing_lines, vs_table
-from calcidem.app.cli.terminal import QUIET, printable
+from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import parse_address
@@ -20,7 +20,7 @@ class TerminalView:
 
     def __init__(self, *, with_report: bool, one_process: bool) -> None:
         self.console = make_console()
-        self.quiet = QUIET.get()
+        self.quiet = IS_QUIET.get()
         self.one_process = one_process and launcher() is None
         self.with_report = with_report
 

@@ -39,9 +39,9 @@ def show_command(
             table.add_row(*(Text(printable(entry)) for entry in row))
         make_console().print(table)
     else:
-        from calcidem.app.cli.query import cell_row
+        from calcidem.app.cli.query import quantities_row
 
-        tell_rows([cell_row(database, seed, content, campaign)], layout)
+        tell_rows([quantities_row(database, seed, content, campaign)], layout)
     if out is not None:
         from calcidem.app.report.cell_figures import draw_cell
 

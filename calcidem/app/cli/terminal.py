@@ -20,16 +20,16 @@ _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if
 """Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal answer."""
 
 
-QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
+IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are wanted; each command sets it."""
 
-VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
+IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
 """Whether tracebacks of errors and the time that a command took are wanted, too."""
 
 
 def tell(text: str) -> None:
     """Write what is being done, apart from the result."""
-    if not QUIET.get():
+    if not IS_QUIET.get():
         sys.stderr.write(printable(f"{text}\n"))
         sys.stderr.flush()
 
@@ -41,7 +41,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=QUIET.get() or not console.is_terminal) as progress:
+    with Progress(console=console, transient=True, disable=IS_QUIET.get() or not console.is_terminal) as progress:
         task = progress.add_task(title)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from calcidem.analysis.features import FEATURES
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.cli.query import as_rows, find
+from calcidem.app.cli.query import _as_rows, find
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.store import Selection
@@ -115,7 +115,7 @@ def test_no_text_gets_through_as_sql(campaign: Campaign, where: str, name: str) 
         except QueryError:
             continue
         assert all(len(values) <= everything for values in found.values())
-        json.dumps(as_rows(found))
+        json.dumps(_as_rows(found))
     assert digest(campaign.store.address.path) == before  # type: ignore[attr-defined]  # as above
 
 
