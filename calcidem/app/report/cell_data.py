@@ -201,7 +201,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
         "unit": "m/s",
         "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
     }
-    for name in ("sent", "received"):
+    for name in ("transmitted", "received"):
         values = getattr(arrival, name)
         largest = float(np.abs(values).max()) or 1.0
         described[name] = {"largest": float(f"{largest:.4g}"), "steps": _steps(values[::stride] / largest * _LEVELS)}
