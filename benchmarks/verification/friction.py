@@ -104,7 +104,7 @@ def _damped(alpha: float) -> tuple[Floats, Floats, float]:
 
 @check(
     "Oscillator with local damping: each half cycle shrinks by sqrt((1 - alpha) / (1 + alpha)); alpha 0.05 to 0.9",
-    source="energy of the half cycles: (1 - alpha) A^2 on the way in is (1 + alpha) A'^2 on the way out", tolerance=4e-4,
+    source="energy of the half cycles", tolerance=4e-4,
     reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 4e-5 times a few", quick=True,
 )  # fmt: skip
 def _decay() -> float:

@@ -119,10 +119,7 @@ def _oblique_errors(steps: int) -> Floats:
     return np.array(errors) / 0.6
 
 
-_MINDLIN = (
-    "Hertz, Mindlin and Deresiewicz (1953), doi:10.1115/1.4010702, Coulomb; adaptive integration (scipy DOP853) that "
-    "finds the moments of stick and slip as events"
-)
+_MINDLIN = "Hertz, Mindlin and Deresiewicz (1953), doi:10.1115/1.4010702, Coulomb; adaptive integration with events of stick and slip"
 
 
 @check(

@@ -18,7 +18,9 @@ _RADIUS = 1.2e-3
 _STEPS = 19
 _LAYERS = 20
 SQUARE, HEXAGONAL = 4, 6
-_MATRIX = "dynamical matrix of x, y and rotation, written for a lattice without end: Suiker, Metrikine and de Borst (2001), doi:10.1016/S0020-7683(00)00104-9"
+_MATRIX = (
+    "dynamical matrix of an infinite lattice: Suiker, Metrikine and de Borst (2001), doi:10.1016/S0020-7683(00)00104-9"
+)
 
 
 def _neighbours(kind: int) -> Floats:
@@ -114,7 +116,7 @@ def _hexagonal() -> float:
 
 
 @check(
-    "Hexagonal lattice under pressure, finite displacement: the same, with what loaded contacts push sideways when they turn",
+    "Hexagonal lattice under pressure, finite displacement: the same, with the lateral force of turning contacts",
     source=_MATRIX + ", with -F_n / a for turning normals", tolerance=1e-5,
     reason="amplitude 1e-6 of the overlap; leaving the pressure out would cost 2e-3",
 )  # fmt: skip

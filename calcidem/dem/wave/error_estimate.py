@@ -50,12 +50,12 @@ class ErrorParts(NamedTuple):
         of an interval. The factor is half as large again as the largest shift found.
     regime
         See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. Small and linear displacement also keep gaps open
-        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Gaps that
-        close").
+        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Regime
+        over the amplitude of the pulse").
     slip
         See `_slip_error`.
     precision
-        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob"). It also adds the part
+        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds the part
         2^-24 of the forces that the packing carries, which go with its overlap, to those of the wave, which go with
         the stroke of the pulse and the part of its amplitude that is received.
     noise
