@@ -179,14 +179,14 @@ def test_a_swing_that_one_three_times_as_large_follows_is_a_precursor(ratio: flo
     along = at_receiver(total(small, large))
     across = at_receiver(total(wave(4.0, 0.08, 2.0), wave(4.0 + apart, -0.02 * ratio, 2.0)))
     found = prepare(section(total(wave(12.0), across), along, duration=30.0), 0.3)
-    time = (found.p_top[-1] + 0.3) / 40.0
+    time = (found.p_peak[-1] + 0.3) / 40.0
     assert time == pytest.approx(4.5 if first else 4.5 + apart, abs=0.06)
     if first:
         assert found.p_share[-1] == pytest.approx(0.4, abs=0.02)
     else:
         assert found.p_share[-1] < 0.1
-    assert (found.p_top[:-1] == -1).all()
-    assert found.p_end[-1] > found.p_top[-1]
+    assert (found.p_peak[:-1] == -1).all()
+    assert found.p_end[-1] > found.p_peak[-1]
 
 
 def test_a_share_does_not_jump_with_the_sampling() -> None:

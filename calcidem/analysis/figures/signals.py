@@ -27,7 +27,7 @@ METHOD_STYLES = {
     "first_arrival": ("first arrival", GREEN, "o"),
     "cross_correlation": ("cross-correlation", ORANGE, "s"),
 }
-"""Label, colour and marker of each way to read the arrival; names as in the stored quantities vs_*."""
+"""Label, colour and marker of each method of reading; names as in the stored quantities vs_*."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

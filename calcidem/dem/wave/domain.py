@@ -52,7 +52,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
     Parameters
     ----------
     packing, rule
-        What the wave is sent through, and how. The whole packing is kept where the layers damp by less than 1, and
+        What the wave crosses, and how. The whole packing is kept where the layers damp by less than 1, and
         where the rule says so.
     installation
         Of the bonds. Those that change the contact forces let the whole packing settle anew.

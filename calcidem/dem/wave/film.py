@@ -1,4 +1,4 @@
-"""A wave on its way: velocities of all disks at even times, beside the signals that a measurement records."""
+"""A propagating wave: velocities of all disks at even times, beside the signals that a measurement records."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The pulse that is sent into a sample: its shape, and the frequency that suits a calcite content."""
+"""The transmitted pulse: its shape, and the frequency that suits a calcite content."""
 
 from dataclasses import dataclass
 

@@ -21,8 +21,8 @@ import numpy as np
 from calcidem.dem.engine.fields import PositivePart, require_fields
 from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.wave.maxima import falls_through, find_maxima, parabola_vertex
 from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
@@ -237,7 +237,7 @@ class _Prepared(NamedTuple):
         (X,) places over the distance.
     period, peak
         Duration of the pulse and time of its peak.
-    p_top, p_end, p_share
+    p_peak, p_end, p_share
         (X,) peak and end of the P wave's first swing, and motion across over along in it; -1 where there is none yet.
     """
 
@@ -246,7 +246,7 @@ class _Prepared(NamedTuple):
     parts: Floats
     period: float
     peak: float
-    p_top: Integers
+    p_peak: Integers
     p_end: Integers
     p_share: Floats
 
@@ -256,9 +256,9 @@ def prepare(section: Section, smoothing: float) -> _Prepared:
     half = smoothing * section.period
     across, along = (smooth(motion * RESOLUTION, half) for motion in (section.across, section.along))
     swings = [_first_swing(u, a, section.period) for u, a in zip(across.T, along.T, strict=True)]
-    top, end, share = (np.array(column) for column in zip(*swings, strict=True))
+    peak, end, share = (np.array(column) for column in zip(*swings, strict=True))
     parts = np.array(section.places) / section.distance
-    return _Prepared(across, along, parts, section.period, section.transmitted_peak, top, end, share)
+    return _Prepared(across, along, parts, section.period, section.transmitted_peak, peak, end, share)
 
 
 def smooth(motion: Floats, half_width: float) -> Floats:
@@ -282,34 +282,34 @@ def smooth(motion: Floats, half_width: float) -> Floats:
 def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int, float]:
     """Peak, end and share of the first swing along the path at one station; -1 where none is known yet."""
     swing, soon = np.abs(along), int(period)
-    for top in find_tops(swing).tolist():
-        if swing[top] < SILENCE or top + soon >= len(swing):
+    for peak in find_maxima(swing).tolist():
+        if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
-        if swing[top : top + soon].max() > _LARGER_SWING * swing[top]:
+        if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
             continue
         # The last sample counts as far as the peak lies behind it: the share does not jump with the sampling.
-        weight = along[: top + 1].copy()
-        weight[-1] *= 0.5 + parabola_vertex(swing, top)
-        share = np.sum(weight * across[: top + 1]) / np.sum(weight * along[: top + 1])
-        over = along[top:] * along[top] <= 0.0
-        end = top + int(over.argmax()) if over.any() else len(along)
-        return top, end, float(np.clip(share, -_STEEPEST, _STEEPEST))
+        weight = along[: peak + 1].copy()
+        weight[-1] *= 0.5 + parabola_vertex(swing, peak)
+        share = np.sum(weight * across[: peak + 1]) / np.sum(weight * along[: peak + 1])
+        over = along[peak:] * along[peak] <= 0.0
+        end = peak + int(over.argmax()) if over.any() else len(along)
+        return peak, end, float(np.clip(share, -_STEEPEST, _STEEPEST))
     return -1, -1, 0.0
 
 
 def _without_p(prepared: _Prepared, before: Floats) -> Floats:
     """Motion across (T, X) without the first swings of P that peak before these samples (X,)."""
     sample = np.arange(len(prepared.across))[:, None]
-    taken = (prepared.p_top >= 0) & (prepared.p_top <= before) & (sample < prepared.p_end)
+    taken = (prepared.p_peak >= 0) & (prepared.p_peak <= before) & (sample < prepared.p_end)
     return prepared.across - np.where(taken, prepared.p_share * prepared.along, 0.0)
 
 
 def _receiver_peaks(prepared: _Prepared) -> list[int]:
     """Peaks of the receiver after the transmitted one: as they are up to the P wave's, and without it from there on."""
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))[:, -1]
-    top, whole = int(prepared.p_top[-1]), prepared.across[:, -1]
-    found = [i for i in find_tops(whole).tolist() if (top < 0 or i < top) and whole[i] > SILENCE]
-    found += [i for i in find_tops(clean).tolist() if i >= top >= 0 and clean[i] > SILENCE]
+    peak, whole = int(prepared.p_peak[-1]), prepared.across[:, -1]
+    found = [i for i in find_maxima(whole).tolist() if (peak < 0 or i < peak) and whole[i] > SILENCE]
+    found += [i for i in find_maxima(clean).tolist() if i >= peak >= 0 and clean[i] > SILENCE]
     return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
@@ -376,7 +376,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
     if max(loudest, float(tail[-1])) < SILENCE:
         return True
-    if (prepared.p_top < 0).any():
+    if (prepared.p_peak < 0).any():
         return False
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
     now = (1.0 - _STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
@@ -409,7 +409,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
     if coherence < LEAST_COHERENCE or rival > coherence:
         return None
     whole = prepared.across[:horizon, -1]
-    with_p = [i + parabola_vertex(whole, i) for i in find_tops(whole).tolist() if i > prepared.peak]
+    with_p = [i + parabola_vertex(whole, i) for i in find_maxima(whole).tolist() if i > prepared.peak]
     shifted = min((abs(other - time) for other in with_p), default=travel) / travel
     began, ended = falls_through(clean[:, -1], index, 0.9 * float(clean[index, -1]))
     rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
@@ -478,7 +478,7 @@ def _largest(clean: Floats) -> Floats:
 def _coherences(prepared: _Prepared, clean: Floats, index: int, travel: float) -> tuple[float, float]:
     """Coherence of a peak of the receiver, and the largest one of all others."""
     largest, rivals = _largest(clean), []
-    for other in find_tops(clean[:, -1]).tolist():
+    for other in find_maxima(clean[:, -1]).tolist():
         if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
             apart = other + parabola_vertex(clean[:, -1], other) - prepared.peak
             rivals.append(_coherence(prepared, clean, largest, apart))
@@ -500,11 +500,11 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
     place, time = [], []
     for station, part in enumerate(prepared.parts[:-1].tolist()):
         wanted = prepared.peak + travel * part
-        tops = [i + parabola_vertex(clean[:, station], i) for i in find_tops(clean[:, station]).tolist()]
-        near = [top for top in tops if abs(top - wanted) < 0.25 * prepared.period]
+        peaks = [i + parabola_vertex(clean[:, station], i) for i in find_maxima(clean[:, station]).tolist()]
+        near = [peak for peak in peaks if abs(peak - wanted) < 0.25 * prepared.period]
         if near:
             place.append(part)
-            time.append(min(near, key=lambda top: abs(top - wanted)))
+            time.append(min(near, key=lambda peak: abs(peak - wanted)))
     if len(place) < _FEWEST_STATIONS:
         return None
     x, t = np.array(place), np.array(time)

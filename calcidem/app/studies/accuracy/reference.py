@@ -1,4 +1,4 @@
-"""The converged reference of each cell, how far another way of computing it is off, and the order of convergence."""
+"""The converged reference of each cell, the error of other settings, and the order of convergence."""
 
 import itertools
 from collections.abc import Sequence
@@ -252,7 +252,7 @@ def measure_convergence(
     experiment, content, seeds
         What to measure.
     velocity
-        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been heard.
+        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been received.
     damped, regime
         See `Convergence`.
     lanes

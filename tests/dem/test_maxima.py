@@ -1,4 +1,4 @@
-"""Tops of signals, how broad they are, and where they are between samples."""
+"""Maxima of signals, their widths, and their places between samples."""
 
 import numpy as np
 import pytest
@@ -6,24 +6,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import find_peaks, peak_widths
 
-from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
+from calcidem.dem.wave.maxima import falls_through, find_maxima, parabola_vertex
 
 
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("levels", [0, 4])
-def test_tops_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> None:
-    """Tops, level ones too, and their widths are what SciPy finds in random signals of any length."""
+def test_maxima_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> None:
+    """Maxima, level ones too, and their widths are what SciPy finds in random signals of any length."""
     generator = np.random.default_rng(7)
     for size in (1, 2, 3, 40, 300):
         signal = generator.normal(size=size)
         signal = np.cumsum(signal) if smooth else signal
         signal = np.round(signal * levels) if levels else signal
-        tops = find_tops(signal)
-        assert tops.tolist() == find_peaks(signal)[0].tolist()
-        if not len(tops):
+        peaks = find_maxima(signal)
+        assert peaks.tolist() == find_peaks(signal)[0].tolist()
+        if not len(peaks):
             continue
-        _, height, began, ended = peak_widths(signal, tops, rel_height=0.5)
-        found = [falls_through(signal, *top) for top in zip(tops.tolist(), height.tolist(), strict=True)]
+        _, height, began, ended = peak_widths(signal, peaks, rel_height=0.5)
+        found = [falls_through(signal, *peak) for peak in zip(peaks.tolist(), height.tolist(), strict=True)]
         assert found == list(zip(began.tolist(), ended.tolist(), strict=True))
 
 

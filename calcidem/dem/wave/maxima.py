@@ -1,4 +1,4 @@
-"""Tops of a signal and how broad they are, in plain arithmetic.
+"""Local maxima of a signal and their widths, in plain arithmetic.
 
 They are what `scipy.signal` calls peaks and widths, to the last bit; it takes longer to load than a campaign to start.
 """
@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats, Integers
 
 
-def find_tops(signal: Floats) -> Integers:
+def find_maxima(signal: Floats) -> Integers:
     """Samples of the local maxima of a signal (T,), in order; of a level one the middle, or the one before it."""
     changes = (signal[1:] != signal[:-1]).nonzero()[0]
     begin, end = np.concatenate([[0], changes + 1]), np.concatenate([changes, [len(signal) - 1]])
@@ -17,11 +17,11 @@ def find_tops(signal: Floats) -> Integers:
     return np.asarray((begin[1:-1][above] + end[1:-1][above]) // 2)
 
 
-def falls_through(signal: Floats, top: int, level: float) -> tuple[float, float]:
-    """Where a signal falls through a level on either side of a top, in samples; its ends where it does not."""
+def falls_through(signal: Floats, peak: int, level: float) -> tuple[float, float]:
+    """Where a signal falls through a level on either side of a peak, in samples; its ends where it does not."""
     low = signal <= level
-    left = top - int(low[top::-1].argmax()) if low[: top + 1].any() else 0
-    right = top + int(low[top:].argmax()) if low[top:].any() else len(signal) - 1
+    left = peak - int(low[peak::-1].argmax()) if low[: peak + 1].any() else 0
+    right = peak + int(low[peak:].argmax()) if low[peak:].any() else len(signal) - 1
     before, behind = float(left), float(right)
     if signal[left] < level:
         before += float((level - signal[left]) / (signal[left + 1] - signal[left]))
