@@ -326,7 +326,7 @@ class Campaign(Closable):
                 "component": ["across", "along"],
             },
             name="velocity",
-            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency, "aperture": found.aperture},
+            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency},
         )
 
     def packing(self, index: int = 0) -> PackingRecord:

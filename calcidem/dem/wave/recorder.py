@@ -86,8 +86,6 @@ class Recorder:
     listeners, places
         Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
         receiver; and their paths, see `Section.places`.
-    aperture
-        Half the height of the transmitter, m.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -111,7 +109,6 @@ class Recorder:
     stride: int
     listeners: tuple[Integers, ...]
     places: tuple[float, ...]
-    aperture: float
     driven_disks: Integers
     samples: int
     longest: float
@@ -218,7 +215,6 @@ class Recorder:
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,
-            aperture=self.aperture,
             places=self.places,
             across=across,
             along=along,
