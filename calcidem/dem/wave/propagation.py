@@ -108,7 +108,6 @@ def prepare_recorder(
             np.sort(rank[disks]) for disks in (*station_disks(packing, rule), listening_disks(packing, rule))
         ),
         places=experiment.places,
-        aperture=rule.transmitter_half_width,
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),

@@ -87,8 +87,6 @@ class Recorder:
     listeners, places
         Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
         receiver; and their paths, see `Section.places`.
-    aperture
-        Half the height of the transmitter, m.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -112,7 +110,6 @@ class Recorder:
     stride: int
     listeners: tuple[Integers, ...]
     places: tuple[float, ...]
-    aperture: float
     driven_disks: Integers
     samples: int
     longest: float
@@ -219,7 +216,6 @@ class Recorder:
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,
-            aperture=self.aperture,
             places=self.places,
             across=across,
             along=along,
