@@ -138,7 +138,7 @@ for _case in _CASES:
 
 
 @check(
-    "Unequal bond breaks at its strength: shear under pressure and under tension, friction angle 35 degrees",
+    "Unequal bond breaks at its strength: shear, friction angle 35 degrees",
     source=_STRENGTH, tolerance=2e-4, reason=_ONE_STEP, quick=True,
 )  # fmt: skip
 def _frictional_strength() -> float:

@@ -116,7 +116,7 @@ def _hexagonal() -> float:
 
 
 @check(
-    "Hexagonal lattice under pressure, finite displacement: the same, with the lateral force of turning contacts",
+    "Hexagonal lattice under pressure, finite displacement: the same",
     source=_MATRIX + ", with -F_n / a for turning normals", tolerance=1e-5,
     reason="amplitude 1e-6 of the overlap; leaving the pressure out would cost 2e-3",
 )  # fmt: skip
@@ -151,7 +151,8 @@ def _stiffness_over_mass() -> tuple[float, float]:
 
 
 @check(
-    "Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions",
+    # Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions.
+    "Hexagonal lattice: speeds of long S and P waves",
     source="continuum limit; the arms cancel for disks that turn freely", tolerance=2e-4,
     reason="waves of 200 spacings: (q a)^2 / 24 to / 8 = 4e-5 to 1.2e-4", quick=True,
 )  # fmt: skip
@@ -162,7 +163,8 @@ def _hexagonal_speeds() -> float:
 
 
 @check(
-    "Square lattice: c_p^2 = k_n a^2 / m and c_s^2 = k_s a^2 / (2 m) along its axes",
+    # Square lattice: c_p^2 = k_n a^2 / m and c_s^2 = k_s a^2 / (2 m) along its axes.
+    "Square lattice: speeds of long S and P waves along its axes",
     source="continuum limit; half the shear goes into rotation", tolerance=2e-4,
     reason="waves of 200 spacings, as above", quick=True,
 )  # fmt: skip
