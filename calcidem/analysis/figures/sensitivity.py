@@ -203,7 +203,7 @@ class StudyFigure:
     title
         In a few words.
     caption
-        What is to be seen, in sentences.
+        What the figure shows, in sentences.
     draw
         Draws it from the study's result.
     """

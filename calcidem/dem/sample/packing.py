@@ -26,7 +26,7 @@ class PackingError(RuntimeError):
 
 
 class PackingFileError(PackingError):
-    """A file that is no packing; the message names file, line and cure."""
+    """A file that is no packing; the message names file, line and remedy."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ _BREAKING = 2.0  # see `_breaking_error`
 
 _USUAL_STEP = 7.5e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
-_USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
+_USUAL_ROUGHNESS = 0.25  # the same over what smoothing removes
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)

@@ -45,7 +45,7 @@ def film_wave(
     lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> WaveFilm:
-    """Send a pulse through one sample, and look at its disks at even times.
+    """Transmit a pulse through one sample, and record its disks at even times.
 
     Parameters
     ----------

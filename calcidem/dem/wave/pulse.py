@@ -98,7 +98,7 @@ def excitation_frequency(content: float) -> float:
 
 
 def cutoff_frequency(stiffness: float, mass: float) -> float:
-    """Highest frequency that a chain of grains passes on, Hz.
+    """Cut-off frequency of a chain of grains, Hz.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ LEAST_COHERENCE = 0.5
 """Smallest stack of an S wave: the mean over all stations of its amplitude over the largest one."""
 
 P_TO_S = 2.1
-"""Largest ratio of the speeds of P and S wave: up to so many travel times of a P wave the S wave may still come."""
+"""Largest ratio of P to S wave speed: the S wave arrives within this multiple of the P wave's travel time."""
 
 _STRETCH = 0.04
 """The line of a peak may be faster or slower by this part: the last grains delay or advance the receiver."""
@@ -49,7 +49,7 @@ _FEWEST_STATIONS = 4
 """Stations that have to see the crest for a velocity of the path: fewer tell no line from a bend."""
 
 _SMOOTHING = 0.3
-"""Half-width of the window of smoothing, of the period: grains pass on little of what is shorter."""
+"""Half-width of the window of smoothing, of the period: little of a shorter duration propagates through grains."""
 
 _LARGEST_ERROR = 0.25
 """Standard error of a reading above which it is refused; a smaller bound refuses more fast samples than slow ones."""
@@ -127,7 +127,7 @@ class ShearArrival:
         Root of the mean square distance of the other peaks from this one by their odds of being the S wave, over the
         travel time, see `_tie`.
     roughness
-        What smoothing takes away from the receiver's motion (rms) until a period after the peak, over its amplitude.
+        Motion of the receiver that smoothing removes (rms) until a period after the peak, over its amplitude.
     path_velocity, path_scatter
         Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
         stations about their line; None where fewer than `_FEWEST_STATIONS` saw it.
