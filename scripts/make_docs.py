@@ -170,9 +170,9 @@ campaign is computed. Those of the error budget follow from others ([reading](re
 
 def quantities_page() -> str:
     """Page with a table of the quantities of a cell, and one of its arrays."""
-    lines = ["| name | type | unit | meaning | from |", "|---|---|---|---|---|"]
+    lines = ["| name | unit | meaning | from |", "|---|---|---|---|"]
     for quantity in QUANTITY_BY_NAME.values():
-        texts = quantity.kind, quantity.unit, _cell(quantity.meaning), quantity.origin
+        texts = quantity.unit, _cell(quantity.meaning), quantity.origin
         lines.append(f"| `{quantity.name}` | {' | '.join(texts)} |")
     lines += ["", "## Arrays", "", "| name | array | along | unit | meaning |", "|---|---|---|---|---|"]
     for name, kind in ARRAY_RECORDS.items():

@@ -250,8 +250,8 @@ CAMPAIGN_FIGURES = (
     ),
     CampaignFigure(
         "methods",
-        "Three ways to read the arrival",
-        "Median and central 80 % of the samples for each way to read the travel time.",
+        "Three methods to read the arrival",
+        "Median and central 80 % of the samples for each method to read the travel time.",
         _plot_methods,
     ),
     CampaignFigure(
