@@ -4,6 +4,7 @@
 
 replaces, in docs/accuracy.md, what stands between ``<!-- NAME -->`` and ``<!-- end -->`` by the table of that name in
 DIR/accuracy.md, copies the figure, and writes the errors of each cell to calcidem/app/studies/accuracy/measured.json.
+Rows that the page leaves out stay out.
 """
 
 import json
@@ -23,7 +24,7 @@ def publish(folder: Path) -> None:
     tables = dict(_TABLE.findall((folder / "accuracy.md").read_text()))
     page = _PAGE.read_text()
     missing = [name for name, _ in _TABLE.findall(page) if name not in tables]
-    _PAGE.write_text(_TABLE.sub(lambda found: _marked(found[1], tables.get(found[1], found[2])), page))
+    _PAGE.write_text(_TABLE.sub(lambda found: _marked(found, tables), page))
     shutil.copy(folder / "accuracy.png", _PAGE.with_name("accuracy.png"))
     found = json.loads((folder / "accuracy.json").read_text())
     kept = ("setting", "seed", "content", "vs_error")
@@ -33,9 +34,19 @@ def publish(folder: Path) -> None:
     print(f"taken over: {', '.join(tables)}; left as it was: {', '.join(missing) or 'nothing'}")
 
 
-def _marked(name: str, table: str) -> str:
-    """Table between its marks."""
-    return f"<!-- {name} -->\n{table}\n<!-- end -->"
+def _marked(found: re.Match[str], tables: dict[str, str]) -> str:
+    """Table of a page between its marks: the new one, without the rows that the page leaves out."""
+    name, old = found[1], found[2]
+    new = tables.get(name, old)
+    kept, offered = _first_cells(old), _first_cells(new)
+    if kept < offered:
+        new = "\n".join(line for line in new.splitlines() if line.split(" | ")[0] not in offered - kept)
+    return f"<!-- {name} -->\n{new}\n<!-- end -->"
+
+
+def _first_cells(table: str) -> set[str]:
+    """First cells of the rows of a table."""
+    return {line.split(" | ")[0] for line in table.splitlines() if line.startswith("| ")}
 
 
 if __name__ == "__main__":

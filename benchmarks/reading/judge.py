@@ -103,7 +103,6 @@ def recorded(known: Section, samples_per_period: int = _SAMPLES_PER_PERIOD) -> s
         start_time=float(known.times[stride - 1]),
         frequency=known.frequency,
         amplitude=known.amplitude,
-        aperture=min(1e6, known.aperture / known.frequency * known.velocity),
         places=tuple((known.places * known.distance).tolist()),
         across=across,
         along=along,

@@ -10,7 +10,8 @@ from table import check
 from calcidem.dem import Bonds, Cement, Scene, State, advance, contact_forces, start
 
 _BEAM = Cement(bond_modulus=5.0e9, bond_stiffness_ratio=3.3)
-_STATICS = "statics of a chain of springs: w = n P / k_s + P a^2 / k_t n (4 n^2 - 1) / 12, rotation P a n^2 / (2 k_t)"
+# w = n P / k_s + P a^2 / k_t n (4 n^2 - 1) / 12, rotation P a n^2 / (2 k_t).
+_STATICS = "statics of a chain of springs"
 
 
 @cache
@@ -65,7 +66,8 @@ def _finite_beam() -> float:
 _RADII = np.array([1.1e-3, 1.7e-3])
 _WEAK = Cement(3.1e8, 1.7, tensile_strength=2.0e3, cohesion=2.1e3, friction_angle=35.0)
 _STEPS = 8000
-_STRENGTH = "beam of unit thickness, sigma = -F / A + M R_b / I and the size of F_s / A against c + tan(phi) F / A: Potyondy and Cundall (2004), doi:10.1016/j.ijrmms.2004.09.011"
+# sigma = -F / A + M R_b / I, and the size of F_s / A against c + tan(phi) F / A.
+_STRENGTH = "beam of unit thickness: Potyondy and Cundall (2004), doi:10.1016/j.ijrmms.2004.09.011"
 
 
 def _strained(apart: float, slide: float, twist: float) -> State:
@@ -130,13 +132,13 @@ def _break_error(case: str) -> float:
 
 for _case in _CASES:
     check(
-        f"Bond between unequal disks breaks at its strength: {_case}", source=_STRENGTH, tolerance=2e-4,
+        f"Unequal bond breaks at its strength: {_case}", source=_STRENGTH, tolerance=2e-4,
         reason=_ONE_STEP, quick=True,
     )(lambda case=_case: _break_error(case))  # type: ignore[misc]  # fmt: skip
 
 
 @check(
-    "Bond between unequal disks breaks at its strength: shear under pressure and under tension, friction angle 35 degrees",
+    "Unequal bond breaks at its strength: shear, friction angle 35 degrees",
     source=_STRENGTH, tolerance=2e-4, reason=_ONE_STEP, quick=True,
 )  # fmt: skip
 def _frictional_strength() -> float:

@@ -60,7 +60,7 @@ def _content_by_quadrature(kind: "np.ndarray") -> float:
 
 
 @check(
-    "Calcite of the contacts by Eq. 2 with clusters, where each contact counts once", source="same quadrature", tolerance=1e-9,
+    "Calcite of the contacts by Eq. 2 with clusters", source="same quadrature", tolerance=1e-9,
     reason="rounding of Eq. 2", quick=True,
 )  # fmt: skip
 def _clusters() -> float:

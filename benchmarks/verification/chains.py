@@ -13,7 +13,7 @@ _MASS = float(GRAIN.mass(_RADIUS))
 
 
 @check(
-    "Nesterenko's solitary wave in a chain of touching disks: its speed from its peak speed",
+    "Nesterenko's solitary wave: speed from peak speed",
     source="Nesterenko (1983), doi:10.1007/BF00905892; constant from the exact travelling wave, English and Pego (2005), doi:10.1090/S0002-9939-05-07851-2",
     tolerance=1e-5, reason="80 steps a disk: errors of speed and peak cancel but for higher orders", quick=True,
 )  # fmt: skip
@@ -58,7 +58,8 @@ def grid_frequency(signal: Floats, dt: float) -> float:
 
 
 @check(
-    "Chain: dispersion on the leapfrog grid, sin(omega dt / 2) = dt sqrt(k / m) sin(q a / 2), all 23 modes",
+    # Chain: dispersion on the leapfrog grid, sin(omega dt / 2) = dt sqrt(k / m) sin(q a / 2), all 23 modes.
+    "Chain: dispersion on the leapfrog grid, all 23 modes",
     source="Brillouin, Wave Propagation in Periodic Structures (1946)", tolerance=1e-10, reason="rounding over 300 steps",
     quick=True,
 )  # fmt: skip
@@ -78,7 +79,8 @@ def _dispersion() -> float:
 
 
 @check(
-    "Precompressed Hertz chain, finite displacement: long-wave speed a sqrt(3/2 h d^0.5 / m), forces over 6 decades",
+    # Precompressed Hertz chain, finite displacement: long-wave speed a sqrt(3/2 h d^0.5 / m), forces over 6 decades.
+    "Precompressed Hertz chain: long-wave speed, forces over 6 decades",
     source="Hertz tangent; c grows with F^(1/6), Coste, Falcon and Fauve (1997), doi:10.1103/PhysRevE.56.6104",
     tolerance=1e-5, reason="amplitude 1e-3 of the overlap, which counts squared, and rounding of positions", quick=True,
 )  # fmt: skip

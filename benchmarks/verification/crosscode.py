@@ -114,13 +114,13 @@ _CASES = (
 
 for _peer, _regime, _friction, _speed, _tolerance, _reason in _CASES:
     check(
-        f"{_NAMES[_peer]}: packing of 280 disks, friction {_friction:g}, thrown at {_speed:g} m/s, 400 steps, against calcidem {_regime}",
+        f"{_NAMES[_peer]}: 280 disks, friction {_friction:g}, thrown at {_speed:g} m/s, calcidem {_regime}",
         source=_VERSIONS[_peer], tolerance=_tolerance, reason=_reason, program=_peer,
     )(lambda case=(_peer, _packing, _friction, _speed, _regime): _compare(case[0], case[1](*case[2:4]), 400, case[4]))  # type: ignore[misc]  # fmt: skip
 
 for _check in CHECKS:
     check(
-        f"{_NAMES[_check.peer]}: {_check.name}, against calcidem finite", source=_VERSIONS[_check.peer],
+        f"{_NAMES[_check.peer]}: {_check.name}", source=_VERSIONS[_check.peer],
         tolerance=_check.level, reason=_check.reason, program=_check.peer,
     )(lambda one=_check: difference(one, programs()))  # type: ignore[misc]  # fmt: skip
 

@@ -27,7 +27,8 @@ def _on_floor(speed: float, fraction: float, *, rotation: bool) -> tuple[State, 
 
 
 @check(
-    "Coulomb: a block slides v^2 / (2 mu g) + mu N / (2 k_s) before it turns back",
+    # Coulomb: a block slides v^2 / (2 mu g) + mu N / (2 k_s) before it turns back.
+    "Coulomb: distance of a sliding block",
     source="Newton; while it slides, the shear spring holds mu N", tolerance=1e-4,
     reason="it begins to slide within a step, one of 450",
 )  # fmt: skip
@@ -43,7 +44,8 @@ def _block() -> float:
 
 
 @check(
-    "Coulomb: a disk thrown without spin rolls at last, at v / (1 + I / (m a^2)), a the lever arm",
+    # Coulomb: a disk thrown without spin rolls at last, at v / (1 + I / (m a^2)), a the lever arm.
+    "Coulomb: final speed of a disk thrown without spin",
     source="angular momentum about the floor", tolerance=2e-3,
     reason="rolling swings on the shear spring, by mu N over k_s a part", quick=True,
 )  # fmt: skip
@@ -79,7 +81,8 @@ def _oscillator(alpha: float, fraction: float, n: tuple[float, float]) -> tuple[
 
 
 @check(
-    "Linear oscillator: frequency of the leapfrog grid, (2 / dt) asin(omega dt / 2)", source="central differences",
+    # Linear oscillator: frequency of the leapfrog grid, (2 / dt) asin(omega dt / 2).
+    "Linear oscillator: frequency on the leapfrog grid", source="central differences",
     tolerance=1e-10, reason="rounding over 2,000 steps", quick=True,
 )  # fmt: skip
 def _frequency() -> float:
@@ -103,8 +106,9 @@ def _damped(alpha: float) -> tuple[Floats, Floats, float]:
 
 
 @check(
-    "Oscillator with local damping: each half cycle shrinks by sqrt((1 - alpha) / (1 + alpha)); alpha 0.05 to 0.9",
-    source="energy of the half cycles: (1 - alpha) A^2 on the way in is (1 + alpha) A'^2 on the way out", tolerance=4e-4,
+    # Oscillator with local damping: each half cycle shrinks by sqrt((1 - alpha) / (1 + alpha)); alpha 0.05 to 0.9.
+    "Oscillator with local damping: decay of half cycles, alpha 0.05 to 0.9",
+    source="energy of the half cycles", tolerance=4e-4,
     reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 4e-5 times a few", quick=True,
 )  # fmt: skip
 def _decay() -> float:
@@ -117,7 +121,8 @@ def _decay() -> float:
 
 
 @check(
-    "Oscillator with local damping: half cycles last pi / (2 omega) (1 / sqrt(1 - alpha) + 1 / sqrt(1 + alpha))",
+    # Oscillator with local damping: half cycles last pi / (2 omega) (1 / sqrt(1 - alpha) + 1 / sqrt(1 + alpha)).
+    "Oscillator with local damping: duration of half cycles",
     source="quarter periods of the two stiffnesses", tolerance=1e-2,
     reason="a velocity that turns within a step keeps the kick of the other branch: up to (1 + alpha) / (1 - alpha) steps of 500", quick=True,
 )  # fmt: skip

@@ -82,7 +82,8 @@ def _wall() -> float:
 
 
 @check(
-    "Restitution 1 at the default step, disks 0.1 mm apart, 1 mm/s to 100 m/s", source=_JOHNSON, tolerance=1e-3,
+    # Restitution 1 at the default step, disks 0.1 mm apart, 1 mm/s to 100 m/s.
+    "Restitution 1 at the default step, 1 mm/s to 100 m/s", source=_JOHNSON, tolerance=1e-3,
     reason="promised by the default step of scenes with impacts", quick=True,
 )  # fmt: skip
 def _default_step() -> float:
@@ -119,10 +120,7 @@ def _oblique_errors(steps: int) -> Floats:
     return np.array(errors) / 0.6
 
 
-_MINDLIN = (
-    "Hertz, Mindlin and Deresiewicz (1953), doi:10.1115/1.4010702, Coulomb; adaptive integration (scipy DOP853) that "
-    "finds the moments of stick and slip as events"
-)
+_MINDLIN = "Hertz, Mindlin and Deresiewicz (1953), doi:10.1115/1.4010702, Coulomb; adaptive integration with events of stick and slip"
 
 
 @check(
@@ -134,7 +132,7 @@ def _oblique() -> float:
 
 
 @check(
-    "Oblique impact at the default step, radii 1 to 0.16, friction 0.2 to 1.4, 17 to 75 degrees: velocities, rim speeds",
+    "Oblique impact at the default step, unequal radii: velocities, rim speeds",
     source=_MINDLIN, tolerance=5e-3, reason="promised by the default step of scenes with impacts; 160 drawn at random: at most as much",
     quick=True,
 )  # fmt: skip
@@ -160,7 +158,8 @@ def _oblique_default_step() -> float:
 
 
 @check(
-    "Impact of spinning disks that slip all the time: spins changed by 2 mu m* v R / I",
+    # Impact of spinning disks that slip all the time: spins changed by 2 mu m* v R / I.
+    "Impact of spinning disks that slip: change of spins",
     source="Coulomb's impulse; Walton (1993), in Roco (ed.), Particulate Two-Phase Flow", tolerance=1e-3,
     reason="lever arms are shorter by half an overlap, which at 1 cm/s is 3e-4 of a radius", quick=True,
 )  # fmt: skip

@@ -51,7 +51,7 @@ _STRETCHED = "rounding of positions, stretched by 1,000 steps of friction and im
 
 
 @check(
-    "Objectivity: packing and walls turned by 0.7 rad move as before, turned", source=_NOETHER, tolerance=1e-8,
+    "Objectivity: packing and walls turned by 0.7 rad", source=_NOETHER, tolerance=1e-8,
     reason=_STRETCHED, quick=True,
 )  # fmt: skip
 def _turned() -> float:
@@ -67,7 +67,8 @@ def _turned() -> float:
 
 
 @check(
-    "Galilei: packing and walls carried along at (1.1, -0.6) m/s move as before, carried", source=_NOETHER,
+    # Galilei: packing and walls carried along at (1.1, -0.6) m/s move as before, carried.
+    "Galilei: packing and walls carried along at constant velocity", source=_NOETHER,
     tolerance=1e-8, reason=_STRETCHED, quick=True,
 )  # fmt: skip
 def _carried() -> float:
@@ -82,7 +83,7 @@ def _carried() -> float:
 
 
 @check(
-    "Mirror: the mirror image of the packing moves as the mirror image", source=_NOETHER, tolerance=1e-8,
+    "Mirror image of the packing", source=_NOETHER, tolerance=1e-8,
     reason=_STRETCHED, quick=True,
 )  # fmt: skip
 def _mirrored() -> float:
@@ -110,7 +111,7 @@ def _shuffled() -> float:
 
 
 @check(
-    "Run cut into single steps: not a bit changes; 30 disks fly across their box, default step, lists made anew",
+    "Run cut into single steps: not a bit changes",
     source="a state is all there is to know", tolerance=0.0, reason="states are values", quick=True,
 )  # fmt: skip
 def _cut() -> float:
@@ -137,7 +138,7 @@ def _momenta(state: State) -> Floats:
 
 
 @check(
-    "Momentum and angular momentum of the packing without its walls, bonded and rubbing, over 1,000 steps",
+    "Momentum and angular momentum of the packing without walls",
     source="Newton's third law, with arms that add up to the distance", tolerance=1e-12,
     reason="rounding, over the sum of all magnitudes", quick=True,
 )  # fmt: skip
@@ -148,7 +149,7 @@ def _free() -> float:
 
 
 @check(
-    "Momentum of the packing in its box, falling: changes by weight and by what the walls report, each step for 60",
+    "Momentum of the falling packing: weight and wall forces",
     source="Newton's second law", tolerance=1e-12, reason="rounding, over the sum of all magnitudes", quick=True,
 )  # fmt: skip
 def _boxed() -> float:
@@ -190,7 +191,8 @@ def _imbalance(fraction: float) -> float:
 
 
 @check(
-    "Energy of the packing: work of walls and loads = kinetic + elastic + friction + damping, at 1/50 of the critical step",
+    # Energy of the packing: work of walls and loads = kinetic + elastic + friction + damping, at 1/50 of the critical step.
+    "Energy balance of the packing, 1/50 of the critical step",
     source="first law; Hertz 2/5 F d, springs F^2 / (2 k)", tolerance=1e-4,
     reason="second order in the step, 1e-5 here; contacts that part and meet add a little",
 )  # fmt: skip
@@ -207,7 +209,7 @@ def _energy_order() -> float:
 
 
 @check(
-    "Reciprocity: disk i answers a kick at disk j as j does one at i, 10 random pairs and components",
+    "Reciprocity of 10 random pairs of disks and components",
     source="Maxwell and Betti; K and M are symmetric", tolerance=1e-10, reason="rounding over 400 steps",
 )  # fmt: skip
 def _reciprocal() -> float:

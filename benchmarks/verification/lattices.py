@@ -18,7 +18,9 @@ _RADIUS = 1.2e-3
 _STEPS = 19
 _LAYERS = 20
 SQUARE, HEXAGONAL = 4, 6
-_MATRIX = "dynamical matrix of x, y and rotation, written for a lattice without end: Suiker, Metrikine and de Borst (2001), doi:10.1016/S0020-7683(00)00104-9"
+_MATRIX = (
+    "dynamical matrix of an infinite lattice: Suiker, Metrikine and de Borst (2001), doi:10.1016/S0020-7683(00)00104-9"
+)
 
 
 def _neighbours(kind: int) -> Floats:
@@ -114,7 +116,7 @@ def _hexagonal() -> float:
 
 
 @check(
-    "Hexagonal lattice under pressure, finite displacement: the same, with what loaded contacts push sideways when they turn",
+    "Hexagonal lattice under pressure, finite displacement: the same",
     source=_MATRIX + ", with -F_n / a for turning normals", tolerance=1e-5,
     reason="amplitude 1e-6 of the overlap; leaving the pressure out would cost 2e-3",
 )  # fmt: skip
@@ -149,7 +151,8 @@ def _stiffness_over_mass() -> tuple[float, float]:
 
 
 @check(
-    "Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions",
+    # Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions.
+    "Hexagonal lattice: speeds of long S and P waves",
     source="continuum limit; the arms cancel for disks that turn freely", tolerance=2e-4,
     reason="waves of 200 spacings: (q a)^2 / 24 to / 8 = 4e-5 to 1.2e-4", quick=True,
 )  # fmt: skip
@@ -160,7 +163,8 @@ def _hexagonal_speeds() -> float:
 
 
 @check(
-    "Square lattice: c_p^2 = k_n a^2 / m and c_s^2 = k_s a^2 / (2 m) along its axes",
+    # Square lattice: c_p^2 = k_n a^2 / m and c_s^2 = k_s a^2 / (2 m) along its axes.
+    "Square lattice: speeds of long S and P waves along its axes",
     source="continuum limit; half the shear goes into rotation", tolerance=2e-4,
     reason="waves of 200 spacings, as above", quick=True,
 )  # fmt: skip

@@ -14,36 +14,35 @@ from table import Check, all_checks, row_of
 
 _HEAD = """# Verification
 
-Does the kernel compute what it says? Each row below compares it with something that shares no code with it: a closed form, a
-matrix put together and solved elsewhere, a law of conservation, a slow twin, another program. One command makes this page:
+Does the kernel compute what it says? Each row compares it with an independent source: a closed form, a matrix assembled
+and solved elsewhere, a law of conservation, a slow twin, another program.
 
 <!-- long: 2 minutes -->
 
     python benchmarks/verification/run.py --out docs/verification.md
 
-It takes two minutes on one core. The scenes are in `benchmarks/verification`; radii, materials, directions and speeds were
-picked once, away from those of the paper and of the tests; a tolerance follows from the reason beside it.
-Errors are relative unless the row says what they are; rows that end in rounding differ in their last digits between
-computers. `tests/dem/test_verification.py` repeats the quick rows in every run of the tests, all of them with `--full`.
+writes this page in two minutes on one core. Radii, materials, directions and speeds differ from those of the paper and
+the tests; `benchmarks/verification` has the scenes and the reason of each tolerance. Errors are relative unless stated
+otherwise. `tests/dem/test_verification.py` repeats the quick rows in every run of the tests, all with `--full`. Without
+LAMMPS or YADE ([how to install them](performance.md#a-lammps-built-for-the-processor)) their rows keep their numbers.
+Rows of other programs are against calcidem's finite regime unless stated otherwise. The source of the expected values
+is in italics above its rows.
 
-LAMMPS and YADE are started as in [performance.md](performance.md), which says how to install them. Where one of them is missing,
-its rows are skipped and keep what was measured last.
-
-| what is checked | source of what is expected | measured error | tolerance | why it is that large |
-|---|---|---|---|---|
+| what is checked | measured error | tolerance |
+|---|---|---|
 """
 _OPEN = "not measured yet"
 _TAIL = """
-[whole-cells.md](whole-cells.md) has three whole samples, from the pulse to Vs, in YADE.
+[Whole cells](whole-cells.md) compares three samples with YADE, from the pulse to Vs.
 
 ## What this does not show
 
-* Rows prove the equations of the model, not that sand obeys them: a disk is no sphere, and Hertz's law of spheres is used for
-  disks because PFC does so.
-* Where contacts turn from slip to stick the error is of first order in the step; elsewhere of second. [accuracy.md](accuracy.md)
-  gives the error of a campaign's velocities.
-* Friction, damping and impacts together, over long times, are chaotic: no two programs agree on them disk by disk.
-  [performance.md](performance.md) has the measurement.
+* Rows verify the equations of the model, not that sand obeys them: a disk is no sphere, and Hertz's law of spheres is
+  used for disks because PFC does so.
+* Where contacts change from slip to stick the error is of first order in the step. [Accuracy](accuracy.md) gives the
+  error of a campaign's velocities.
+* Friction, damping and impacts together are chaotic over long times: no two programs agree disk by disk
+  ([measurement](performance.md#do-they-compute-the-same-thing)).
 """
 
 
@@ -66,6 +65,15 @@ def missing_programs() -> list[str]:
     return programs().missing
 
 
+def table_of(lines: dict[str, str], checks: list[Check]) -> str:
+    """Rows below their sources, each source once, in the order of its first row."""
+    sources = dict.fromkeys(one.source for one in checks)
+    return "".join(
+        f"| *{source}* | | |\n" + "".join(f"{lines[one.name]}\n" for one in checks if one.source == source)
+        for source in sources
+    )
+
+
 def rows_of(page: str) -> dict[str, str]:
     """Lines of the table of a page, by what they check."""
     lines = [line for line in page.splitlines() if line.startswith("| ")]
@@ -83,8 +91,9 @@ def main() -> int:
     missing = missing_programs()
     made = {one.name: measured_row(one, kept, missing) for one in checks if chosen.only.lower() in one.name.lower()}
     if chosen.out:
-        lines = [made[one.name][0] if one.name in made else kept.get(one.name, row_of(one, _OPEN)) for one in checks]
-        chosen.out.write_text(_HEAD + "\n".join(lines) + "\n" + _TAIL, encoding="utf-8")
+        lines = {one.name: kept.get(one.name, row_of(one, _OPEN)) for one in checks}
+        lines |= {name: line for name, (line, _) in made.items()}
+        chosen.out.write_text(_HEAD + table_of(lines, checks) + _TAIL, encoding="utf-8")
     failed = sum(not passes for _, passes in made.values())
     print(f"{len(made)} rows, {failed} failed")
     return 1 if failed else 0

@@ -65,7 +65,8 @@ _TWIN = "tests/dem/naive.py: one pair at a time, plain floats"
 
 
 @check(
-    "Corner of the packing (30 disks, damping, loads, moving wall): kernel against its slow twin, sand", source=_TWIN,
+    # Corner of the packing (30 disks, damping, loads, moving wall): kernel against its slow twin, sand.
+    "Corner of the packing (30 disks), sand", source=_TWIN,
     tolerance=1e-7, reason="rounding of overlaps, stretched by impacts; order of sums",
 )  # fmt: skip
 def _sand() -> float:
@@ -73,7 +74,7 @@ def _sand() -> float:
 
 
 @check(
-    "Corner of the packing: kernel against its slow twin, half of it cemented with linear groups, bonds that break",
+    "Corner of the packing, half cemented, bonds that break",
     source=_TWIN, tolerance=1e-7, reason="as above; the approach in a step is taken to second order in its turn",
 )  # fmt: skip
 def _cemented() -> float:
@@ -81,7 +82,7 @@ def _cemented() -> float:
 
 
 @check(
-    "Corner of the packing: kernel against its slow twin, cemented, linear", source=_TWIN, tolerance=1e-10,
+    "Corner of the packing, cemented, linear", source=_TWIN, tolerance=1e-10,
     reason="order of sums",
 )  # fmt: skip
 def _linear() -> float:

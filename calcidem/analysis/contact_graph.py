@@ -145,7 +145,7 @@ class PreferentialPath:
     grains
         The grains it visits, from a transmitter grain to a receiver grain.
     bonded
-        Whether each contact on the way is cemented; one fewer than grains.
+        Whether each contact on the path is cemented; one fewer than grains.
     """
 
     grains: tuple[int, ...]

@@ -71,7 +71,7 @@ def wavelengths(
     vs
         Shear-wave velocity, m/s.
     frequency
-        Of the sent pulse, Hz.
+        Frequency of the transmitted pulse, Hz.
     distance
         That the wave travelled, m.
     median_diameter

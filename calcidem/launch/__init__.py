@@ -1,1 +1,1 @@
-"""How a command starts ranks and hears of them, over sockets and on all hosts; knows neither batches nor MPI."""
+"""How a command starts and monitors ranks, over sockets and on all hosts; knows neither batches nor MPI."""

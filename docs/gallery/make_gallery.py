@@ -3,6 +3,7 @@
 import argparse
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
@@ -10,13 +11,13 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.page import key_facts, write_report
-from calcidem.app.report.provenance import CHOSEN, value_text
 from calcidem.app.studies.frequency_and_damping import run_studies
-from calcidem.storage.records.canonical import flat_parameters
 
 FOLDER = Path(__file__).parent
 sys.path.append(str(FOLDER.parents[1] / "tests"))
 from chromium import find_chromium, open_chromium  # noqa: E402 - a helper of the tests
+
+_LINE = 120  # longest line of a page
 
 SCREENS = {
     "report_1280": (1280, "light", False),
@@ -36,27 +37,24 @@ def main() -> None:
     with open_campaign(database) as campaign:
         analysis = campaign.analyse()
         shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
-        facts, config = key_facts(analysis), flat_parameters(campaign.config)
+        facts = key_facts(analysis)
     shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
     pictorial = {entry.name for entry in CAMPAIGN_FIGURES if entry.pictorial}
     for name, _, _, figure in shown:
         (FOLDER / f"{name}.png").write_bytes(render(figure, "png", colours=256 if name in pictorial else None))
     photograph(database, studies)
-    parameters = ", ".join(f"`{key}` = {value_text(config[key])}" for key in CHOSEN if key in config)
     lines = [
         "# Gallery",
         "",
         "Every figure of one campaign, drawn by `make_gallery.py` in this folder.",
         "",
-        "; ".join(f"{term}: {value}" for term, value in facts) + ".",
-        "",
-        f"Parameters that were calibrated or chosen: {parameters}.",
+        textwrap.fill("; ".join(f"{term}: {value}" for term, value in facts) + ".", _LINE),
         "",
     ]
     for name, title, caption, _ in shown:
-        lines += [f"## {title}", "", f"![{title}]({name}.png)", "", caption, ""]
+        lines += [f"## {title}", "", f"![{title}]({name}.png)", "", textwrap.fill(caption, _LINE), ""]
     if (FOLDER / "report_390.png").exists():
-        lines += ["## The report", "", "On a desk and on a phone, its top and one of its cells.", ""]
+        lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]
         lines += [f"![Report, {width} pixels wide, {look}]({name}.png)" for name, (width, look, _) in SCREENS.items()]
     (FOLDER / "README.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 

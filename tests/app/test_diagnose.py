@@ -69,6 +69,7 @@ def slow_pulse(small_configuration: Configuration) -> Configuration:
         small_configuration,
         campaign=CampaignPlan(name="slow pulse", seeds=SEEDS, contents=(CONTENT,)),
         excitation=Excitation(FrequencyTable((CONTENT,), (8.4e3,))),
+        pick=replace(small_configuration.pick, largest_error=0.15),
     )
 
 

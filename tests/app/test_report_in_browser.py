@@ -172,7 +172,8 @@ def test_values_show_under_the_pointer(page: Chromium, small_database: Path) -> 
     box = page.evaluate("(b => [b.x, b.y, b.width])(document.querySelector('#signal svg').getBoundingClientRect())")
     page.send("Input.dispatchMouseEvent", type="mouseMoved", x=box[0] + box[2] / 2, y=box[1] + 60)
     assert re.fullmatch(
-        r"[\d.]+ ms: sent .* m/s, received .* m/s", page.evaluate("document.getElementById('reading').textContent")
+        r"[\d.]+ ms: transmitted .* m/s, received .* m/s",
+        page.evaluate("document.getElementById('reading').textContent"),
     )
 
 

@@ -29,7 +29,7 @@ PACKING = bare_packing(
 EXPERIMENT = Experiment(PACKING, wave=WaveRule(amplitude=AMPLITUDE))  # linear, with damping
 EXACT = Experiment(PACKING, wave=WaveRule(regime="finite", damping=0.0))  # nothing but step and sampling
 SAMPLING = 1e-6  # s
-SECTION = Section(SAMPLING, 0.0, FREQUENCY, AMPLITUDE, 0.01, (WAY,), *np.zeros((2, 3, 1), dtype=np.int32))
+SECTION = Section(SAMPLING, 0.0, FREQUENCY, AMPLITUDE, (WAY,), *np.zeros((2, 3, 1), dtype=np.int32))
 RECORD = WaveRecord(time_step=1e-7, stride=10, section=SECTION, stability_limit=1.25e-7, steps=30)
 
 
@@ -54,7 +54,7 @@ def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: 
     middle = 0.5 / FREQUENCY
     clean = Pulse(1.0, FREQUENCY).velocity(middle + (time - TRAVEL_TIME - middle) / stretch)
     index = round((TRAVEL_TIME + middle) / SAMPLING)
-    return ShearArrival(travel_time, 1.0, 0.0, 0.2, roughness, None, None, index, clean[:, np.newaxis])
+    return ShearArrival(travel_time, 1.0, 0.0, 0.0, 0.0, roughness, None, None, index, clean[:, np.newaxis])
 
 
 def parts(

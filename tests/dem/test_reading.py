@@ -27,7 +27,7 @@ from calcidem.dem.wave.reading import (
 from calcidem.dem.wave.section import RESOLUTION, Section
 
 ANY_ERROR = PickRule(largest_error=1.0)
-LEAST, P_LEFT, BLUR, NEAR_FIELD, CREST = 0.014, 0.75, 0.16, 0.075, 1.8
+LEAST, P_LEFT, NEAR_FIELD, TIE, CREST = 0.019, 0.75, 0.04, 0.05, 1.8
 """Factors of the standard error as they were fitted: written here a second time, so that none moves unnoticed."""
 TRAVELS = st.floats(1.0, 12.0)
 
@@ -82,8 +82,6 @@ def test_a_delayed_pulse_is_read_between_samples(travel: float, samples: int, he
     assert periods(found.cross_correlation) == pytest.approx(travel, abs=3.0 * tolerance)
     assert found.arrival is not None
     assert found.arrival.shifted == 0.0
-    # A cosine is at 0.9 where its argument is arccos 0.8; smoothing makes it 0.4 % wider, and chords narrower.
-    assert found.arrival.width * travel == pytest.approx(np.arccos(0.8) / np.pi, rel=0.01 + 0.3 * h * h)
     # Stations see it between two samples.
     assert 1.0 - 0.3 * h * h < found.arrival.coherence <= 1.0
     assert (found.path is None) == (stations < 4)
@@ -179,14 +177,14 @@ def test_a_swing_that_one_three_times_as_large_follows_is_a_precursor(ratio: flo
     along = at_receiver(total(small, large))
     across = at_receiver(total(wave(4.0, 0.08, 2.0), wave(4.0 + apart, -0.02 * ratio, 2.0)))
     found = prepare(section(total(wave(12.0), across), along, duration=30.0), 0.3)
-    time = (found.p_top[-1] + 0.3) / 40.0
+    time = (found.p_peak[-1] + 0.3) / 40.0
     assert time == pytest.approx(4.5 if first else 4.5 + apart, abs=0.06)
     if first:
         assert found.p_share[-1] == pytest.approx(0.4, abs=0.02)
     else:
         assert found.p_share[-1] < 0.1
-    assert (found.p_top[:-1] == -1).all()
-    assert found.p_end[-1] > found.p_top[-1]
+    assert (found.p_peak[:-1] == -1).all()
+    assert found.p_end[-1] > found.p_peak[-1]
 
 
 def test_a_share_does_not_jump_with_the_sampling() -> None:
@@ -378,32 +376,41 @@ def test_the_spectrum_is_largest_at_the_velocity() -> None:
 # --- The standard error
 
 
-def error_of(*, length: float = 1e6, aperture: float = 0.0, shifted: float = 0.0, width: float = 0.0) -> float:
-    """Error of an arrival after so many periods, with an aperture over the distance."""
-    given = replace(section(wave(4.0)), aperture=aperture * DISTANCE)
-    found = replace(arrival_of(given), travel_time=length / FREQUENCY, shifted=shifted, width=width)
-    return reading_error(given, found)
+def error_of(*, length: float = 1e6, **parts: float) -> float:
+    """Error of an arrival after so many periods."""
+    found = replace(arrival_of(section(wave(4.0))), travel_time=length / FREQUENCY, early=0.0)
+    return reading_error(replace(found, **parts), FREQUENCY)
 
 
 def test_each_part_of_the_error_has_its_closed_form() -> None:
     """They add as squares, to that of the clearest reading."""
     assert error_of() == pytest.approx(LEAST, rel=1e-6)
     assert error_of(shifted=0.4) == pytest.approx(np.hypot(LEAST, P_LEFT * 0.4), rel=1e-6)
-    assert error_of(width=0.5) == pytest.approx(np.hypot(LEAST, BLUR * 0.5), rel=1e-6)
+    assert error_of(early=0.1) == pytest.approx(np.hypot(LEAST, 0.1), rel=1e-6)
+    assert error_of(tie=0.1) == pytest.approx(np.hypot(LEAST, 0.1), rel=1e-6)
     assert error_of(length=1.0) == pytest.approx(np.hypot(LEAST, NEAR_FIELD), rel=1e-9)
-    assert error_of(length=4.0) == pytest.approx(np.hypot(LEAST, NEAR_FIELD / 8.0), rel=1e-9)
-    parts = [LEAST, P_LEFT * 0.02, BLUR * 0.1, NEAR_FIELD / 2.0**1.5]
-    assert error_of(length=2.0, shifted=0.02, width=0.1) == pytest.approx(np.linalg.norm(parts), rel=1e-9)
+    assert error_of(length=4.0) == pytest.approx(np.hypot(LEAST, NEAR_FIELD / 32.0), rel=1e-9)
+    parts = [LEAST, P_LEFT * 0.02, 0.1, 0.03, NEAR_FIELD / 2.0**2.5]
+    assert error_of(length=2.0, shifted=0.02, early=0.1, tie=0.03) == pytest.approx(np.linalg.norm(parts), rel=1e-9)
 
 
-def test_a_high_transmitter_has_no_near_field() -> None:
-    """Edge waves come half a period later: 5/3 of the path at 1.5 times the speed, for an aperture of 4/3 of it."""
-    later = 0.9 * (5.0 / 3.0 / 1.5 - 1.0)
-    near = NEAR_FIELD / 0.9**1.5 * (1.0 - 2.0 * later)
-    assert error_of(length=0.9, aperture=4.0 / 3.0) == pytest.approx(np.hypot(LEAST, near), rel=1e-9)
-    assert error_of(length=0.9, aperture=10.0) == pytest.approx(LEAST, rel=1e-12)
-    # sqrt(1 + a^2) = 1.5 is where edge waves come with the S wave: nothing changes up to there.
-    assert error_of(length=0.9, aperture=1.1) == error_of(length=0.9)
+@pytest.mark.parametrize("ahead", [-0.25, 0.25])
+def test_a_crest_that_left_before_the_pulse_is_an_error(ahead: float) -> None:
+    """It is slower than the receiver says. One that is faster, as behind slow last grains, is none."""
+    found = arrival_of(section(total(at_receiver(wave(8.0 - ahead)), at_stations(wave(8.0)))))
+    assert found.early == pytest.approx(max(0.0, ahead / 8.0), abs=1e-4)
+
+
+@pytest.mark.parametrize(("height", "tied"), [(1.0, True), (0.985, True), (0.93, False)])
+def test_two_peaks_of_one_coherence_are_a_tie(height: float, tied: bool) -> None:
+    """The odds fall with the difference of their coherences; the distance of the other peak counts by their root."""
+    given = section(total(wave(8.0), wave(10.0, height)), duration=30.0)
+    found = arrival_of(given)
+    chosen = next(one for one in find_candidates(given, 0.3) if one.index == found.index)
+    apart = 2.0 / (found.travel_time * FREQUENCY)
+    behind = min(1.0, (found.coherence - chosen.rival) / TIE)
+    assert found.tie == pytest.approx(apart * np.sqrt(0.5 * (1.0 - behind)), abs=1e-4)
+    assert (found.tie > 0.5 * apart) == tied
 
 
 def test_the_error_of_a_reading_is_that_of_its_arrival() -> None:
@@ -415,15 +422,19 @@ def test_the_error_of_a_reading_is_that_of_its_arrival() -> None:
     given = section(total(wave(2.0), jitter))
     found = read_section(given)
     assert found.arrival is not None
-    assert found.error == reading_error(given, found.arrival)
+    assert found.error == reading_error(found.arrival, FREQUENCY)
     assert found.arrival.roughness == pytest.approx(0.1, rel=0.05)
     assert read_section(section(wave(2.0))).arrival.roughness < 0.01  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(("travel", "refused"), [(0.55, True), (0.7, False)])
-def test_what_is_uncertain_by_more_than_15_percent_is_refused(travel: float, refused: bool) -> None:
-    """By default; these two have 0.19 and 0.135."""
-    assert (read_section(section(wave(travel), aperture=0.0)).verdict is Verdict.UNCERTAIN) == refused
+@pytest.mark.parametrize(("early", "refused"), [(0.23, False), (0.26, True)])
+def test_what_is_uncertain_by_more_than_a_quarter_is_refused(early: float, refused: bool) -> None:
+    """By default; here by a crest that turns about the middle of the path."""
+    slower = early / (1.0 - early)
+    given = total(at_receiver(wave(1.0)), at_stations(lambda part, time: wave(1.0)(part, time - slower * (part - 0.5))))
+    found = read_section(section(given))
+    assert found.error == pytest.approx(np.linalg.norm([LEAST, NEAR_FIELD, early]), abs=0.005)
+    assert (found.verdict is Verdict.UNCERTAIN) == refused
 
 
 def test_the_largest_error_is_the_users() -> None:
@@ -437,17 +448,6 @@ def test_the_largest_error_is_the_users() -> None:
     assert refused.arrival is not None
     assert refused.error == whole.error
     assert {refused.peak, refused.first_arrival, refused.cross_correlation, refused.path} == {None}
-
-
-def test_a_plateau_is_a_broad_peak() -> None:
-    """What never falls to 0.9 of its amplitude is as wide as what is known of it."""
-
-    def plateau(part: float, time: Floats) -> Floats:
-        behind = np.maximum(time - 4.0 * part - 0.5, 0.0)
-        return np.where(behind > 0.0, 1.0 - 1e-3 * behind, wave(4.0)(part, time))
-
-    found = arrival_of(section(plateau))
-    assert found.width * found.travel_time > (found.clean.shape[0] - found.index) / (40.0 * FREQUENCY)
 
 
 @pytest.mark.parametrize("name", ["smoothing", "largest_error"])

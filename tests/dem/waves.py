@@ -8,7 +8,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.section import Section, quantise
 
-FREQUENCY, AMPLITUDE, DISTANCE, APERTURE = 5e3, 1e-3, 0.094, 0.05
+FREQUENCY, AMPLITUDE, DISTANCE = 5e3, 1e-3, 0.094
 PARTS = (*np.linspace(0.15, 0.9, 9).tolist(), 1.0)
 """Places of nine stations and of the receiver, over the distance."""
 ONE = Pulse(0.5, 1.0)
@@ -50,7 +50,6 @@ def section(
     duration: float = 20.0,
     samples: int = 40,
     parts: tuple[float, ...] = PARTS,
-    aperture: float = APERTURE,
 ) -> Section:
     """Section of motions, recorded for so many periods; the first sample is not at time zero."""
     interval = 1.0 / (FREQUENCY * samples)
@@ -58,7 +57,7 @@ def section(
     motions = ([AMPLITUDE * motion(part, time) for part in parts] for motion in (across, along))
     counts = (quantise(np.column_stack(columns), AMPLITUDE) for columns in motions)
     places = tuple(DISTANCE * part for part in parts)
-    return Section(interval, 0.3 * interval, FREQUENCY, AMPLITUDE, aperture, places, *counts)
+    return Section(interval, 0.3 * interval, FREQUENCY, AMPLITUDE, places, *counts)
 
 
 def periods(velocity: float | None) -> float:

@@ -128,7 +128,7 @@ class Records:
         path = GrainPath(np.array([4, 8, 15, 16]))
         start = 12.5 * 8e-8
         motion = (1000 * np.arange(6 * samples) - 7 * int(content)).reshape(2, samples, 3)
-        section = RecordedSection(1e-6, start, 15e3, 2.0**-20 * 1e-3, 0.01, [0.03, 0.06, 0.094], *motion)
+        section = RecordedSection(1e-6, start, 15e3, 2.0**-20 * 1e-3, [0.03, 0.06, 0.094], *motion)
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
         graph = GraphSummary(

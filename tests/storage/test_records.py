@@ -35,7 +35,6 @@ def section(**changes: Any) -> RecordedSection:  # noqa: ANN401
         "start_time": 4e-7,
         "pulse_frequency": 1e4,
         "resolution": 1e-3 / 2**20,
-        "aperture": 0.01,
         "places": [0.04, 0.09],
         "across": [[1, 2], [3, 4]],
         "along": [[0, 0], [0, 1]],

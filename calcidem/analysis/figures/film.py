@@ -118,7 +118,7 @@ def draw_film(
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
     largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
-    # Equal steps of colour are equal steps of the root: what arrives is a tenth of what is sent.
+    # Equal steps of colour are equal steps of the root: what arrives is a tenth of what is transmitted.
     moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
     moving.set_array(frames[1][0])
     sample.add_collection(moving)

@@ -41,7 +41,7 @@ class CampaignFigure:
     title
         In a few words.
     caption
-        What is to be seen, in sentences.
+        What the figure shows, in sentences.
     draw
         Draws it; raises `UnavailableError` where the campaign lacks what it needs.
     pictorial
@@ -88,9 +88,9 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         seed=cell.key.seed,
         content=cell.key.content,
         time=section.time,
-        sent=section.transmitted,
+        transmitted=section.transmitted,
         received=section.received,
-        # A cell that took the whole width for the way of the wave has no distance.
+        # A cell that took the whole width for the path of the wave has no distance.
         distance=cell.distance or analysis.store.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
         onset=_FIRST_ARRIVAL_LEVEL,
@@ -211,10 +211,9 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
-        "Dots are samples, bars the 95 % intervals of their velocities (reading and simulation); in rings vs and "
-        "path_vs differ by more than their errors. The line joins the means. The dark band is the 95 % confidence "
-        "interval of the mean, the pale one the interval in which 95 % of new samples fall if Vs is normal at each "
-        "content.",
+        "Dots are samples, bars the 95 % intervals of their velocities (reading and simulation). Rings mark samples "
+        "whose vs and path_vs differ by more than their errors. The line joins the means. Dark band: 95 % confidence "
+        "interval of the mean. Pale band: interval of 95 % of new samples if Vs is normal at each content.",
         _plot_range,
     ),
     CampaignFigure(
@@ -228,8 +227,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "samples",
         "Cemented samples",
-        "Samples of one seed from P contacts alone to clusters (C); below, the framed parts enlarged. What is "
-        "cemented at a content stays so at every larger one.",
+        "Samples of one seed from P contacts alone to clusters (C); below, the framed parts enlarged. A contact "
+        "cemented at one content is cemented at every larger one.",
         _plot_cemented_samples,
         pictorial=True,
     ),
@@ -237,22 +236,22 @@ CAMPAIGN_FIGURES = (
         "measurement",
         "Measurement of Vs",
         "The transmitter, a band of the left wall or its grains, moves up for one pulse; the shear wave crosses the "
-        "sample and is read near the receiver, a band of the right wall. Grey layers are strongly damped, so that "
-        "nothing comes back from floor and lid.",
+        "sample to the receiver, a band of the right wall. Grey layers are strongly damped and absorb reflections from "
+        "floor and lid.",
         _plot_measurement,
         pictorial=True,
     ),
     CampaignFigure(
         "signals",
         "Signals and their arrivals",
-        "Velocity sent (grey) and signal received (blue), each over its peak, with the arrival by each method. "
-        "Peak and cross-correlation count from the sent peak, the first arrival from the sent onset.",
+        "Transmitted (grey) and received (blue) signal, each over its peak, with the arrival by each method. Peak and "
+        "cross-correlation count from the transmitted peak, the first arrival from the transmitted onset.",
         _plot_signals,
     ),
     CampaignFigure(
         "methods",
-        "Three ways to read the arrival",
-        "Median and central 80 % of the samples for each way to read the travel time.",
+        "Three methods to read the arrival",
+        "Median and central 80 % of the samples for each method to read the travel time.",
         _plot_methods,
     ),
     CampaignFigure(
@@ -274,8 +273,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "correlations",
         "Correlation of path features and Vs",
-        "Over all contents a common growth with content makes every feature correlate. After the mean of each "
-        "content is subtracted, what is left is how much of the scatter at a fixed content goes together.",
+        "Over all contents every feature correlates with Vs, since both grow with content. With the mean of each "
+        "content subtracted, the correlation is that of the scatter at a fixed content.",
         lambda analysis: draw_correlations(analysis.correlations),
     ),
     CampaignFigure(
@@ -283,8 +282,8 @@ CAMPAIGN_FIGURES = (
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
         "sample is found anew for every ratio. The band holds the best ratio of 95 % of bootstrap replicates "
-        "over seeds. Where the curve ends in a plateau, shortest paths no longer change, and its smallest ratio is "
-        "taken for the best.",
+        "over seeds. On a plateau the shortest paths no longer change; its smallest ratio is "
+        "taken as the best.",
         _plot_ratio_scan,
     ),
     CampaignFigure(
@@ -298,7 +297,7 @@ CAMPAIGN_FIGURES = (
         "narrowing",
         "Monte-Carlo error against number of seeds",
         "Half-width of the 95 % intervals of mean, standard deviation and skewness, forecast from the samples "
-        "there are; dotted where the campaign stands.",
+        "computed so far; the dotted line marks their number.",
         _plot_narrowing,
     ),
 )

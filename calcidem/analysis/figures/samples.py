@@ -1,4 +1,4 @@
-"""Pictures of samples: where the cement is, how the wave is sent, and which way it prefers."""
+"""Figures of samples: cement, transmission of the wave, and preferential paths."""
 
 import math
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ def draw_measurement(
     damped_layer: float,
     arrival: Arrival | None,
 ) -> Figure:
-    """Draw how the wave is sent and received, with an example of both signals (Fig. 4).
+    """Draw transmitter, receiver and an example of both signals (Fig. 4).
 
     Parameters
     ----------
@@ -141,11 +141,11 @@ def draw_measurement(
 def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
     """Draw the distance of which a velocity is made, between the grains at both walls; the width if it is not known."""
     width, height = graph.packing.width * MM, graph.packing.height * MM
-    way = width if distance is None else distance * MM
-    left, right = ((width + side * way) / 2 for side in (-1.0, 1.0))
+    path = width if distance is None else distance * MM
+    left, right = ((width + side * path) / 2 for side in (-1.0, 1.0))
     arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (right, 0.33 * height), (left, 0.33 * height), arrowprops=arrow, zorder=9)
-    label = f"width {width:.3g} mm" if distance is None else f"L = {way:.3g} mm"
+    label = f"width {width:.3g} mm" if distance is None else f"L = {path:.3g} mm"
     box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
     axes.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)
 

@@ -78,7 +78,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
 
 @apply_style
 def draw_frequency_study(study: xr.Dataset) -> Figure:
-    """Draw frequency received and Vs against frequency sent (Fig. 9).
+    """Draw received frequency and Vs against transmitted frequency (Fig. 9).
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class StudyFigure:
     title
         In a few words.
     caption
-        What is to be seen, in sentences.
+        What the figure shows, in sentences.
     draw
         Draws it from the study's result.
     """
@@ -220,7 +220,7 @@ STUDY_FIGURES = (
         "frequency",
         "study_reading",
         "Peak to peak against first arrival",
-        "Vs of the same samples by two ways of reading, over excitation frequency; thin lines are samples. Marks "
+        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
         "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
         "spoil the reading.",
         draw_reading_study,
@@ -230,8 +230,8 @@ STUDY_FIGURES = (
         "study_frequency",
         "Excitation frequency",
         "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
-        "the sent one, with the range over samples; dashed where the campaign sends. Contents stand a little aside of "
-        "one another.",
+        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
+        "offset.",
         draw_frequency_study,
     ),
     StudyFigure(

@@ -1,4 +1,4 @@
-"""Pictures of what was sent and what arrived."""
+"""Figures of transmitted and received signals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ METHOD_STYLES = {
     "first_arrival": ("first arrival", GREEN, "o"),
     "cross_correlation": ("cross-correlation", ORANGE, "s"),
 }
-"""Label, colour and marker of each way to read the arrival; names as in the stored quantities vs_*."""
+"""Label, colour and marker of each method of reading; names as in the stored quantities vs_*."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class Arrival:
         Which sample; content in percent.
     time
         s, shape (t,).
-    sent, received
+    transmitted, received
         The two signals at these times, shape (t,), m/s.
     distance
         Between transmitter and receiver, m.
@@ -53,30 +53,30 @@ class Arrival:
     seed: int
     content: float
     time: NDArray[np.float64]
-    sent: NDArray[np.float64]
+    transmitted: NDArray[np.float64]
     received: NDArray[np.float64]
     distance: float
     velocities: Mapping[str, float]
     onset: float
 
     @property
-    def sent_peak(self) -> float:
-        """Time of the sent peak, s."""
-        return float(self.time[np.argmax(self.sent)])
+    def transmitted_peak(self) -> float:
+        """Time of the transmitted peak, s."""
+        return float(self.time[np.argmax(self.transmitted)])
 
     @property
-    def sent_onset(self) -> float:
-        """Time at which the sent pulse rises to the onset level, s."""
-        top = int(np.argmax(self.sent))
-        below = int(np.flatnonzero(self.sent[: top + 1] < self.onset * self.sent[top])[-1])
+    def transmitted_onset(self) -> float:
+        """Time at which the transmitted pulse rises to the onset level, s."""
+        peak = int(np.argmax(self.transmitted))
+        below = int(np.flatnonzero(self.transmitted[: peak + 1] < self.onset * self.transmitted[peak])[-1])
         return float(self.time[below + 1])
 
     def arrival_time(self, method: str) -> float:
         """Give the time in s at which the wave arrived by a method.
 
-        Times count from the sent peak, those of the first arrival from the sent onset.
+        Times count from the transmitted peak, those of the first arrival from the transmitted onset.
         """
-        began = self.sent_onset if method == "first_arrival" else self.sent_peak
+        began = self.transmitted_onset if method == "first_arrival" else self.transmitted_peak
         return began + self.distance / self.velocities[method]
 
 
@@ -84,7 +84,8 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     """Draw both signals of a sample, each over its own peak, and mark the arrivals."""
     time = arrival.time * MS
     axes.axhline(0, color=GREY, linewidth=0.6)
-    axes.fill_between(time, arrival.sent / np.max(arrival.sent), color=GREY, alpha=0.35, linewidth=0, label="sent")
+    pulse = arrival.transmitted / np.max(arrival.transmitted)
+    axes.fill_between(time, pulse, color=GREY, alpha=0.35, linewidth=0, label="transmitted")
     end = _received_peak_index(arrival)
     largest = np.abs(arrival.received[: end + 1]).max()
     axes.plot(time, arrival.received / largest, color=BLUE, label="received")

@@ -86,7 +86,7 @@ def _draw_case(case: Case, title: str, text: str) -> "Figure":
         places=np.array(section.places),
         across=prepared.across,
         clean=prepared.across if best is None else best.clean,
-        p_waves=np.where(prepared.p_top >= 0, times[prepared.p_top], np.nan),
+        p_waves=np.where(prepared.p_peak >= 0, times[prepared.p_peak], np.nan),
         transmitted_peak=0.5 / section.frequency,
         candidates=tuple((one.travel_time, one.coherence) for one in case.candidates),
         chosen=chosen[0] if chosen else None,

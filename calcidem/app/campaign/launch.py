@@ -154,7 +154,7 @@ class Launch:
             left = {} if launcher_killed else watch.ranks_left()
             enough = sum(left.values()) != 1
             if watch.exit_code is not None:
-                # When ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals are somebody's wish, and a
+                # When ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals are sent by the user, and a
                 # database that is locked or away is no better a second later.
                 curable = watch.exit_code == EXIT_RESUMABLE and watch.exit_reason in {"", signal.SIGTERM.name}
                 return _LaunchEnd(watch.exit_code, worth_a_restart=curable and enough, hosts=left)

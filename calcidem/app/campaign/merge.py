@@ -59,7 +59,7 @@ class Conflict:
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """What came of a merge.
+    """Outcome of a merge.
 
     Attributes
     ----------

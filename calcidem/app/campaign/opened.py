@@ -326,7 +326,7 @@ class Campaign(Closable):
                 "component": ["across", "along"],
             },
             name="velocity",
-            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency, "aperture": found.aperture},
+            attrs={"units": "m s-1", "pulse_frequency": found.pulse_frequency},
         )
 
     def packing(self, index: int = 0) -> PackingRecord:
@@ -722,8 +722,8 @@ def load_paper_campaign() -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Along (seed, content): Vs by three readings (m/s), their quality, path features, error, time step and so on,
-        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are 11. Signals
+        Along (seed, content): Vs by three readings (m/s), their errors, path features, error, time step and so on,
+        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are 31. Sections
         and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and
         machine are in ``calcidem_runs``.
 
@@ -732,7 +732,7 @@ def load_paper_campaign() -> xr.Dataset:
     >>> import calcidem
     >>> campaign = calcidem.load_paper_campaign()
     >>> dict(campaign.sizes), int(campaign.vs.notnull().sum())
-    ({'seed': 116, 'content': 17}, 1961)
+    ({'seed': 116, 'content': 17}, 1941)
     >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
     370.0
     """

@@ -228,9 +228,15 @@ def _uncertainty(case: Case) -> tuple[str, Iterator[Remedy]]:
     arrival, allowed = case.reading.arrival, case.experiment.pick.largest_error
     if arrival is None or case.reading.error is None:
         raise ValueError("an uncertain reading has an arrival and an error")
-    parts, error = reading_error_parts(case.section, arrival), case.reading.error
+    parts, error = reading_error_parts(arrival, case.section.frequency), case.reading.error
     name = max(parts._fields, key=lambda field: getattr(parts, field))
-    words = {"p_left": "P wave left in", "width": "broad peak", "near_field": "near field", "least": "dispersion"}
+    words = {
+        "p_left": "P wave left in",
+        "near_field": "near field",
+        "early": "a crest that left before the pulse",
+        "tie": "another peak as coherent",
+        "least": "dispersion",
+    }
     number = (
         f"The standard error of the reading is {error:.1%}; {allowed:.1%} is allowed. Its largest part is "
         f"{words[name]} ({getattr(parts, name):.1%}) over {case.wavelengths:.1f} wavelengths."
@@ -238,8 +244,8 @@ def _uncertainty(case: Case) -> tuple[str, Iterator[Remedy]]:
 
     def remedies() -> Iterator[Remedy]:
         factor = np.geomspace(_WORTH_TRYING, 8.0, 100)
-        shape, near = math.hypot(parts.p_left, parts.width) / factor, parts.near_field / factor**1.5
-        enough = parts.least**2 + shape**2 + near**2 < (_MARGIN * allowed) ** 2
+        shape = math.sqrt(parts.p_left**2 + parts.early**2 + parts.tie**2) / factor
+        enough = parts.least**2 + shape**2 + (parts.near_field / factor**2.5) ** 2 < (_MARGIN * allowed) ** 2
         yield from _higher_frequency(case, float(factor[enough.argmax()]) if enough.any() else 8.0)
         value = _round_up(error)
         if value <= 1.0:

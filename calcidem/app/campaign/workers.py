@@ -100,7 +100,7 @@ def _describe_doubt(workers: Sequence[WorkerRecord]) -> str:
     What decides a bit is arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
     that calcidem brings itself. So it depends neither on the features of the processor, nor on BLAS, numpy's vector
     functions, the C library, or versions of libraries: `tests/dem/bits` compares them on x86-64. Nothing in it is of
-    x86-64 alone, so aarch64 has the same bits by construction, but a campaign on both at once nobody has compared.
+    x86-64 alone, so aarch64 has the same bits by construction, but a campaign on both at once has not been compared.
     """
     architectures = sorted({worker.architecture for worker in workers})
     if len(architectures) > 1:

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words that name section, field, value and cure."""
+"""What is wrong with a configuration, in words that name section, field, value and remedy."""
 
 import json
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _BY_ERROR_TYPE = {
     "too_long": ("has the wrong number of entries", ""),
     "unexpected_keyword_argument": ("is not known", "leave it out"),
 }
-"""What is wrong, and a cure where the field names none, for each kind of error that pydantic tells apart."""
+"""What is wrong, and a remedy where the field names none, for each kind of error that pydantic tells apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Problem:
     Attributes
     ----------
     message
-        ``section.field = value: what is wrong; cure``.
+        ``section.field = value: what is wrong; remedy``.
     fields
         The fields that it is about, as ``section.field``.
     """
@@ -77,7 +77,7 @@ def quote(value: object) -> str:
 
 
 def phrase(error: ErrorDetails, accepted: str = "") -> str:
-    """Put one error of pydantic into words: problem and cure.
+    """Put one error of pydantic into words: problem and remedy.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ _EXAMPLES = {"grain size": "0.3mm", "stress": "100kPa"}
 _SIZES = (0.83, 1.17)
 _CLUSTER, _P_WIDTH, _C_WIDTH = 4.7, 0.41, 0.52
 # 2.5 wavelengths of 11 grains each, at which dispersion and scattering are small, fit into a width of 30. The side
-# walls, which send and receive, are wider than the path is long.
+# walls, with transmitter and receiver, are wider than the path is long.
 _BOX = (30.0, 50.0)
 _LISTENING, _LAYER = 4.0, 5.0
 # Of the box's height.

@@ -69,7 +69,7 @@ class CampaignPlan:
     Attributes
     ----------
     name
-        Of the campaign and its files.
+        Name of the campaign and its files.
     seeds
         A number n for the seeds 1 to n, or a list.
     contents
@@ -112,10 +112,9 @@ class PackingDraw:
     Attributes
     ----------
     seed
-        Of the random sizes and positions.
+        Seed of the random sizes and positions.
     file
-        CSV file with disks that are taken instead (`calcidem.dem.sample.packing_file`); its path as seen from the
-        configuration's.
+        CSV file of disks (`calcidem.dem.sample.packing_file`), relative to the configuration's folder.
     file_sha256
         Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
     """
@@ -140,8 +139,7 @@ class Calibration:
     Attributes
     ----------
     wave_stiffness_factor
-        Multiplies the grains' modulus, and with it the confining stress, while the wave is sent. With 1 the
-        packing is as it was made.
+        Factor on the grains' modulus and the confining stress during the wave; 1 leaves the packing unchanged.
     """
 
     wave_stiffness_factor: Annotated[Positive, "a positive factor, 1 for none"] = 1.0
@@ -210,8 +208,8 @@ class Excitation:
     Attributes
     ----------
     frequency
-        Excitation frequency: one for all contents, Hz, or a table; without it Table 2 of the paper. With ``"auto"`` it
-        is chosen for each content from the static stiffness of three samples, so that the path is 2.5 wavelengths.
+        Excitation frequency: a number for all contents, Hz, or a table; Table 2 of the paper by default. ``"auto"``
+        chooses it for each content from the static stiffness of three samples: the path is 2.5 wavelengths.
     """
 
     frequency: Annotated[
@@ -252,18 +250,17 @@ class RunOptions:
     lanes
         Cells computed side by side, 1 to 32; a power of two.
     store_sections
-        Whether the section of every cell is kept, some 10 kB each.
+        Whether every cell's section is stored, about 10 kB each.
     static_speed
-        Whether the velocity of long shear waves is computed from the static stiffness of every cell, too.
+        Whether the static speed of every cell is computed.
     time_limit
-        Seconds that a batch of cells may take; without it there is no limit.
+        Largest time of a batch, s; no limit by default.
     output
-        Folder for the database and the NetCDF file; made if it is missing.
+        Folder for the database and the NetCDF file.
     database
         SQLite file or database URL; ``<output>/<name>.db`` by default, ``<output>/<name>-part-3-of-8.db`` for a part.
     part
-        Which part of the cells to compute: "3/8" is the third of eight of about equal effort. Each part needs its own
-        database, which `calcidem merge` joins. By default all cells are computed.
+        Part of the cells to compute, of about equal effort; all by default. `calcidem merge` joins the databases.
     """
 
     lanes: Annotated[int, Predicate(LANE_COUNTS.__contains__), "1, 2, 4, 8, 16 or 32"] = 8

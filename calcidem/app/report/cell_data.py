@@ -193,7 +193,7 @@ def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
     """Give both signals as steps between levels, their peaks, and the arrivals in milliseconds."""
     arrival = read_arrival(analysis, cell)
-    # Of what could not be read the records are long, and one looks at them more closely.
+    # Records without a reading are long, and are examined more closely.
     stride = -(-arrival.time.size // (_MOST_POINTS if cell.vs else 5 * _MOST_POINTS))
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
@@ -201,7 +201,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
         "unit": "m/s",
         "arrivals": {method: round(1e3 * arrival.arrival_time(method), 6) for method in arrival.velocities},
     }
-    for name in ("sent", "received"):
+    for name in ("transmitted", "received"):
         values = getattr(arrival, name)
         largest = float(np.abs(values).max()) or 1.0
         described[name] = {"largest": float(f"{largest:.4g}"), "steps": _steps(values[::stride] / largest * _LEVELS)}

@@ -12,8 +12,8 @@ from calcidem.app.report.wording import ABSENT, Table, decimal, significant, tim
 from calcidem.storage.records import RunRecord
 from calcidem.storage.records.canonical import flat_parameters
 
-UNKNOWN = "unknown"
-CHOSEN = {
+_UNKNOWN = "unknown"
+_CHOSEN = {
     "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
     "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
     "pattern.p_patch_diameter": (
@@ -21,15 +21,15 @@ CHOSEN = {
         "diameter in m of the circles in which P contacts come together; 0 for single ones",
     ),
     "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
-    "pattern.keep_p": (UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
-    "packing.friction_preparation": (UNKNOWN, "friction while the packing is made; decides its coordination number"),
-    "wave.transmitter": (UNKNOWN, "whether the wall rubs along the grains, or they are given the pulse's velocity"),
-    "wave.transmitter_half_width": (UNKNOWN, "of the band that is moved, m"),
-    "wave.receiver_half_width": (UNKNOWN, "of the band that is listened to, m"),
-    "wave.boundary_thickness": (UNKNOWN, "of the strongly damped layers, m"),
-    "wave.regime": (UNKNOWN, "how far geometry and stiffness follow the wave"),
-    "cement.bond_stiffness_ratio": (UNKNOWN, "normal over shear stiffness of a bond"),
-    "cement.installation": (UNKNOWN, "what happens to a contact's force when it is cemented"),
+    "pattern.keep_p": (_UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
+    "packing.friction_preparation": (_UNKNOWN, "friction while the packing is made; decides its coordination number"),
+    "wave.transmitter": (_UNKNOWN, "whether the wall rubs along the grains, or they are given the pulse's velocity"),
+    "wave.transmitter_half_width": (_UNKNOWN, "of the band that is moved, m"),
+    "wave.receiver_half_width": (_UNKNOWN, "of the band that is listened to, m"),
+    "wave.boundary_thickness": (_UNKNOWN, "of the strongly damped layers, m"),
+    "wave.regime": (_UNKNOWN, "how far geometry and stiffness follow the wave"),
+    "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
+    "cement.installation": (_UNKNOWN, "what happens to a contact's force when it is cemented"),
 }
 """Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
 
@@ -42,14 +42,14 @@ def parameter_table(config: Mapping[str, Any]) -> Table | None:
     rows: list[tuple[str, ...]] = []
     marked: set[int] = set()
     known = {key: (published[name], name.replace("_", " ")) for key, name in PUBLISHED_KEYS.items()}
-    for key, (expected, meaning) in (CHOSEN | known).items():
+    for key, (expected, meaning) in (_CHOSEN | known).items():
         if key not in flat:
             continue
         remark = meaning
-        if expected != UNKNOWN and flat[key] != expected:
+        if expected != _UNKNOWN and flat[key] != expected:
             marked.add(len(rows))
             remark = f"{meaning}: differs from the published value" if key in known else f"calibrated: {meaning}"
-        rows.append((key, value_text(flat[key]), value_text(expected), remark))
+        rows.append((key, _value_text(flat[key]), _value_text(expected), remark))
     return Table(
         "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it: "
         "these are the calibrated ones. Where nothing is published, a value had to be chosen.",
@@ -61,11 +61,11 @@ def parameter_table(config: Mapping[str, Any]) -> Table | None:
 
 def configuration_table(config: Mapping[str, Any]) -> Table:
     """The whole physical configuration."""
-    rows = tuple((key, value_text(value)) for key, value in flat_parameters(config).items())
+    rows = tuple((key, _value_text(value)) for key, value in flat_parameters(config).items())
     return Table("The whole physical configuration in SI units.", ("parameter", "value"), rows)
 
 
-def value_text(value: object) -> str:
+def _value_text(value: object) -> str:
     """Give a value of a configuration as people read it."""
     match value:
         case None:
@@ -77,7 +77,7 @@ def value_text(value: object) -> str:
         case float():
             return significant(value, 6)
         case list() | tuple():
-            return ", ".join(value_text(item) for item in value)
+            return ", ".join(_value_text(item) for item in value)
         case _:
             return str(value)
 
@@ -92,7 +92,7 @@ def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
-            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or UNKNOWN,
+            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or _UNKNOWN,
             ", ".join(f"{name} {version}" for name, version in run.versions.items()),
             _source(run),
         )
@@ -112,7 +112,7 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
     """Quality of the packings, one column each."""
     graphs, notes = analysis.graphs, ("in two dimensions", "")
     if is_published_sand(analysis.config):
-        notes = (f"published {value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
+        notes = (f"published {_value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
     rows: list[tuple[str, ...]] = [
         (name, *(text(graph) for graph in graphs), note)
         for name, text, note in (
@@ -137,7 +137,11 @@ def packing_table(analysis: CampaignAnalysis) -> Table:
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
             ("unbalanced-force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
             ("grains at transmitter, receiver", _ends, "ends of the paths"),
-            ("content hash", lambda g: content_hash_of(g.packing) or UNKNOWN, "of all bits of disks, walls and forces"),
+            (
+                "content hash",
+                lambda g: content_hash_of(g.packing) or _UNKNOWN,
+                "of all bits of disks, walls and forces",
+            ),
             ("time to make", lambda g: time_span(g.packing.seconds), ""),
         )
     ]

@@ -12,7 +12,7 @@ _NEEDED = ("starlette", "uvicorn")
 
 
 class PageAddressError(OSError):
-    """A live page that can't be opened; the message names field, value and cure."""
+    """A live page that can't be opened; the message names field, value and remedy."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ PositivePart = Annotated[float, Interval(gt=0.0, le=1.0)]
 
 
 class FieldError(ValueError):
-    """Values that a class refuses, in words that name field, value and cure.
+    """Values that a class refuses, in words that name field, value and remedy.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class FieldError(ValueError):
 
 
 def require(condition: bool, name: str, value: object, cure: str, *others: str) -> None:
-    """Raise a `FieldError` that names the field, its value and the cure, unless the condition holds.
+    """Raise a `FieldError` that names the field, its value and the remedy, unless the condition holds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""State of a scene, and the leapfrog that changes it while nobody watches."""
+"""State of a scene, and the leapfrog that advances it."""
 
 from dataclasses import dataclass, replace
 

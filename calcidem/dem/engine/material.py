@@ -22,11 +22,11 @@ class Sand:
     Attributes
     ----------
     shear_modulus
-        G of the grain, Pa.
+        Shear modulus G of the grains, Pa.
     poisson_ratio
-        nu of the grain.
+        Poisson's ratio nu of the grains.
     density
-        Of the grains, kg/m^3; disks have unit thickness.
+        Density of the grains, kg/m^3; disks are 1 m thick.
     friction
         Coulomb coefficient between grains.
     """
@@ -69,16 +69,15 @@ class Cement:
     bond_modulus
         Effective modulus of the parallel bond, Pa.
     bond_stiffness_ratio
-        Its k_n / k_s.
+        k_n / k_s of the bond.
     linear_modulus
-        Effective modulus of the linear group, Pa; 0 leaves the group out, and a broken bond gives the
-        contact back to the sand's law.
+        Effective modulus of the linear group, Pa. Without it (0) a broken bond returns the contact to the sand's law.
     linear_stiffness_ratio
-        Its k_n / k_s.
+        k_n / k_s of the linear group.
     tensile_strength, cohesion
-        Strengths of the bond, Pa.
+        Strength of the bond, Pa.
     friction_angle
-        Of the bond's shear strength, degrees.
+        Friction angle of the bond's shear strength, degrees.
     """
 
     bond_modulus: Annotated[Positive, Unit("Pa")] = 8.0e10

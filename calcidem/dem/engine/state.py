@@ -16,7 +16,7 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
 SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
-_BUNDLED_DISKS = 256  # from so many on bundles save more than their preparation costs, 0.1 ms a call and more
+_BUNDLED_DISKS = 256  # from this number on bundles save more than their preparation costs, 0.1 ms a call and more
 _SMOOTH_STEPS, _ROUGH_STEPS = 25.0, 36.0
 """Of the default step in a Hertz contact without and with friction.
 
@@ -94,7 +94,7 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         cost time; large where they move far, since a new list costs more. By default 0.2, or 0 without contact search.
     steps_per_contact
         Steps in the shortest impact at the default step; by default 25, and 36 where grains rub. With 0 the step
-        is that of the stability limit at the start, and nobody watches it but the caller: for waves in scenes at rest.
+        is that of the stability limit at the start, and only the caller watches it: for waves in scenes at rest.
     single
         State of the same scene without bonds and loads, in one lane, with the same skin and preload: its neighbours and
         constants are taken as they are, which saves half of the time.

@@ -20,7 +20,7 @@ SAFETY = 0.8  # default step as a part of the critical time step
 _CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
 _UNSEEN = 0.05  # part of it that two disks may come nearer between two looks without having been listed
 _BUSY_LOOK, _QUIET_LOOK = 32, 256  # steps to the next look at most
-_IDLE_LOOK = 2000  # the same where nobody watches the step: a run that has blown up ends then
+_IDLE_LOOK = 2000  # the same where the step is not watched: an unstable run ends then
 _STEADY = 0.3  # motion over mean overlap in that time, below which stiffnesses change by less than the margin
 _GROWN = 1.3  # overlaps over those of the last stability limit at which it is computed again
 _NEAR = 0.5  # part of the stability limit below which only much deeper overlaps (x 16) can matter
@@ -30,7 +30,7 @@ _ENERGY = 0.1  # of the largest energy so far, that may come from nowhere
 
 
 class UnstableRunError(RuntimeError):
-    """A run whose numbers cannot be trusted any more; the message names step, disk and cure."""
+    """A run whose numbers cannot be trusted any more; the message names step, disk and remedy."""
 
 
 def step_limit(state: State) -> Floats:

@@ -53,16 +53,15 @@ class CementRule:
     cluster_diameter
         Diameter of the circle whose contacts make up a cluster, m.
     threshold
-        Content up to which there is P alone, percent; above it clusters are added. The paper's text speaks of
-        1 %, its Eq. 3 of 0.66 %, and none of its samples lies between.
+        Content above which clusters are added, percent (0.66 by Eq. 3 of the paper, 1 by its text).
     keep_p
-        True keeps the P of the threshold at larger contents; False takes C alone there, as Eq. 3 can be read.
+        True keeps the P contacts of the threshold at larger contents; False takes clusters alone.
     p_share
-        Calcite of a P contact as a multiple of Eq. 2; more of it means fewer P contacts at the same content.
+        Calcite of a P contact over Eq. 2.
     cluster_area
-        Calcite of every cluster, m^2; None takes the sum of Eq. 2 over its contacts.
+        Calcite of a cluster, m^2; None takes the sum of Eq. 2 over its contacts.
     p_patch_diameter
-        Diameter of the circles in which P contacts come together, m; 0 for single contacts, at random.
+        Diameter of the patches of P contacts, m; 0 for single contacts.
     sand_density, calcite_density
         Densities of grains and calcite, kg/m^3.
     """

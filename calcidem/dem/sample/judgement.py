@@ -1,4 +1,4 @@
-"""Whether a packing can be that of a sand: rules for packings of any origin, before a wave is sent through them.
+"""Whether a packing can be that of a sand: rules for packings of any origin, before a wave is transmitted.
 
 The contact law holds for overlaps that are small against the radii, so stress over modulus decides. Two more bounds are
 geometry: how densely disks can lie, and how many neighbours they can have.
@@ -37,9 +37,9 @@ class Fault:
     key
         Key of ``[packing]`` that the text begins with.
     text
-        Key, value, cause and cure.
+        Key, value, cause and remedy.
     refused
-        Whether no wave is sent; otherwise it is a warning.
+        Whether the packing is refused; otherwise it is a warning.
     """
 
     key: str

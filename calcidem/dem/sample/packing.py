@@ -26,7 +26,7 @@ class PackingError(RuntimeError):
 
 
 class PackingFileError(PackingError):
-    """A file that is no packing; the message names file, line and cure."""
+    """A file that is no packing; the message names file, line and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,23 +36,23 @@ class PackingRule:
     Attributes
     ----------
     width, height
-        Of the box before the lid moves, m.
+        Size of the box before compression, m.
     diameter
-        Smallest and largest, m; uniformly distributed between.
+        Smallest and largest diameter, m; uniformly distributed.
     porosity
-        Of the box after the disks have grown, which fixes their number.
+        Porosity of the box before compression, which fixes the number of disks.
     expansion_steps
         Steps in which the disks grow to their size.
     friction_preparation
-        Coulomb coefficient between grains while packing; reset to the sand's friction afterwards.
+        Coulomb coefficient between grains during packing.
     stress
         Vertical stress on the lid, Pa.
     damping
-        Local damping factor while packing.
+        Local damping factor during packing.
     unbalanced_force_ratio
         Unbalanced-force ratio at which the packing is at rest.
     most_steps
-        Time steps after which packing is given up.
+        Largest number of time steps.
     """
 
     width: Annotated[Positive, Unit("m")] = 0.1

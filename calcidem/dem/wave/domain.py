@@ -1,6 +1,6 @@
 """The part of a packing that takes part in a wave: disks that nothing can reach are left out.
 
-A layer with a local damping factor of 1 takes away any force that drives a disk on, so a wave dies within a few
+A layer with a local damping factor of 1 removes any force that accelerates a disk, so a wave decays within a few
 diameters: at a depth of four, a billionth of the pulse's stroke is left, at every content. What lies deeper only costs
 time. So do disks without a contact, as long as no contact can form.
 """
@@ -52,7 +52,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
     Parameters
     ----------
     packing, rule
-        What the wave is sent through, and how. The whole packing is kept where the layers damp by less than 1, and
+        What the wave crosses, and how. The whole packing is kept where the layers damp by less than 1, and
         where the rule says so.
     installation
         Of the bonds. Those that change the contact forces let the whole packing settle anew.

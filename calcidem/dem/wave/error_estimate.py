@@ -28,7 +28,7 @@ _BREAKING = 2.0  # see `_breaking_error`
 
 _USUAL_STEP = 7.5e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
-_USUAL_ROUGHNESS = 0.25  # the same over what smoothing takes away
+_USUAL_ROUGHNESS = 0.25  # the same over what smoothing removes
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
@@ -50,18 +50,18 @@ class ErrorParts(NamedTuple):
         of an interval. The factor is half as large again as the largest shift found.
     regime
         See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. Small and linear displacement also keep gaps open
-        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Gaps that
-        close").
+        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Regime
+        over the amplitude of the pulse").
     slip
         See `_slip_error`.
     precision
-        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every knob"). It also adds the part
+        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds the part
         2^-24 of the forces that the packing carries, which go with its overlap, to those of the wave, which go with
         the stroke of the pulse and the part of its amplitude that is received.
     noise
-        A pulse of height H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the pulse's own frequency adds
-        a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the first
-        arrival, so that n is at least the onset level: chattering contacts make it, and another step another one.
+        A pulse of amplitude H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the pulse's own frequency
+        adds a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the
+        first arrival, so that n is at least the onset level: chattering contacts make it, and another step another one.
     chatter
         See `_chatter_error`.
     unbalanced
@@ -158,9 +158,9 @@ def estimate_error(experiment: Experiment, record: WaveRecord, arrival: ShearArr
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest of each number until the whole pulse had gone a way of so many periods.
+    """Largest of each number until the whole pulse had travelled a path of so many periods.
 
-    On a long way contacts slip that the pulse had not reached when it had been sent.
+    On a long path contacts slip that the pulse had not reached when its transmission ended.
     """
     looks = record.nonlinear[: 1 + int(periods / LOOKS_APART)]
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
@@ -185,7 +185,7 @@ def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArriv
     """Bounds of the parts of the error of a velocity; ``shift`` is that of `_shift_by_change`."""
     frequency, travel_time = record.section.frequency, arrival.travel_time
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
-    # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short way.
+    # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short path.
     periods = frequency * travel_time
     shape = max(1.0, 1.0 / periods)
     found = _largest_nonlinearity(record, periods)
@@ -260,7 +260,7 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
 
     - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away: half
       of it, were what it takes from each contact's neighbours the same everywhere. Twice that here
-      (docs/stability.md, "near isostaticity"); on a way of less than a wavelength that changes the shape, as in
+      (docs/stability.md, "near isostaticity"); on a path of less than a wavelength that changes the shape, as in
       `_error_parts`. ``periods`` are f travel time.
     - What the transmitter loses: see `_loss_error`.
 
@@ -275,6 +275,6 @@ def _loss_error(record: WaveRecord, shift: float, periods: float) -> float:
     """Bound of the relative error of a velocity where contacts at the transmitter slip.
 
     The part e of its force is missing from then on. That moves a peak as changes of the signal do, by ``shift`` e, and
-    the top of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
+    the peak of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
     """
     return float(max(shift, 1.0 / (np.pi * periods)) * record.slipped)

@@ -103,7 +103,7 @@ class Experiment:
         """Path from the transmitter to each station, and last to the receiver, m.
 
         The recorded velocity is the plain mean of some disks, so a wave passes its middle at their mean x. Driven disks
-        send it from their mean x, a wall from its surface.
+        transmit it from their mean x, a wall from its surface.
         """
         packing, wave = self.domain.packing, self.wave
         driven, groups = driven_disks(packing, wave), (*station_disks(packing, wave), listening_disks(packing, wave))

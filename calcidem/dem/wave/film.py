@@ -1,4 +1,4 @@
-"""A wave on its way: velocities of all disks at even times, beside the signals that a measurement records."""
+"""A propagating wave: velocities of all disks at even times, beside the signals that a measurement records."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ def film_wave(
     lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> WaveFilm:
-    """Send a pulse through one sample, and look at its disks at even times.
+    """Transmit a pulse through one sample, and record its disks at even times.
 
     Parameters
     ----------

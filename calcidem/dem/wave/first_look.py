@@ -1,11 +1,11 @@
-"""A frequency that suits samples whose velocity nobody knows yet."""
+"""A frequency for samples whose velocity is not known yet."""
 
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 
 WAVELENGTHS = 2.5
-"""Wavelengths of path: with fewer the near field is read, with many more grains pass on too little."""
+"""Wavelengths of path: with fewer the near field is read, with many more little propagates."""
 
 _PATTERNS = 3
 """Cement patterns that are looked at: their median is within some percent of that of hundreds."""

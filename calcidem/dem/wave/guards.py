@@ -29,7 +29,7 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
     Parameters
     ----------
     state
-        What to look at; all lanes are looked at together, which costs hardly more than one.
+        What to look at; all lanes are looked at together, at about the cost of one.
     amplitude
         Of the pulse, m/s; nothing moves much faster in a sample that was at rest.
     overlap

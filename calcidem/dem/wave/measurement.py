@@ -1,4 +1,4 @@
-"""From a seed and a content to a shear-wave velocity: cement the packing, send the wave, read its arrival."""
+"""From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, read its arrival."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -118,8 +118,12 @@ def measure(
     frequency = experiment.frequency(content)
 
     def stop_when(record: WaveRecord) -> bool:
-        sent = record.section.duration * frequency > 1.0
-        return experiment.early_stop and sent and is_settled(record.section, experiment.pick, record.remaining_speed)
+        transmitted = record.section.duration * frequency > 1.0
+        return (
+            experiment.early_stop
+            and transmitted
+            and is_settled(record.section, experiment.pick, record.remaining_speed)
+        )
 
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)

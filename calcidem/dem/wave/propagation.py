@@ -61,8 +61,8 @@ def send_waves(
 
     Returns
     -------
-    One record for each sample. A sample in which a guard found a problem is sent once more with half the step, and its
-    record says so; if that fails too, the problem stays in the record.
+    One record for each sample. A sample in which a guard found a problem is computed once more with half the step, and
+    its record says so; if that fails too, the problem stays in the record.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def send_waves(
 def prepare_recorder(
     experiment: Experiment, bonded: Sequence[Flags], frequency: float, lanes: int, check: Callable[[], None]
 ) -> Recorder:
-    """Prepare a batch to be sent, once and with one step; the arguments are those of `send_waves`."""
+    """Prepare a batch for transmission, once and with one step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     rule, installation, pulse = experiment.wave, experiment.installation, Pulse(experiment.wave.amplitude, frequency)
     domain, bare = experiment.domain, experiment.bare_scene
@@ -108,7 +108,6 @@ def prepare_recorder(
             np.sort(rank[disks]) for disks in (*station_disks(packing, rule), listening_disks(packing, rule))
         ),
         places=experiment.places,
-        aperture=rule.transmitter_half_width,
         driven_disks=np.sort(rank[driven]),
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),

@@ -1,4 +1,4 @@
-"""The pulse that is sent into a sample: its shape, and the frequency that suits a calcite content."""
+"""The transmitted pulse: its shape, and the frequency that suits a calcite content."""
 
 from dataclasses import dataclass
 
@@ -98,7 +98,7 @@ def excitation_frequency(content: float) -> float:
 
 
 def cutoff_frequency(stiffness: float, mass: float) -> float:
-    """Highest frequency that a chain of grains passes on, Hz.
+    """Cut-off frequency of a chain of grains, Hz.
 
     Parameters
     ----------

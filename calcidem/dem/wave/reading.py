@@ -21,8 +21,8 @@ import numpy as np
 from calcidem.dem.engine.fields import PositivePart, require_fields
 from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
 from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
@@ -39,7 +39,7 @@ LEAST_COHERENCE = 0.5
 """Smallest stack of an S wave: the mean over all stations of its amplitude over the largest one."""
 
 P_TO_S = 2.1
-"""Largest ratio of the speeds of P and S wave: up to so many travel times of a P wave the S wave may still come."""
+"""Largest ratio of P to S wave speed: the S wave arrives within this multiple of the P wave's travel time."""
 
 _STRETCH = 0.04
 """The line of a peak may be faster or slower by this part: the last grains delay or advance the receiver."""
@@ -49,25 +49,22 @@ _FEWEST_STATIONS = 4
 """Stations that have to see the crest for a velocity of the path: fewer tell no line from a bend."""
 
 _SMOOTHING = 0.3
-"""Half-width of the window of smoothing, of the period: grains pass on little of what is shorter."""
+"""Half-width of the window of smoothing, of the period: little of a shorter duration propagates through grains."""
 
-_LARGEST_ERROR = 0.15
-"""Standard error of a reading above which it is refused; a smaller bound refuses fast samples first."""
+_LARGEST_ERROR = 0.25
+"""Standard error of a reading above which it is refused; a smaller bound refuses more fast samples than slow ones."""
 
-_LEAST_ERROR = 0.014
+_LEAST_ERROR = 0.019
 """Standard error of the clearest reading: dispersion and scattering move any peak by so much."""
 
 _P_LEFT = 0.75
 """Standard error over the shift that taking the P wave off makes."""
 
-_BLUR = 0.16
-"""Standard error over the relative width of the peak at 0.9 of its amplitude."""
+_NEAR_FIELD = 0.04
+"""Standard error at a path of one wavelength, where P and S wave are one; it falls with the power 2.5 of the path."""
 
-_NEAR_FIELD = 0.075
-"""Standard error of a line source at a path of one wavelength; it falls with the power 1.5 of the path."""
-
-_EDGE_SPEED = 1.5
-"""Speed, over that of the S wave, of the P waves from the edges of the transmitter: that of sand and of lattices."""
+_TIE = 0.05
+"""Difference of coherence from which on the better of two peaks is certain: small changes of a signal make less."""
 
 _CREST = 1.8
 """Standard error of the path's velocity over the one that the scatter of the stations about their line gives."""
@@ -123,10 +120,14 @@ class ShearArrival:
         Stack of the section along its line, from `LEAST_COHERENCE` to 1.
     shifted
         Change of the travel time by what was taken off as P wave, relative.
-    width
-        Of the peak at 0.9 of its amplitude, over the travel time.
+    early
+        By how much the crest between the stations is slower than the travel time to the receiver says, relative. Such
+        a crest would have left before the transmitted peak. Zero where it is faster, or unknown.
+    tie
+        Root of the mean square distance of the other peaks from this one by their odds of being the S wave, over the
+        travel time, see `_tie`.
     roughness
-        What smoothing takes away from the receiver's motion (rms) until a period after the peak, over its amplitude.
+        Motion of the receiver that smoothing removes (rms) until a period after the peak, over its amplitude.
     path_velocity, path_scatter
         Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
         stations about their line; None where fewer than `_FEWEST_STATIONS` saw it.
@@ -139,7 +140,8 @@ class ShearArrival:
     travel_time: float
     coherence: float
     shifted: float
-    width: float
+    early: float
+    tie: float
     roughness: float
     path_velocity: float | None
     path_scatter: float | None
@@ -186,16 +188,19 @@ class ReadingErrorParts(NamedTuple):
         Of the clearest reading.
     p_left
         What is left of the P wave.
-    width
-        Broad peak, which may be two waves.
     near_field
-        The wave is not plane near the transmitter.
+        P and S wave are one on a short path.
+    early
+        The crest left before the transmitted peak.
+    tie
+        Another peak continues the section nearly as well.
     """
 
     least: float
     p_left: float
-    width: float
     near_field: float
+    early: float
+    tie: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +242,7 @@ class _Prepared(NamedTuple):
         (X,) places over the distance.
     period, peak
         Duration of the pulse and time of its peak.
-    p_top, p_end, p_share
+    p_peak, p_end, p_share
         (X,) peak and end of the P wave's first swing, and motion across over along in it; -1 where there is none yet.
     """
 
@@ -246,7 +251,7 @@ class _Prepared(NamedTuple):
     parts: Floats
     period: float
     peak: float
-    p_top: Integers
+    p_peak: Integers
     p_end: Integers
     p_share: Floats
 
@@ -256,9 +261,9 @@ def prepare(section: Section, smoothing: float) -> _Prepared:
     half = smoothing * section.period
     across, along = (smooth(motion * RESOLUTION, half) for motion in (section.across, section.along))
     swings = [_first_swing(u, a, section.period) for u, a in zip(across.T, along.T, strict=True)]
-    top, end, share = (np.array(column) for column in zip(*swings, strict=True))
+    peak, end, share = (np.array(column) for column in zip(*swings, strict=True))
     parts = np.array(section.places) / section.distance
-    return _Prepared(across, along, parts, section.period, section.transmitted_peak, top, end, share)
+    return _Prepared(across, along, parts, section.period, section.transmitted_peak, peak, end, share)
 
 
 def smooth(motion: Floats, half_width: float) -> Floats:
@@ -282,34 +287,34 @@ def smooth(motion: Floats, half_width: float) -> Floats:
 def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int, float]:
     """Peak, end and share of the first swing along the path at one station; -1 where none is known yet."""
     swing, soon = np.abs(along), int(period)
-    for top in find_tops(swing).tolist():
-        if swing[top] < SILENCE or top + soon >= len(swing):
+    for peak in find_maxima(swing).tolist():
+        if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
-        if swing[top : top + soon].max() > _LARGER_SWING * swing[top]:
+        if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
             continue
         # The last sample counts as far as the peak lies behind it: the share does not jump with the sampling.
-        weight = along[: top + 1].copy()
-        weight[-1] *= 0.5 + parabola_vertex(swing, top)
-        share = np.sum(weight * across[: top + 1]) / np.sum(weight * along[: top + 1])
-        over = along[top:] * along[top] <= 0.0
-        end = top + int(over.argmax()) if over.any() else len(along)
-        return top, end, float(np.clip(share, -_STEEPEST, _STEEPEST))
+        weight = along[: peak + 1].copy()
+        weight[-1] *= 0.5 + parabola_vertex(swing, peak)
+        share = np.sum(weight * across[: peak + 1]) / np.sum(weight * along[: peak + 1])
+        over = along[peak:] * along[peak] <= 0.0
+        end = peak + int(over.argmax()) if over.any() else len(along)
+        return peak, end, float(np.clip(share, -_STEEPEST, _STEEPEST))
     return -1, -1, 0.0
 
 
 def _without_p(prepared: _Prepared, before: Floats) -> Floats:
     """Motion across (T, X) without the first swings of P that peak before these samples (X,)."""
     sample = np.arange(len(prepared.across))[:, None]
-    taken = (prepared.p_top >= 0) & (prepared.p_top <= before) & (sample < prepared.p_end)
+    taken = (prepared.p_peak >= 0) & (prepared.p_peak <= before) & (sample < prepared.p_end)
     return prepared.across - np.where(taken, prepared.p_share * prepared.along, 0.0)
 
 
 def _receiver_peaks(prepared: _Prepared) -> list[int]:
     """Peaks of the receiver after the transmitted one: as they are up to the P wave's, and without it from there on."""
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))[:, -1]
-    top, whole = int(prepared.p_top[-1]), prepared.across[:, -1]
-    found = [i for i in find_tops(whole).tolist() if (top < 0 or i < top) and whole[i] > SILENCE]
-    found += [i for i in find_tops(clean).tolist() if i >= top >= 0 and clean[i] > SILENCE]
+    peak, whole = int(prepared.p_peak[-1]), prepared.across[:, -1]
+    found = [i for i in find_maxima(whole).tolist() if (peak < 0 or i < peak) and whole[i] > SILENCE]
+    found += [i for i in find_maxima(clean).tolist() if i >= peak >= 0 and clean[i] > SILENCE]
     return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
@@ -318,7 +323,7 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
     arrival = _find_arrival(prepare(section, rule.smoothing), section)
     if isinstance(arrival, Verdict):
         return Reading(arrival)
-    error = reading_error(section, arrival)
+    error = reading_error(arrival, section.frequency)
     if error > rule.largest_error:
         return Reading(Verdict.UNCERTAIN, arrival, error=error)
     others = (_read_first_arrival(section, arrival), _read_cross_correlation(section, arrival))
@@ -376,7 +381,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
     if max(loudest, float(tail[-1])) < SILENCE:
         return True
-    if (prepared.p_top < 0).any():
+    if (prepared.p_peak < 0).any():
         return False
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
     now = (1.0 - _STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
@@ -405,24 +410,24 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
     if horizon > len(early):
         return Verdict.TOO_SHORT
     clean = early[:horizon]
-    coherence, rival = _coherences(prepared, clean, index, travel)
-    if coherence < LEAST_COHERENCE or rival > coherence:
+    coherence = _coherence(prepared, clean, _largest(clean), travel)
+    rivals = _rivals(prepared, clean, index)
+    if coherence < LEAST_COHERENCE or any(other.coherence > coherence for other in rivals):
         return None
     whole = prepared.across[:horizon, -1]
-    with_p = [i + parabola_vertex(whole, i) for i in find_tops(whole).tolist() if i > prepared.peak]
+    with_p = [i + parabola_vertex(whole, i) for i in find_maxima(whole).tolist() if i > prepared.peak]
     shifted = min((abs(other - time) for other in with_p), default=travel) / travel
-    began, ended = falls_through(clean[:, -1], index, 0.9 * float(clean[index, -1]))
     rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
-    slope = _crest(prepared, clean, travel)
-    interval = section.sampling_interval
+    crest, interval = _crest(prepared, clean, travel), section.sampling_interval
     return ShearArrival(
         travel_time=travel * interval,
         coherence=coherence,
         shifted=shifted,
-        width=(ended - began) / travel,
+        early=0.0 if crest is None else max(0.0, 1.0 - travel / crest[0]),
+        tie=_tie(coherence, travel, rivals),
         roughness=float(np.sqrt(np.mean(rough * rough)) / clean[index, -1]),
-        path_velocity=None if slope is None else section.distance / (slope[0] * interval),
-        path_scatter=None if slope is None else slope[1],
+        path_velocity=None if crest is None else section.distance / (crest[0] * interval),
+        path_scatter=None if crest is None else crest[1],
         index=index,
         clean=clean,
     )
@@ -439,7 +444,9 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         clean, time = _line_to(prepared, index)
         travel = time - prepared.peak
         horizon = _horizon(prepared, travel)
-        coherence, rival = _coherences(prepared, clean[:horizon], index, travel)
+        seen = clean[:horizon]
+        coherence = _coherence(prepared, seen, _largest(seen), travel)
+        rival = max((other.coherence for other in _rivals(prepared, seen, index)), default=0.0)
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
@@ -475,14 +482,31 @@ def _largest(clean: Floats) -> Floats:
     return np.asarray(np.maximum(np.abs(clean).max(axis=0), SILENCE * RESOLUTION))
 
 
-def _coherences(prepared: _Prepared, clean: Floats, index: int, travel: float) -> tuple[float, float]:
-    """Coherence of a peak of the receiver, and the largest one of all others."""
+class _Rival(NamedTuple):
+    """Another peak of the receiver: its travel time, samples, and the coherence of its line."""
+
+    travel: float
+    coherence: float
+
+
+def _rivals(prepared: _Prepared, clean: Floats, index: int) -> list[_Rival]:
+    """All peaks of the receiver but one."""
     largest, rivals = _largest(clean), []
-    for other in find_tops(clean[:, -1]).tolist():
+    for other in find_maxima(clean[:, -1]).tolist():
         if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
-            apart = other + parabola_vertex(clean[:, -1], other) - prepared.peak
-            rivals.append(_coherence(prepared, clean, largest, apart))
-    return _coherence(prepared, clean, largest, travel), max(rivals, default=0.0)
+            travel = other + parabola_vertex(clean[:, -1], other) - prepared.peak
+            rivals.append(_Rival(travel, _coherence(prepared, clean, largest, travel)))
+    return rivals
+
+
+def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
+    """Root of the mean square distance of the other peaks: their odds fall from a half, at equal coherence, to none."""
+    total = 0.0
+    for other in rivals:
+        odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / _TIE)
+        apart = other.travel / travel - 1.0
+        total += odds * apart * apart
+    return float(np.sqrt(total))
 
 
 def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: float) -> float:
@@ -500,11 +524,11 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
     place, time = [], []
     for station, part in enumerate(prepared.parts[:-1].tolist()):
         wanted = prepared.peak + travel * part
-        tops = [i + parabola_vertex(clean[:, station], i) for i in find_tops(clean[:, station]).tolist()]
-        near = [top for top in tops if abs(top - wanted) < 0.25 * prepared.period]
+        peaks = [i + parabola_vertex(clean[:, station], i) for i in find_maxima(clean[:, station]).tolist()]
+        near = [peak for peak in peaks if abs(peak - wanted) < 0.25 * prepared.period]
         if near:
             place.append(part)
-            time.append(min(near, key=lambda top: abs(top - wanted)))
+            time.append(min(near, key=lambda peak: abs(peak - wanted)))
     if len(place) < _FEWEST_STATIONS:
         return None
     x, t = np.array(place), np.array(time)
@@ -522,24 +546,22 @@ def _median(values: Floats) -> float:
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
 
 
-def reading_error(section: Section, arrival: ShearArrival) -> float:
+def reading_error(arrival: ShearArrival, frequency: float) -> float:
     """Relative standard error of a velocity that was read: root of the sum of squares of independent parts.
 
-    What was taken off as P wave may leave a part of it, a broad peak may be two waves, and near a transmitter of finite
-    height the wave is not plane. There P and S wave are one within the first wavelengths (Arroyo et al. 2003,
-    Geotechnique 53:337), unless the transmitter is so high that the P waves from its edges come half a period after the
-    S wave. The factors were fitted to sections with a known delay (docs/reading.md).
+    What was taken off as P wave may leave a part of it. On a path of few wavelengths P and S wave are one (Arroyo et
+    al. 2003, Geotechnique 53:337): their peak runs ahead, so that the crest between the stations seems to leave before
+    the transmitted peak, which counts in full. Where another peak continues the section nearly as well, either may be
+    the S wave's. The factors were fitted to sections with a known delay (docs/reading.md).
     """
-    return float(np.sqrt(sum(part * part for part in reading_error_parts(section, arrival))))
+    return float(np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency))))
 
 
-def reading_error_parts(section: Section, arrival: ShearArrival) -> ReadingErrorParts:
-    """Return the parts of `reading_error`."""
-    periods = arrival.travel_time * section.frequency
-    edge = section.aperture / section.distance * periods
-    later = max(0.0, float(np.sqrt(periods * periods + edge * edge)) / _EDGE_SPEED - periods)
-    near = _NEAR_FIELD / (periods * float(np.sqrt(periods))) * max(0.0, 1.0 - 2.0 * later)
-    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, _BLUR * arrival.width, near)
+def reading_error_parts(arrival: ShearArrival, frequency: float) -> ReadingErrorParts:
+    """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
+    periods = arrival.travel_time * frequency
+    near = _NEAR_FIELD / (periods * periods * float(np.sqrt(periods)))
+    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, near, arrival.early, arrival.tie)
 
 
 def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None:

@@ -1,4 +1,4 @@
-"""Recording a wave under way: the signals of each sample of a batch, until they are long enough or a guard steps in."""
+"""Recording a propagating wave: the signals of each sample of a batch, until they suffice or a guard ends them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -45,14 +45,15 @@ class WaveRecord:
         Bound of the velocities of the section from then on, m/s: those of a place, were all that moves in the sample
         its disks.
     nonlinear
-        What the contact laws would change when the pulse has been sent, and after every `LOOKS_APART` periods from then
-        on.
+        What the contact laws would change when the pulse has been transmitted, and after every `LOOKS_APART` periods
+        from then on.
     slipped
-        Largest part of the transmitter's force, while the pulse was sent, that its contacts could not have passed on.
+        Largest part of the transmitter's force, while the pulse was transmitted, that its contacts could not have
+        transmitted.
     problem
         Empty, or why the run cannot be trusted.
     retry
-        Empty, or the problem for which the sample was sent a second time, with half the step.
+        Empty, or the problem for which the sample was computed a second time, with half the step.
     """
 
     time_step: float
@@ -73,7 +74,7 @@ class WaveRecord:
 
 @dataclass(slots=True)
 class Recorder:
-    """A batch of samples that a pulse is sent through, advanced chunk by chunk.
+    """A batch of samples that a pulse crosses, advanced chunk by chunk.
 
     Attributes
     ----------
@@ -86,8 +87,6 @@ class Recorder:
     listeners, places
         Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
         receiver; and their paths, see `Section.places`.
-    aperture
-        Half the height of the transmitter, m.
     driven_disks
         Disks that the pulse drives, in memory order.
     samples
@@ -111,7 +110,6 @@ class Recorder:
     stride: int
     listeners: tuple[Integers, ...]
     places: tuple[float, ...]
-    aperture: float
     driven_disks: Integers
     samples: int
     longest: float
@@ -199,7 +197,7 @@ class Recorder:
     def _remaining_speeds(self) -> Floats:
         """(L,) see `WaveRecord.remaining_speed`, m/s.
 
-        Half of the energy of waves is kinetic, on their way and at the receiver, and damping only takes from it. The
+        Half of the energy of waves is kinetic, on the path and at the receiver, and damping only takes from it. The
         mean velocity of n disks is highest where they move together: at ``sum(m v^2) / (n m)``, its square, at most.
         """
         mass = self.state.scene.mass[self.state.assembly.order]
@@ -218,7 +216,6 @@ class Recorder:
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,
-            aperture=self.aperture,
             places=self.places,
             across=across,
             along=along,

@@ -1,4 +1,4 @@
-"""How a shear wave is sent, carried and recorded, and what is refused beforehand."""
+"""How a shear wave is transmitted, propagated and recorded, and what is refused beforehand."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -14,54 +14,52 @@ Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # in a period of the pulse; with 20 a peak moves by 0.1 % (docs/reading.md)
-_LOUDEST_LINEAR = 5.0  # stroke of the pulse over mean overlap that constant stiffnesses can stand for
-_LOUDEST_SMALL = 0.05  # stroke of the pulse over the smallest radius that a fixed geometry can stand for
+_LOUDEST_LINEAR = 5.0  # largest stroke of the pulse over mean overlap for constant stiffnesses
+_LOUDEST_SMALL = 0.05  # largest stroke of the pulse over the smallest radius for a fixed geometry
 
 
 @dataclass(frozen=True, slots=True)
 class WaveRule:
-    """How the wave is sent, carried and recorded (section 2.2.2 and Table 1 of the paper, where they say).
+    """How the wave is transmitted, propagated and recorded (section 2.2.2 and Table 1 of the paper).
 
     Attributes
     ----------
     amplitude
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
     transmitter
-        ``wall``: the band of the left wall moves along itself, and takes disks along by friction. ``driven``: the disks
-        that touch that band are given the pulse's velocity, and are held in x and in rotation, see
-        `domain.driven_disks`; the wall behind them is smooth and at rest.
+        ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the motion of the disks
+        at that band is prescribed, without rotation, see `domain.driven_disks`.
     transmitter_half_width, receiver_half_width
-        Half the height of the bands in the left and the right wall, m.
+        Half-width of the band in the wall, m.
     band_friction
-        Coulomb coefficient of the bands that move, or are pulled at, as walls.
+        Coulomb coefficient of the bands.
     damping
         Local damping factor of the sample.
     boundary_damping
         Local damping factor of the layers at floor and lid.
     boundary_thickness
-        Of these layers, m.
+        Thickness of these layers, m.
     regime
-        ``finite`` follows displacements of any size, ``small`` keeps the geometry, ``linear`` the stiffnesses, too.
+        ``finite``: displacements of any size; ``small``: fixed geometry; ``linear``: fixed stiffness as well.
     precision
-        Of the kernel's numbers.
+        Precision of the kernel's numbers.
     step_fraction
-        Time step as a part of the stability limit.
+        Time step over the stability limit.
     samples_per_period
-        Samples of the section in a period of the pulse, or a few fewer: all samples of a content have one stride, and a
-        soft one has longer steps. With 40 a peak moves by 2e-4, with 20 by 1e-3.
+        Samples of the section in a period of the pulse. With 40 a peak moves by 2e-4, with 20 by 1e-3.
     slowest
-        Slowest velocity that is waited for, m/s.
+        Slowest velocity for which the record lasts, m/s.
     listening_depth
-        Disks this far from the receiving wall, but not touching it, make up the recorded velocity, m.
+        Depth before the receiver within which disks that do not touch it are recorded, m.
     most_broken_bonds
-        Part of its bonds that a sample may lose to the pulse; one that loses more has become another sample.
+        Largest share of bonds that the pulse may break.
     unbalanced_force_ratio
-        At which a sample has settled after bonds that do not preserve the forces.
+        Ratio at which a sample has settled after bonds changed its forces.
     most_settling_steps
-        Time steps after which this settling is given up.
+        Largest number of time steps of this settling.
     keep
-        Names of kernel features that stay on though the scene does not need them, see `kernels.features.Features`, and
-        ``whole_domain`` if disks that the wave cannot reach are to be computed too, see `domain.domain_of`.
+        Kernel features that stay on without need (`kernels.features.Features`), and ``whole_domain`` for disks that the
+        wave cannot reach (`domain.domain_of`).
     """
 
     amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3
@@ -71,9 +69,9 @@ class WaveRule:
     band_friction: Annotated[Positive, "a positive coefficient: a smooth transmitter moves nothing"] = 0.7
     damping: Annotated[
         float,
-        Interval(ge=0.0, le=0.7),  # with more, Vs may hang on the step (docs/stability.md, "Drawn at random")
-        "a factor in [0, 0.7] (boundary_damping may be 1): with more the wave dies within a few grains and leaves a "
-        "velocity that hangs on the time step",
+        Interval(ge=0.0, le=0.7),  # with more, Vs may depend on the step (docs/stability.md, "Drawn at random")
+        "a factor in [0, 0.7] (boundary_damping may be 1): with more the wave decays within a few grains, and "
+        "its velocity depends on the time step",
     ] = 0.3
     boundary_damping: Part = 1.0
     boundary_thickness: Annotated[NotNegative, Unit("m")] = 0.05
@@ -91,7 +89,7 @@ class WaveRule:
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be sent."""
+        """Refuse what cannot be transmitted."""
         require_fields(self)
 
 
@@ -111,7 +109,7 @@ def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> Non
             stroke <= bound,
             "amplitude",
             rule.amplitude,
-            f"moves the transmitter by {stroke:.3g} m, more than {meaning} ({bound:.3g} m), which the regime "
-            f'{rule.regime} cannot stand for: choose regime = "finite" or an amplitude of at most '
+            f"moves the transmitter by {stroke:.3g} m, more than {meaning} ({bound:.3g} m), too far for the regime "
+            f'{rule.regime}: choose regime = "finite" or an amplitude of at most '
             f"{bound * frequency:.3g} m/s",
         )

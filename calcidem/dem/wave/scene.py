@@ -31,15 +31,15 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         f"has to be less than half the height of the sample, {middle:.4g} m",
     )
     rubbing = rule.band_friction if rule.transmitter == "wall" else 0.0
-    sent, heard = rule.transmitter_half_width, rule.receiver_half_width
+    transmitter, receiver = rule.transmitter_half_width, rule.receiver_half_width
     walls = (
         # The tangent of the left wall points up, that of the right wall down; both have their origin at mid-height.
-        Wall((0.0, middle), (1.0, 0.0), span=(-np.inf, -sent)),
-        Wall((0.0, middle), (1.0, 0.0), friction=rubbing, span=(-sent, sent)),
-        Wall((0.0, middle), (1.0, 0.0), span=(sent, np.inf)),
-        Wall((width, middle), (-1.0, 0.0), span=(heard, np.inf)),
-        Wall((width, middle), (-1.0, 0.0), friction=rule.band_friction, span=(-heard, heard)),
-        Wall((width, middle), (-1.0, 0.0), span=(-np.inf, -heard)),
+        Wall((0.0, middle), (1.0, 0.0), span=(-np.inf, -transmitter)),
+        Wall((0.0, middle), (1.0, 0.0), friction=rubbing, span=(-transmitter, transmitter)),
+        Wall((0.0, middle), (1.0, 0.0), span=(transmitter, np.inf)),
+        Wall((width, middle), (-1.0, 0.0), span=(receiver, np.inf)),
+        Wall((width, middle), (-1.0, 0.0), friction=rule.band_friction, span=(-receiver, receiver)),
+        Wall((width, middle), (-1.0, 0.0), span=(-np.inf, -receiver)),
         Wall((0.0, 0.0), (0.0, 1.0)),
         # The servo of the lid works only while a cemented sample settles.
         Wall((0.0, height), (0.0, -1.0), servo_force=packing.report.wall_stress[-1] * width),

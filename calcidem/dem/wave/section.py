@@ -38,8 +38,6 @@ class Section:
         Of the pulse ``v0 (1 - cos 2 pi f t)``, Hz.
     amplitude
         Its v0, m/s.
-    aperture
-        Half the height of the transmitter, m.
     places
         (X,) path from the transmitter to each station, and last to the receiver, m.
     across, along
@@ -50,7 +48,6 @@ class Section:
     start_time: float
     frequency: float
     amplitude: float
-    aperture: float
     places: tuple[float, ...]
     across: Counts
     along: Counts

@@ -34,7 +34,6 @@ class RecordedSection(ComparedByValue):
     start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
     pulse_frequency: Annotated[float, Quantity("Hz", "frequency of the pulse")]
     resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
-    aperture: Annotated[float, Quantity("m", "half the height of the transmitter")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
     across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
     along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
@@ -42,7 +41,7 @@ class RecordedSection(ComparedByValue):
     def __post_init__(self) -> None:
         """Check and normalise the fields."""
         normalize_numbers(self)
-        for name in ("sampling_interval", "pulse_frequency", "resolution", "aperture"):
+        for name in ("sampling_interval", "pulse_frequency", "resolution"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"RecordedSection.{name} is {getattr(self, name)}; give a positive number.")
         places = freeze_array("RecordedSection", "places", self.places, np.float64, (None,))

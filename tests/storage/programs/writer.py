@@ -33,7 +33,7 @@ def main(database: str, seeds: int) -> None:
                 time_step=1e-7,
                 stability_limit=2e-7,
                 steps=100,
-                section=RecordedSection(1e-6, 0.5e-6, 1e4, 1e-9, 0.01, [0.03, 0.06, 0.09], *noise),
+                section=RecordedSection(1e-6, 0.5e-6, 1e4, 1e-9, [0.03, 0.06, 0.09], *noise),
             )
             store.record_results([result])
             sys.stdout.write(f"{key.seed} {key.content}\n")

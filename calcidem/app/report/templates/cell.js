@@ -70,23 +70,23 @@ function drawDetails() {
   if (details?.packing && byId("sample")) drawSample();
 }
 
-function drawSignal({ start, interval, sent, received, unit, arrivals }) {
+function drawSignal({ start, interval, transmitted, received, unit, arrivals }) {
   const host = byId("signal");
   const [width, height, left, bottom, top] = [host.clientWidth, 280, 62, 44, 10];
-  const series = { sent: sums(sent.steps), received: sums(received.steps) };
+  const series = { transmitted: sums(transmitted.steps), received: sums(received.steps) };
   const scaleOf = (values) => Math.max(...values.map(Math.abs)) || 1;
-  for (const name of ["sent", "received"]) {
+  for (const name of ["transmitted", "received"]) {
     const scale = scaleOf(series[name]);
     series[name] = series[name].map((value) => value / scale);
   }
-  const count = series.sent.length;
+  const count = series.transmitted.length;
   const end = start + interval * (count - 1);
-  const least = Math.min(-0.2, ...series.sent, ...series.received) - 0.05;
+  const least = Math.min(-0.2, ...series.transmitted, ...series.received) - 0.05;
   const x = (time) => left + (time / end) * (width - left - 10);
   const y = (value) => top + ((1.08 - value) / (1.08 - least)) * (height - top - bottom);
   const curve = (name) => {
     const points = series[name].map((value, at) => `${x(start + interval * at).toFixed(1)},${y(value).toFixed(1)}`);
-    return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${name})" stroke-width="${name === "sent" ? 1.5 : 2}"${name === "sent" ? ` stroke-dasharray="5 3"` : ""}/>`;
+    return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${name})" stroke-width="${name === "transmitted" ? 1.5 : 2}"${name === "transmitted" ? ` stroke-dasharray="5 3"` : ""}/>`;
   };
   const across = ticks(0, end, width / 90).map((time) => {
     return `<line x1="${x(time)}" x2="${x(time)}" y1="${top}" y2="${height - bottom}" stroke="var(--line)"/><text x="${x(time)}" y="${height - bottom + 16}" text-anchor="middle">${number(time)}</text>`;
@@ -104,12 +104,12 @@ function drawSignal({ start, interval, sent, received, unit, arrivals }) {
   const label = `Sent and received signal of ${labelOf(opened)} over ${number(end)} ms. ${said.join("; ") || "No arrival was read"}.`;
   host.innerHTML = `
     <svg viewBox="0 0 ${width} ${height}" tabindex="0" role="img" aria-label="${escape(label)}">
-      ${across.join("")}${upward.join("")}${curve("sent")}${curve("received")}${marks.join("")}
+      ${across.join("")}${upward.join("")}${curve("transmitted")}${curve("received")}${marks.join("")}
       <line id="hair" y1="${top}" y2="${height - bottom}" stroke="var(--ink)" visibility="hidden"/>
       <text x="${(left + width) / 2}" y="${height - 8}" text-anchor="middle">time (ms)</text>
       <text transform="translate(14 ${(height - bottom) / 2}) rotate(-90)" text-anchor="middle">signal / its largest value</text>
     </svg>
-    <div class="keys">${key("sent", `sent (largest ${number(sent.largest)} m/s)`)}${key("received", `received (largest ${number(received.largest)} ${unit})`)}${found.map((method, at) => key(method, said[at])).join("")}</div>
+    <div class="keys">${key("transmitted", `transmitted (largest ${number(transmitted.largest)} m/s)`)}${key("received", `received (largest ${number(received.largest)} ${unit})`)}${found.map((method, at) => key(method, said[at])).join("")}</div>
     <p class="quiet" id="reading" role="status">Values under the pointer, or with the arrow keys.</p>`;
   const svg = host.firstElementChild;
   let at = 0;
@@ -118,8 +118,8 @@ function drawSignal({ start, interval, sent, received, unit, arrivals }) {
     const hair = svg.querySelector("#hair");
     for (const name of ["x1", "x2"]) hair.setAttribute(name, x(start + interval * at));
     hair.setAttribute("visibility", "visible");
-    const [one, other] = [series.sent[at] * sent.largest, series.received[at] * received.largest].map((value) => Number(value.toPrecision(3)));
-    byId("reading").textContent = `${number(start + interval * at)} ms: sent ${number(one)} m/s, received ${number(other)} ${unit}`;
+    const [one, other] = [series.transmitted[at] * transmitted.largest, series.received[at] * received.largest].map((value) => Number(value.toPrecision(3)));
+    byId("reading").textContent = `${number(start + interval * at)} ms: transmitted ${number(one)} m/s, received ${number(other)} ${unit}`;
   };
   svg.addEventListener("pointermove", (event) => {
     const box = svg.getBoundingClientRect();

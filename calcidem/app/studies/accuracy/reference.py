@@ -1,4 +1,4 @@
-"""The converged reference of each cell, how far another way of computing it is off, and the order of convergence."""
+"""The converged reference of each cell, the error of other settings, and the order of convergence."""
 
 import itertools
 from collections.abc import Sequence
@@ -177,7 +177,7 @@ def _measure_once(
 
 
 def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
-    """Width of the kernel that so many seeds fill: the smallest power of two, at most ``lanes``."""
+    """Width of the kernel that these seeds fill: the smallest power of two, at most ``lanes``."""
     return min(lanes, 1 << (len(seeds) - 1).bit_length())
 
 
@@ -252,7 +252,7 @@ def measure_convergence(
     experiment, content, seeds
         What to measure.
     velocity
-        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been heard.
+        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been received.
     damped, regime
         See `Convergence`.
     lanes
@@ -278,7 +278,7 @@ def measure_convergence(
 def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
     """Change from each record to the next, at the times of the first.
 
-    Smoothing takes away the steps in which velocities are recorded, which are as large as the smallest change.
+    Smoothing removes the steps in which velocities are recorded, which are as large as the smallest change.
     """
     sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]

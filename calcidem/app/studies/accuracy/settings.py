@@ -21,7 +21,7 @@ REFERENCE_SAMPLES = 1600
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One way of computing the same cells.
+    """One setting for computing the same cells.
 
     Attributes
     ----------

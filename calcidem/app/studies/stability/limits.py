@@ -117,7 +117,7 @@ def detections(factors: tuple[float, ...] = _FACTORS) -> tuple[Detection, ...]:
 
 
 def _force_step(factor: float, regime: Regime) -> Detection:
-    """Send a pulse through the plain lattice with a step that nobody could ask for."""
+    """Transmit a pulse through the plain lattice with a step that no configuration allows."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment = experiment_of_scene(scene)
     undamped = replace(experiment.wave, boundary_damping=0.0)

@@ -57,7 +57,7 @@ PLAUSIBLE = {
 """The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
 BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
 _PICK = PickRule(largest_error=1.0)
-"""The boxes are short against the wave: what is judged is whether the reading hangs on the step, not what it is of."""
+"""The boxes are short against the wave: it is judged whether the reading depends on the step, not what it is of."""
 _POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 

@@ -1,36 +1,25 @@
-"""Tops of signals, how broad they are, and where they are between samples."""
+"""Peaks of signals, and where they are between samples."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import find_peaks, peak_widths
+from scipy.signal import find_peaks
 
-from calcidem.dem.wave.tops import falls_through, find_tops, parabola_vertex
+from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
 
 
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("levels", [0, 4])
-def test_tops_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> None:
-    """Tops, level ones too, and their widths are what SciPy finds in random signals of any length."""
+def test_maxima_are_those_of_scipy_to_the_last_bit(smooth: bool, levels: int) -> None:
+    """Peaks, level ones too, are those that SciPy finds in random signals of any length."""
     generator = np.random.default_rng(7)
     for size in (1, 2, 3, 40, 300):
         signal = generator.normal(size=size)
         signal = np.cumsum(signal) if smooth else signal
         signal = np.round(signal * levels) if levels else signal
-        tops = find_tops(signal)
-        assert tops.tolist() == find_peaks(signal)[0].tolist()
-        if not len(tops):
-            continue
-        _, height, began, ended = peak_widths(signal, tops, rel_height=0.5)
-        found = [falls_through(signal, *top) for top in zip(tops.tolist(), height.tolist(), strict=True)]
-        assert found == list(zip(began.tolist(), ended.tolist(), strict=True))
-
-
-def test_what_does_not_fall_so_far_is_as_wide_as_its_signal() -> None:
-    """A plateau is broad, and not a narrow peak."""
-    assert falls_through(np.array([0.0, 1.0, 0.95, 0.94]), 1, 0.9) == (0.9, 3.0)
-    assert falls_through(np.array([0.95, 1.0, 0.8, 0.0]), 1, 0.9) == (0.0, 1.5)
+        peaks = find_maxima(signal)
+        assert peaks.tolist() == find_peaks(signal)[0].tolist()
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
