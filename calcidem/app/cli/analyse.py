@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, MeasuredFile
 from calcidem.app.cli.terminal import printable
 
 
@@ -14,12 +14,15 @@ def analyse_command(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; created if it is missing.")] = Path(
         "analysis"
     ),
+    measured: MeasuredFile = None,
     campaign: CampaignName = None,
 ) -> None:
     """Write all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF) of a campaign to a folder."""
+    from calcidem.app.config.measured import read_targets
     from calcidem.app.report.folder import analyse
 
-    missing = analyse(database, out, campaign_name=campaign)
+    targets = read_targets(measured) if measured else ()
+    missing = analyse(database, out, campaign_name=campaign, measured=targets)
     for name, reason in missing.items():
         typer.echo(printable(f"Left out {name}: {reason}"))
     typer.echo(f"Wrote {len(list(out.iterdir()))} files to {out}")

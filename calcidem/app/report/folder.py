@@ -3,6 +3,7 @@
 import csv
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import xarray as xr
@@ -11,6 +12,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
+from calcidem.analysis.measured import Target
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.wording import Table
@@ -22,12 +24,17 @@ _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
     "features": lambda analysis: analysis.table,
     "correlations_overall": lambda analysis: analysis.correlations.overall,
     "correlations_within_content": lambda analysis: analysis.correlations.within,
+    "correlations_by_content": lambda analysis: analysis.content_correlations,
 }
 """What NetCDF files hold, by their names."""
 
 
 def analyse(
-    database: str | os.PathLike[str], out: str | os.PathLike[str], *, campaign_name: str | None = None
+    database: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    campaign_name: str | None = None,
+    measured: tuple[Target, ...] = (),
 ) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
@@ -39,6 +46,8 @@ def analyse(
         Folder; made if missing, files of the same names are replaced.
     campaign_name
         Which campaign, where the database has several.
+    measured
+        Laboratory velocities to lay over figures of Vs, with a table of the misfit.
 
     Returns
     -------
@@ -56,7 +65,7 @@ def analyse(
     folder.mkdir(parents=True, exist_ok=True)
     reasons: dict[str, str] = {}
     with open_campaign(database, campaign_name) as campaign:
-        analysis = campaign.analyse()
+        analysis = replace(campaign.analyse(), measured=measured)
         for entry in CAMPAIGN_FIGURES:
             figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
             if figure is not None:

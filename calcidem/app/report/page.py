@@ -18,6 +18,7 @@ from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
+from calcidem.analysis.measured import Target
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.results import near_field_rows
@@ -107,6 +108,7 @@ def write_report(
     *,
     campaign_name: str | None = None,
     studies: Mapping[str, xr.Dataset] | None = None,
+    measured: tuple[Target, ...] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
     """Write the report of a campaign.
@@ -121,6 +123,8 @@ def write_report(
         Which campaign, where the database has several.
     studies
         Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
+    measured
+        Laboratory velocities to lay over figures of Vs, with a table of the misfit.
     watch
         Told after each section how many of how many parts are made; the last part is the cells.
 
@@ -138,7 +142,7 @@ def write_report(
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
-        text = _render_page(CampaignAnalysis(store, _MOST_SAMPLES, with_patterns), studies or {}, watch)
+        text = _render_page(CampaignAnalysis(store, _MOST_SAMPLES, with_patterns, measured), studies or {}, watch)
     write_text_atomically(target, text)
     return target
 
