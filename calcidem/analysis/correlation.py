@@ -181,7 +181,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     names, values = _complete_values(table)
     place = _place_of(target, names)
     values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
-    known = np.isfinite(values).any(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
     standard = np.zeros(values.shape)
     for column in range(values.shape[1]):
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))

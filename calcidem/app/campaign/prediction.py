@@ -27,7 +27,7 @@ from calcidem.storage.store import Selection
 CEMENT_FEATURES = ("column_share", "cemented_share")
 """Shares of the contacts that are cemented, at the height of the receiver and of all: from these Vs is predicted."""
 
-FEATURE_NAMES = (*(feature.name for feature in FEATURES), *CEMENT_FEATURES)
+_FEATURE_NAMES = (*(feature.name for feature in FEATURES), *CEMENT_FEATURES)
 
 
 _Shares = dict[tuple[int, float], tuple[float, float]]
@@ -63,8 +63,8 @@ def predict_velocity(
         content.
     """
     names = tuple(features)
-    if strange := sorted(set(names) - set(FEATURE_NAMES)):
-        raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
+    if strange := sorted(set(names) - set(_FEATURE_NAMES)):
+        raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(_FEATURE_NAMES)}.")
     shares = cement_shares(analysis, [content], names)
     names = _known_of(names, shares)
     table, vs, seeds = _velocities_at(_cells_with(analysis, names), content, names, shares)
