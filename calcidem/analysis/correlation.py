@@ -120,7 +120,7 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
     scattered = 0
     for column in np.flatnonzero(counts > _FEWEST_FOR_INTERVAL).tolist():
         group = values[np.isfinite(values[:, column, 0]), column]
-        varied = np.isfinite(_standardised(group)).all(axis=0)
+        varied: NDArray[np.bool_] = np.asarray(np.isfinite(_standardised(group)).all(axis=0))
         if not varied[place]:
             continue
         scattered += 1

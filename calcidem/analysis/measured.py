@@ -75,11 +75,11 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
     return tuple(
         _misfit(rows, contents, target)
         for target in sorted(measured, key=lambda target: target.content)
-        if contents.size and contents[0] - _SAME <= target.content <= contents[-1] + _SAME
+        if contents.size and contents[0] - _EQUAL_CONTENTS <= target.content <= contents[-1] + _EQUAL_CONTENTS
     )
 
 
-_SAME = 1e-6
+_EQUAL_CONTENTS = 1e-6
 """Percent by which two contents differ that are the same: they come out of text."""
 
 
@@ -93,7 +93,7 @@ def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: T
         measured=target,
         mean=mean,
         standard_deviation=deviation,
-        interpolated=bool(np.min(np.abs(contents - target.content)) > _SAME),
+        interpolated=bool(np.min(np.abs(contents - target.content)) > _EQUAL_CONTENTS),
         difference=mean / target.vs - 1.0,
         standard_errors=(mean - target.vs) / both if both else math.nan,
         deviation_ratio=math.nan if target.sd is None else deviation / target.sd,
