@@ -274,7 +274,7 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "correlations",
         "Correlation of path features and Vs",
-        "Over all contents every feature correlates with Vs, since both grow with content. Within a content the mean is "
+        "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
         "subtracted and the rest divided by the scatter there, so that contents count alike.",
         lambda analysis: draw_correlations(analysis.correlations),
     ),
