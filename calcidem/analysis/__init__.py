@@ -7,10 +7,10 @@ simulates, so the same code serves a campaign, a table from a paper and somebody
 - `stages`: growth rates of the four stages;
 - `contact_graph`, `connectivity`, `features`: preferential path, C_d, C_d,n and the eight path features;
 - `packing_graph`: the contact graph of a stored packing; `campaign_analysis`: all products of a campaign;
-- `correlation`: Pearson and Spearman, over all contents and within one;
+- `correlation`: Pearson and Spearman, over all contents, within one and at each;
 - `path_envelope`, `weights`: the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error and prediction;
 - `predictor`: Vs of samples that were not simulated, with intervals;
-- `planning`: how many seeds are needed;
+- `planning`: how many seeds are needed; `measured`: laboratory velocities beside a campaign's;
 - `published`, `published_check`: the reproduced study's tables, and whether they agree with themselves.
 """

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
-from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
+from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
+from calcidem.analysis.measured import Target
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
@@ -105,11 +106,14 @@ class CampaignAnalysis:
         If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
     with_cement
         Adds cement that is not stored to outcomes of the store, where somebody can.
+    measured
+        Laboratory velocities to show beside those of the campaign.
     """
 
     store: Store
     most_samples: int | None = None
     with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
+    measured: tuple[Target, ...] = ()
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -205,6 +209,12 @@ class CampaignAnalysis:
             return correlate(self.table)
 
     @cached_property
+    def content_correlations(self) -> xr.Dataset:
+        """Correlation of the eight features with Vs at each content, with corrected p-values."""
+        with _translate_refusals():
+            return correlate_by_content(self.table, "vs")
+
+    @cached_property
     def feature_tests(self) -> xr.Dataset:
         """Which of the eight features go together with Vs within one content, with corrected p-values."""
         with _translate_refusals():
@@ -233,7 +243,11 @@ class CampaignAnalysis:
     @cached_property
     def scanned_law(self) -> LawFit:
         """The law with the weight ratio that correlates best with Vs."""
-        weights = ContactWeights.from_ratio(self.ratio_scan.best_ratio)
+        return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
+
+    def law_of_ratio(self, ratio: float, name: str) -> LawFit:
+        """Give the law with weights of a ratio, each sample's shortest path found for it."""
+        weights = ContactWeights.from_ratio(ratio)
         connectivity = np.array(
             [
                 normalized_connectivity(
@@ -242,7 +256,7 @@ class CampaignAnalysis:
                 for sample, envelope in zip(self.samples, self.envelopes, strict=True)
             ]
         )
-        return self._law("Monte-Carlo", weights, connectivity)
+        return self._law(name, weights, connectivity)
 
     @property
     def sample_vs(self) -> NDArray[np.float64]:

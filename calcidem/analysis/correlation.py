@@ -2,7 +2,8 @@
 
 Both the features and Vs grow with calcite content, so over all contents they correlate strongly whatever the
 paths are like. How much of the scatter at a fixed content a feature explains is another, harder question.
-Both are answered here.
+Both are answered here. Within a content each variable is divided by its own scatter there. Otherwise contents of
+large Vs would decide alone.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ _PERMUTATIONS = 9999
 _ROUND_OFF = 1e-12
 """Relative size below which a variable does not vary, and two coefficients are equal."""
 
+_FEWEST_FOR_INTERVAL = 3
+"""More samples than this have an interval of their correlation."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correlations:
@@ -31,7 +35,8 @@ class Correlations:
     overall
         Over all samples of all contents. A common trend with content inflates it.
     within
-        After subtracting from each variable its mean at the same content: what is left without that trend.
+        After subtracting from each variable its mean at the same content and dividing by its standard deviation there:
+        what is left without the trend, each content alike. Spearman's coefficient takes ranks within the content.
     """
 
     overall: xr.Dataset
@@ -64,12 +69,83 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
     groups = [values[complete[:, column], column] for column in range(values.shape[1])]
+    filled = [group for group in groups if len(group)]
     pooled = np.concatenate(groups)
-    centred = np.concatenate([pooled[:0], *(group - group.mean(axis=0) for group in groups if len(group))])
-    means_subtracted = sum(len(group) > 0 for group in groups)
+    within, ranks = (
+        np.concatenate([pooled[:0], *(_standardised(change(group)) for group in filled)])
+        for change in (np.asarray, _ranks)
+    )
+    lost = max(len(filled) - 1, 0)
     return Correlations(
-        overall=_correlation_matrix(pooled, names, level),
-        within=_correlation_matrix(centred, names, level, lost_freedom=max(means_subtracted - 1, 0)),
+        overall=_correlation_matrix(pooled, _ranks(pooled), names, level),
+        within=_correlation_matrix(within, ranks, names, level, lost_freedom=lost),
+    )
+
+
+def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
+    """Correlate the variables of a table with one of them at each content.
+
+    Parameters
+    ----------
+    table
+        As for `correlate`.
+    target
+        Variable with which the others are correlated, positive.
+    level
+        Probability with which the intervals of a variable hold at all contents together.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along (variable, content), without the target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the
+        target, ``spearman``, its interval ``low`` and ``high`` and its ``p``, and ``p_corrected`` for all variables and
+        contents. NaN where a variable does not vary or there are fewer than four samples.
+
+    Raises
+    ------
+    ValueError
+        As `correlate`; also if the table lacks the target.
+
+    Notes
+    -----
+    Samples of one content are of different seeds, thus independent. Intervals by Fisher's z with the variance of
+    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1 - level) / contents (Bonferroni). The
+    correction of p controls the false discovery rate (Benjamini and Hochberg 1995).
+    """
+    names, values = _complete_values(table)
+    place = _place_of(target, names)
+    others = [number for number in range(len(names)) if number != place]
+    found = np.full((4, len(others), values.shape[1]), np.nan)
+    counts = np.isfinite(values[..., 0]).sum(axis=0)
+    scattered = 0
+    for column in np.flatnonzero(counts > _FEWEST_FOR_INTERVAL).tolist():
+        group = values[np.isfinite(values[:, column, 0]), column]
+        varied: NDArray[np.bool_] = np.asarray(np.isfinite(_standardised(group)).all(axis=0))
+        if not varied[place]:
+            continue
+        scattered += 1
+        y = group[:, place]
+        for row, number in enumerate(others):
+            if varied[number]:
+                x = group[:, number]
+                rank = stats.spearmanr(x, y)
+                linear, logarithmic = (stats.pearsonr(x, other).statistic for other in (y, np.log(y)))
+                found[:4, row, column] = linear, logarithmic, rank.statistic, rank.pvalue
+    pearson, logarithm, spearman, p = found[:4]
+    normal = float(stats.norm.ppf(1 - (1 - level) / (2 * max(scattered, 1))))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = normal * np.sqrt((1 + spearman**2 / 2) / (counts - 3))
+        low, high = np.tanh(np.arctanh(spearman) - half), np.tanh(np.arctanh(spearman) + half)
+    corrected = np.full_like(p, np.nan)
+    if np.isfinite(p).any():
+        corrected[np.isfinite(p)] = stats.false_discovery_control(p[np.isfinite(p)])
+    both = ("variable", "content")
+    numbers = {"pearson": pearson, "pearson_log": logarithm, "spearman": spearman, "low": low, "high": high}
+    numbers |= {"p": p, "p_corrected": corrected}
+    return xr.Dataset(
+        {name: (both, array) for name, array in numbers.items()} | {"n": ("content", counts)},
+        coords={"variable": [names[number] for number in others], "content": table["content"]},
+        attrs={"level": level},
     )
 
 
@@ -99,21 +175,18 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     -----
     The rows of whole seeds are exchanged at random against those of the target, so that samples of one seed, which
     share their cement from content to content, are not taken as independent. A missing sample counts as the mean of
-    its content. The correction is that of the largest
-    statistic (Westfall and Young 1993, doi:10.2307/2532216): it needs no assumption on how the variables go together.
+    its content. The correction is that of the largest statistic (Westfall and Young 1993, doi:10.2307/2532216): it
+    needs no assumption on how the variables go together.
     """
     names, values = _complete_values(table)
-    if target not in names:
-        raise ValueError(f"table holds the variables {names}; {target} is not one of them")
+    place = _place_of(target, names)
     values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
-    known = np.isfinite(values)
-    counts = known.any(axis=-1).sum(axis=0)
-    means = np.where(known, values, 0.0).sum(axis=0) / np.maximum(counts, 1)[:, None]
-    centred = np.where(known, values - means, 0.0)
-    scale = np.linalg.norm(centred, axis=(0, 1))
-    scale[scale <= _ROUND_OFF * np.linalg.norm(np.where(known, values, 0.0), axis=(0, 1))] = np.nan
-    scaled = centred / scale
-    place = names.index(target)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
+    standard = np.zeros(values.shape)
+    for column in range(values.shape[1]):
+        standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
+    scale = np.linalg.norm(standard, axis=(0, 1))
+    scaled = standard / np.where(scale > 0, scale, np.nan)
     others = [number for number in range(len(names)) if number != place]
     # Of each pair of seeds what it adds if the one's features stand beside the other's target.
     added = np.einsum("acf,bc->abf", scaled[..., others], scaled[..., place])
@@ -135,7 +208,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": _PERMUTATIONS, "samples": int(counts.sum())},
+        attrs={"permutations": _PERMUTATIONS, "samples": int(known.sum())},
     )
 
 
@@ -179,12 +252,15 @@ def _fisher_interval(
 
 
 def _correlation_matrix(
-    samples: NDArray[np.float64], names: list[str], level: float, lost_freedom: int = 0
+    samples: NDArray[np.float64],
+    ranks: NDArray[np.float64],
+    names: list[str],
+    level: float,
+    lost_freedom: int = 0,
 ) -> xr.Dataset:
-    """Correlation matrix of samples, shape (n, variables)."""
-    pearson = _pearson_matrix(samples)
+    """Correlation matrix of samples, shape (n, variables), and of their ranks."""
+    pearson, spearman = (_pearson_matrix(table) for table in (samples, ranks))
     low, high = _fisher_interval(pearson, len(samples), level, lost_freedom)
-    spearman = _pearson_matrix(stats.rankdata(samples, axis=0)) if len(samples) else pearson
     square = ("variable", "other")
     return xr.Dataset(
         {
@@ -200,14 +276,31 @@ def _correlation_matrix(
 
 
 def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pearson's matrix, NaN for columns that do not vary beyond round-off."""
+    """Pearson's matrix of samples (n, variables), NaN for columns that do not vary."""
     count, size = samples.shape
     if count <= 1:
         return np.full((size, size), np.nan)
-    centred = samples - samples.mean(axis=0)
-    norms = np.linalg.norm(centred, axis=0)
-    constant = norms <= _ROUND_OFF * np.linalg.norm(samples, axis=0)
-    scaled = centred / np.where(constant, np.nan, norms)
-    matrix: NDArray[np.float64] = np.clip(scaled.T @ scaled, -1.0, 1.0)
-    np.fill_diagonal(matrix, np.where(constant, np.nan, 1.0))
+    scaled = _standardised(np.nan_to_num(samples))
+    matrix: NDArray[np.float64] = np.clip(scaled.T @ scaled / count, -1.0, 1.0)
+    np.fill_diagonal(matrix, np.where(np.isnan(np.diag(matrix)), np.nan, 1.0))
     return matrix
+
+
+def _standardised(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Samples (n, variables) less their means and over their deviations; NaN where a column does not vary."""
+    centred = samples - samples.mean(axis=0)
+    scale = centred.std(axis=0)
+    constant = scale <= _ROUND_OFF * np.abs(samples).max(axis=0)
+    return np.asarray(centred / np.where(constant, np.nan, scale))
+
+
+def _ranks(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ranks of each column."""
+    return np.asarray(stats.rankdata(samples, axis=0), dtype=np.float64)
+
+
+def _place_of(target: str, names: list[str]) -> int:
+    """Place of a variable; raises a `ValueError` if it is none of the table."""
+    if target not in names:
+        raise ValueError(f"table holds the variables {names}; {target} is not one of them")
+    return names.index(target)

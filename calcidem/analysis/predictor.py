@@ -1,14 +1,11 @@
-"""Vs of a sample that was not simulated, and an interval: from what its content alone says, and from its path.
+"""Vs of a sample that was not simulated, and an interval: from its content, and from features of its cement.
 
 Each content has a predictor of its own, so that the interval is as wide as Vs scatters there. The logarithm of Vs is
-linear in the features (ridge regression), and the interval has the quantiles of the errors of samples that the
-regression has not seen: it assumes no distribution and is never negative. Features count only where they make these
-errors smaller than chance does; otherwise the content alone is left. Where sets of features are to choose from, the one
-with the smallest errors is taken.
+linear in the features (least squares). The interval has the quantiles of the errors of samples that the regression has
+not seen. It assumes no distribution and is never negative.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +14,11 @@ from scipy import stats
 
 from calcidem.analysis.intervals import Interval
 
-_PENALTIES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Tried for the ridge, relative to the variance of a feature."""
+FEWEST_ROWS = 3
+"""Samples that a predictor needs beside one for each feature."""
 
-_BEYOND_CHANCE = 1.645
-"""Standard errors that a normal variable exceeds in one of 20 cases."""
-
-_FEWEST_ROWS = 3
+_CONSTANT = 1e-12
+"""Relative size below which a feature does not vary."""
 
 Matrix = NDArray[np.float64]
 
@@ -39,7 +34,7 @@ class Prediction:
     interval
         In which it falls with the probability asked for, m/s.
     uses_features
-        Whether the features had a part in it; where they add nothing, the content alone made it.
+        Whether features had a part in it; otherwise the content alone made it.
     """
 
     vs: float
@@ -54,8 +49,7 @@ class VelocityPredictor:
     Attributes
     ----------
     centre, slopes
-        Logarithm of Vs (m/s) where all features are zero, and its change with each, shape (k,); slopes of zero where
-        features add nothing.
+        Logarithm of Vs (m/s) where all features are zero, and its change with each, shape (k,).
     errors
         Logarithm of Vs of each sample less that predicted without it, shape (n,).
     level
@@ -87,80 +81,47 @@ class VelocityPredictor:
         return float(self.errors.mean()) + np.array([-half, 0.0, half])
 
 
-def fit_predictor(
-    features: ArrayLike, vs: ArrayLike, level: float = 0.95, choices: Sequence[Sequence[int]] | None = None
-) -> VelocityPredictor:
-    """Fit the predictor of one content.
+def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> VelocityPredictor:
+    """Fit the predictor of one content by least squares.
 
     Parameters
     ----------
     features
-        Of each sample, shape (n, k); with k of 0 the content alone is left.
+        Of each sample, shape (n, k); with k of 0 the content alone is left, and so are features that do not vary.
     vs
         Velocity of each in m/s, positive, shape (n,).
     level
         Probability of the intervals.
-    choices
-        Sets of columns of ``features`` of which the best is taken; all columns are the only one if not given.
 
     Raises
     ------
     ValueError
-        If there are fewer than three samples, or lengths differ.
+        If there are fewer than three samples more than features, or lengths differ.
 
     Notes
     -----
-    Ridge regression (Hoerl & Kennard 1970, doi:10.1080/00401706.1970.10488634) of standardised features, with the
-    columns and the penalty whose squared errors of left-out samples are least. What they take off the squared errors of
-    the content alone has to be more than chance gives in 19 of 20 cases.
+    The error of a left-out sample is that of the fit to all over one less its own influence (Allen 1974,
+    doi:10.1080/00401706.1974.10489157).
     """
     x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
-    if y.size < _FEWEST_ROWS or x.ndim != 2 or len(x) != len(y):  # noqa: PLR2004 - a table
-        raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and at least 3 of them")
-    alone = (y - y.mean()) * y.size / (y.size - 1)
-    nothing = VelocityPredictor(float(y.mean()), np.zeros(x.shape[1]), alone, level)
-    sets = [range(x.shape[1])] if choices is None else choices
-    fits = [fit for columns in sets if (fit := _best_ridge(x, y, columns)) is not None]
-    if not fits:
-        return nothing
-    errors, slopes = min(fits, key=lambda fit: float(fit[0] @ fit[0]))
-    gain = alone**2 - errors**2
-    if gain.mean() <= _BEYOND_CHANCE * gain.std(ddof=1) / math.sqrt(y.size):
-        return nothing
+    if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
+        fewest = f"at least {FEWEST_ROWS} more than features"
+        raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
+    centred = x - x.mean(axis=0)
+    scale = np.linalg.norm(centred, axis=0)
+    varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
+    standard = centred[:, varied] / scale[varied]
+    # The pseudo-inverse, since features may depend on one another: some of a path are sums of others.
+    inverse = np.linalg.pinv(standard, rcond=1e-9)
+    weights = inverse @ (y - y.mean())
+    influence = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
+    errors = (y - y.mean() - standard @ weights) / (1.0 - influence)
+    slopes = np.zeros(x.shape[1])
+    slopes[varied] = weights / scale[varied]
     return VelocityPredictor(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
 
 
-def _best_ridge(x: Matrix, y: Matrix, columns: Sequence[int]) -> tuple[Matrix, Matrix] | None:
-    """Errors of left-out samples (n,) and slopes (k,) with some columns and the best penalty; None if none varies."""
-    scale, wanted = x.std(axis=0), np.isin(np.arange(x.shape[1]), columns)
-    varied = wanted & (scale > 1e-12 * np.abs(x).max(axis=0, initial=0.0))
-    if not varied.any():
-        return None
-    standard = (x[:, varied] - x[:, varied].mean(axis=0)) / scale[varied]
-    left, values, right = np.linalg.svd(standard, full_matrices=False)
-    errors, weights = min(
-        (_left_out_errors(left, values, y, penalty) for penalty in _PENALTIES),
-        key=lambda found: float(found[0] @ found[0]),
-    )
-    slopes = np.zeros(x.shape[1])
-    slopes[varied] = right.T @ weights / scale[varied]
-    return errors, slopes
-
-
-def _left_out_errors(left: Matrix, values: Matrix, y: Matrix, penalty: float) -> tuple[Matrix, Matrix]:
-    """Errors of samples left out one by one, (n,), and weights of the right singular vectors.
-
-    From one fit: each error of a linear smoother is that of the fit over one less its own influence (Allen 1974,
-    doi:10.1080/00401706.1974.10489157).
-    """
-    centred = y - y.mean()
-    shrunk = values**2 / (values**2 + penalty * y.size)
-    part = left.T @ centred
-    influence = (left**2) @ shrunk + 1.0 / y.size
-    return (centred - left @ (shrunk * part)) / (1.0 - influence), values * part / (values**2 + penalty * y.size)
-
-
-def _interval_score(interval: Interval, value: float, level: float) -> float:
+def interval_score(interval: Interval, value: float, level: float) -> float:
     """Width of an interval, and 2 / (1 - level) times the distance of a value that lies outside; smaller is better.
 
     Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; it is least on average for the true quantiles.
@@ -169,43 +130,43 @@ def _interval_score(interval: Interval, value: float, level: float) -> float:
     return interval.high - interval.low + 2.0 / (1.0 - level) * outside
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PredictorCheck:
     """How the predictor of a content fares on samples that it was not fitted to.
 
     Attributes
     ----------
-    n
-        Number of samples, each of a seed of its own.
-    coverage, score
-        Share of them in their interval, and mean interval score in m/s.
-    content_coverage, content_score
-        The same of a predictor that knows only the content.
-    used
-        Columns of the features that the predictor fitted to all of them uses.
+    inside
+        Whether each sample lay in its interval, shape (n,).
+    scores
+        Interval score of each in m/s, shape (n,).
     """
 
-    n: int
-    coverage: float
-    score: float
-    content_coverage: float
-    content_score: float
-    used: tuple[int, ...]
+    inside: NDArray[np.bool_]
+    scores: Matrix
 
     @property
-    def features_help(self) -> bool:
-        """Whether features make the intervals better at this content."""
-        return bool(self.used) and self.score < self.content_score
+    def n(self) -> int:
+        """Number of samples, each of a seed of its own."""
+        return self.scores.size
+
+    @property
+    def coverage(self) -> float:
+        """Share of the samples in their interval."""
+        return float(self.inside.mean())
+
+    @property
+    def score(self) -> float:
+        """Mean interval score in m/s."""
+        return float(self.scores.mean())
 
 
-def check_predictor(
-    features: ArrayLike, vs: ArrayLike, level: float = 0.95, choices: Sequence[Sequence[int]] | None = None
-) -> PredictorCheck:
-    """Predict each sample of one content from all others, choice of features and penalty included.
+def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PredictorCheck:
+    """Predict each sample of one content from all others.
 
     Parameters
     ----------
-    features, vs, level, choices
+    features, vs, level
         As for `fit_predictor`; one sample more is needed.
 
     Raises
@@ -214,15 +175,12 @@ def check_predictor(
         As `fit_predictor`.
     """
     x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
-    found = []
-    for out in range(len(y)):
-        others, known = np.delete(x, out, axis=0), np.delete(y, out)
-        fitted = fit_predictor(others, known, level, choices), fit_predictor(others[:, :0], known, level)
-        for predictor, own in zip(fitted, (x[out], ()), strict=True):
-            interval = predictor.predict(own).interval
-            found.append((interval.contains(y[out]), _interval_score(interval, y[out], level)))
-    (coverage, score), (content_coverage, content_score) = (
-        np.mean(found[first::2], axis=0).tolist() for first in (0, 1)
+    intervals = [
+        fit_predictor(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval
+        for out in range(len(y))
+    ]
+    pairs = list(zip(intervals, y.tolist(), strict=True))
+    return PredictorCheck(
+        np.array([interval.contains(value) for interval, value in pairs]),
+        np.array([interval_score(interval, value, level) for interval, value in pairs]),
     )
-    used = tuple(np.flatnonzero(fit_predictor(x, y, level, choices).slopes).tolist())
-    return PredictorCheck(len(y), coverage, score, content_coverage, content_score, used)

@@ -1,19 +1,21 @@
-"""The tables that hold a campaign beside the paper: `python docs/reproduction/compare.py CAMPAIGN.db`."""
+"""Means, scatter and growth of a campaign beside the paper's: `python docs/reproduction/compare.py CAMPAIGN.db`.
+
+`shapes.py` prints the shape of the distributions, `laws.py` what connectivity says, `predictors.py` the predictor.
+"""
 
 import argparse
+from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.features import FEATURES
 from calcidem.analysis.published import PublishedVelocity, published_study
-from calcidem.analysis.published_check import check_verdicts
 from calcidem.app.campaign.opened import open_campaign
 
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
-SIGNIFICANCE = 0.05
 DISAGREE = 0.05  # of the peak's velocity; so does a correlation that was refused
 NORMAL_QUARTILES = 1.349  # standard deviations of a normal distribution between its quartiles
 
@@ -29,10 +31,8 @@ def main() -> None:
         rows = [(content, here[round(content, 6)], row) for content, row in printed]
         print_means(rows)
         print_scatter(rows, campaign.to_xarray(("vs", "vs_cross_correlation")))
-        print_shapes(rows)
+        print_baseline(rows)
         print_rates(analysis)
-        print_laws(analysis)
-        print_features(analysis)
 
 
 Row = tuple[float, Distribution, PublishedVelocity]
@@ -82,22 +82,60 @@ def print_scatter(rows: list[Row], cells: xr.Dataset) -> None:
         )
 
 
-def print_shapes(rows: list[Row]) -> None:
-    """Print skewness, kurtosis and the verdicts of Jarque and Bera."""
-    by_moments = {check.content: check for check in check_verdicts()}
-    print("\n| % | skewness | published | kurtosis | published | p here | normal here | printed | by printed moments |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    agree = 0
-    for content, vs, printed in rows:
-        p_value = vs.normality.p_asymptotic
-        normal = p_value >= SIGNIFICANCE
-        agree += normal == printed.normal
-        verdict = by_moments[content].computed_normal
-        print(
-            f"| {content:g} | {vs.skewness:.2f} | {printed.skewness:.2f} | {vs.kurtosis:.2f} | {printed.kurtosis:.2f} "
-            f"| {p_value:.2g} | {word(normal)} | {word(printed.normal)} | {word(verdict)} |"
-        )
-    print(f"\nverdicts that agree with the printed ones: {agree} of {len(rows)}")
+BASELINES: dict[str, Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
+    "linear": lambda x, y: make_interp_spline(x, y, k=1),
+    "monotone cubic (PCHIP)": PchipInterpolator,
+    "quadratic": lambda x, y: make_interp_spline(x, y, k=2),
+    "cubic": lambda x, y: make_interp_spline(x, y, k=3),
+}
+
+
+def interpolated(
+    contents: np.ndarray, values: np.ndarray, known: np.ndarray, curve: str, *, logarithmic: tuple[bool, bool]
+) -> np.ndarray:
+    """Interpolate published values at some contents to all, without any simulation.
+
+    Parameters
+    ----------
+    contents, values
+        Percent and m/s, shape (n,).
+    known
+        Which of them may be used, shape (n,).
+    curve
+        One of `BASELINES`.
+    logarithmic
+        Whether contents and values are interpolated as logarithms.
+    """
+    x, y = (np.log(one) if log else one for one, log in zip((contents, values), logarithmic, strict=True))
+    found = BASELINES[curve](x[known], y[known])(x)
+    return np.asarray(np.exp(found) if logarithmic[1] else found)
+
+
+def print_baseline(rows: list[Row]) -> None:
+    """Print how near the eleven other contents come by interpolation between the five calibrated ones."""
+    contents = np.array([content for content, _, _ in rows])
+    known = np.isin(contents, CALIBRATED)
+    if known.sum() < len(CALIBRATED) or known.all():
+        return
+    means = np.array([printed.mean for _, _, printed in rows])
+    deviations = np.array([printed.standard_deviation for _, _, printed in rows])
+    print("\n| eleven other contents | means, rms difference | sd, rms difference of the natural logarithm |")
+    print("|---|---|---|")
+
+    def show(name: str, mean: np.ndarray, deviation: np.ndarray) -> None:
+        off = np.sqrt(np.mean((mean / means - 1)[~known] ** 2))
+        apart = np.sqrt(np.mean(np.log(np.where(deviation > 0, deviation, np.nan) / deviations)[~known] ** 2))
+        print(f"| {name} | {100 * off:.1f} % | {apart:.3f} |")
+
+    measured = [(vs.mean, vs.standard_deviation) for _, vs, _ in rows]
+    show("the campaign", *np.array(measured).T)
+    for curve in BASELINES:
+        for scales in ((False, False), (False, True), (True, False), (True, True)):
+            words = [("", "log ")[log] + axis for log, axis in zip(scales, ("content", "Vs"), strict=True)]
+            mean, deviation = (
+                interpolated(contents, values, known, curve, logarithmic=scales) for values in (means, deviations)
+            )
+            show(f"{curve}, {words[1]} against {words[0]}", mean, deviation)
 
 
 def print_rates(analysis: CampaignAnalysis) -> None:
@@ -105,57 +143,6 @@ def print_rates(analysis: CampaignAnalysis) -> None:
     print("\n| stage | rate, m/s per % | published |", "|---|---|---|", sep="\n")
     for growth, printed in zip(analysis.stages, published_study().stages, strict=True):
         print(f"| {printed.name} | {growth.end_point_slope:.0f} | {printed.rate:.0f} |")
-
-
-def print_laws(analysis: CampaignAnalysis) -> None:
-    """Print the two laws of Table 4."""
-    print(
-        "\n| | weights | range of C_d,n | law | correlation | rms error on unseen seeds, m/s |",
-        "|---|---|---|---|---|---|",
-        sep="\n",
-    )
-    for law, printed in zip((analysis.physical_law, analysis.scanned_law), published_study().laws, strict=True):
-        print_law(law, analysis)
-        low, high = printed.connectivity_range.low, printed.connectivity_range.high
-        print(
-            f"| {printed.name}, paper | {printed.weights.hertz:g}, {printed.weights.bond:g} | {low:g} to {high:g} "
-            f"| {printed.a:.0f} C^{printed.conclusions_b:g} {printed.c:+.0f} | | |"
-        )
-
-
-def print_law(law: LawFit, analysis: CampaignAnalysis) -> None:
-    """Print our own law."""
-    found = np.isfinite(analysis.sample_vs)
-    coefficient = np.corrcoef(law.connectivity[found], analysis.sample_vs[found])[0, 1]
-    low, high = law.connectivity.min(), law.connectivity.max()
-    print(
-        f"| {law.name} | {law.weights.hertz:.3f}, {law.weights.bond:.3f} | {low:.3f} to {high:.3f} "
-        f"| {law.fit.a:.0f} C^{law.fit.b:.2f} {law.fit.c:+.0f} | {coefficient:.3f} "
-        f"| {law.check.root_mean_square_error:.0f} |"
-    )
-
-
-def print_features(analysis: CampaignAnalysis) -> None:
-    """Print the correlations of Fig. 13, and the best ratio of Fig. 14."""
-    matrices = analysis.correlations
-    print("\n| feature | over all contents | within a content |", "|---|---|---|", sep="\n")
-    for feature in FEATURES:
-        values = [
-            float(matrix["pearson"].sel(variable=feature.name, other="vs"))
-            for matrix in (matrices.overall, matrices.within)
-        ]
-        print(f"| {feature.symbol} | {values[0]:+.2f} | {values[1]:+.2f} |")
-    scan = analysis.ratio_scan
-    interval = scan.best_ratio_interval
-    print(
-        f"\nbest ratio {scan.best_ratio:.2f} ({interval.low:.2f} to {interval.high:.2f}), "
-        f"correlation {scan.best_correlation:.3f}; paper 0.83"
-    )
-
-
-def word(normal: bool) -> str:
-    """Verdict in a word."""
-    return "yes" if normal else "no"
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.correlation import _fisher_interval, correlate, seed_permutation_test
+from calcidem.analysis.correlation import _fisher_interval, correlate, correlate_by_content, seed_permutation_test
 
 
 def table(**variables: NDArray[np.float64]) -> xr.Dataset:
@@ -51,17 +51,39 @@ def test_a_common_trend_correlates_overall_but_not_within(trending: xr.Dataset) 
     assert pair(found.within, "pearson_low") < 0 < pair(found.within, "pearson_high")
 
 
-def test_within_is_the_partial_correlation_given_content() -> None:
-    """Subtracting content means is a regression on content indicators, and its residuals correlate alike."""
+def test_within_is_the_mean_of_all_contents_whatever_their_scatter() -> None:
+    """Contents count alike, also one whose values scatter a hundred times as much; so do their ranks."""
     generator = np.random.default_rng(3)
     x = generator.normal(loc=[0, 5, 9], size=(8, 3))
-    y = 0.5 * x + generator.normal(size=(8, 3))
-    indicators = np.tile(np.eye(3), (8, 1))
-    residuals = [v.ravel() - indicators @ np.linalg.lstsq(indicators, v.ravel(), rcond=None)[0] for v in (x, y)]
+    y = [1.0, 1.0, 100.0] * (0.5 * x + generator.normal(size=(8, 3)))
     found = correlate(table(x=x, y=y)).within
-    assert pair(found, "pearson") == pytest.approx(stats.pearsonr(*residuals).statistic)
+    for name, coefficient in (("pearson", stats.pearsonr), ("spearman", stats.spearmanr)):
+        expected = np.mean([coefficient(x[:, place], y[:, place]).statistic for place in range(3)])
+        assert pair(found, name) == pytest.approx(expected)
     low, _ = _fisher_interval(np.array(pair(found, "pearson")), 24 - 2)
     assert pair(found, "pearson_low") == pytest.approx(float(low))
+
+
+def test_each_content_has_scipys_coefficients_and_corrected_p() -> None:
+    """Pearson with y and log y, Spearman and p, corrected over contents and variables; none without scatter."""
+    generator = np.random.default_rng(4)
+    x = generator.normal(size=(40, 3))
+    y = np.exp(0.5 * x + generator.normal(size=(40, 3)))
+    y[:, 0] = 2.0
+    found = correlate_by_content(table(x=x, y=y, z=generator.normal(size=(40, 3))), "y")
+    assert np.isnan(found[["spearman", "p_corrected", "low"]].sel(content=0.0).to_array("number")).all()
+    here = found.sel(variable="x", content=2.0)
+    rank = stats.spearmanr(x[:, 2], y[:, 2])
+    assert float(here["spearman"]) == pytest.approx(rank.statistic)
+    assert float(here["pearson"]) == pytest.approx(stats.pearsonr(x[:, 2], y[:, 2]).statistic)
+    assert float(here["pearson_log"]) == pytest.approx(stats.pearsonr(x[:, 2], np.log(y[:, 2])).statistic)
+    p = found["p"].to_numpy()[:, 1:]
+    np.testing.assert_allclose(found["p_corrected"].to_numpy()[:, 1:].ravel(), stats.false_discovery_control(p.ravel()))
+    # Two contents scatter: each interval has 97.5 %.
+    half = stats.norm.ppf(1 - 0.05 / 4) * np.sqrt((1 + rank.statistic**2 / 2) / 37)
+    assert float(here["low"]) == pytest.approx(np.tanh(np.arctanh(rank.statistic) - half))
+    with pytest.raises(ValueError, match="w is not one of them"):
+        correlate_by_content(table(x=x, y=y), "w")
 
 
 @pytest.mark.slow

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, parse_range, start_value, text_with_values, with_values
-from calcidem.app.studies.targets import Target, read_targets
 from calcidem.app.studies.trials import trial_workers
 from calcidem.dem.sample.packing import Packing
 

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
 from calcidem.app.studies.sensitivity.sobol import (
-    _parameters_out_of_reach,
+    _parameters_by_weight,
+    _verdicts,
     evaluate_points,
     indices_of_points,
     load_sobol_plan,
@@ -158,7 +160,8 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
     """Velocities whose mean is linear in one parameter and deviation in the other give each its share, and no other."""
     plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
     points = stored_points(plan, tmp_path / "none.nc")
-    assert not _parameters_out_of_reach(indices_of_points(plan, points))  # nothing is known before anything is computed
+    nothing = _parameters_by_weight(indices_of_points(plan, points))
+    assert not any(nothing.values())  # nothing is known before anything is computed
     low, high = np.array(list(plan.ranges.values())).T
     first, second = ((points["value"].to_numpy() - low) / (high - low)).T
     signs = np.tile([1.0, -1.0], 4)
@@ -174,8 +177,31 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
         np.testing.assert_allclose(found["first"].sel(output=output), shares, atol=0.1)
     assert bool(indices["total"].sel(output="readable_share").isnull().all())
     assert "does not vary" in sobol_table(indices)
-    only_mean = indices.where(indices["output"] != "relative_deviation", 0.0)
-    assert _parameters_out_of_reach(only_mean.sel(content=[0.66])) == ["cement.bond_modulus"]
+    assert f"{mean.min():.3g} to {mean.max():.3g}" in sobol_table(indices)
+    totals = indices[["total", "total_half_width"]]
+    only_mean = indices.assign(totals.where(indices["output"] != "relative_deviation", 0.0))
+    one = only_mean.sel(content=[0.66])
+    expected = {"matters": ["sand.wave_stiffness_factor"], "negligible": ["cement.bond_modulus"], "undecided": []}
+    assert _parameters_by_weight(one) == expected
+
+
+def test_what_few_points_do_not_show_is_not_called_negligible(tmp_path: Path) -> None:
+    """A parameter whose interval is wide, or narrow from a few base points, is not decided, and the table says so."""
+    plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
+    both = ["mean", "relative_deviation"]
+    totals = xr.Dataset(
+        {
+            "total": (("output", "content", "parameter"), np.full((2, 1, 2), 0.03)),
+            "total_half_width": (("output", "content", "parameter"), [[[0.01, 0.2]], [[0.01, 0.2]]]),
+            "bases": (("output", "content"), [[128], [128]]),
+        },
+        coords={"output": both, "content": [0.66], "parameter": list(plan.ranges)},
+    )
+    names = list(plan.ranges)
+    assert _parameters_by_weight(totals) == {"matters": [], "negligible": names[:1], "undecided": names[1:]}
+    few = _parameters_by_weight(totals.assign(bases=totals["bases"] // 16))
+    assert few == {"matters": [], "negligible": [], "undecided": names}
+    assert _verdicts(totals)[1].startswith("Not decided from 128 base points: cement.bond_modulus")
 
 
 def test_points_are_computed_once_and_of_one_plan(

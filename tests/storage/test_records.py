@@ -70,7 +70,7 @@ def test_a_record_is_a_table_in_a_notebook() -> None:
     """It has each known quantity with unit and meaning, text that cannot be markup, and the names of its arrays."""
     failed = CellResult(CellKey(7, 5.0), CellStatus.NO_ARRIVAL, "<b>too weak</b>", frequency=8e3)
     page = failed._repr_html_()
-    assert "<td>frequency</td><td>8000 Hz</td><td>frequency of the sent pulse</td>" in page
+    assert "<td>frequency</td><td>8000 Hz</td><td>frequency of the transmitted pulse</td>" in page
     assert "<td>content</td><td>5 percent</td>" in page
     assert "<td>&lt;b&gt;too weak&lt;/b&gt;</td>" in page
     assert "<td>vs</td>" not in page

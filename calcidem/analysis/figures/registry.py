@@ -160,18 +160,19 @@ def _plot_signals(analysis: CampaignAnalysis) -> Figure:
 
 def _plot_range(analysis: CampaignAnalysis) -> Figure:
     _measured_contents(analysis)  # refuses a campaign without
-    return draw_range(analysis.cells, analysis.distributions, published_velocities(analysis))
+    return draw_range(analysis.cells, analysis.distributions, published_velocities(analysis), analysis.measured)
 
 
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
     shown = _pick_evenly(_measured_contents(analysis), _SHOWN_HISTOGRAMS)
-    return draw_histograms(analysis.vs, [row for row in analysis.distributions if row.content in shown])
+    rows = [row for row in analysis.distributions if row.content in shown]
+    return draw_histograms(analysis.vs, rows, analysis.measured)
 
 
 def _plot_methods(analysis: CampaignAnalysis) -> Figure:
     if not bool(np.isfinite(analysis.cells["vs_peak"]).any()):
         raise UnavailableError("no sample has a velocity from peak to peak")
-    return draw_methods(analysis.cells)
+    return draw_methods(analysis.cells, analysis.measured)
 
 
 def _plot_dispersion(analysis: CampaignAnalysis) -> Figure:
@@ -273,8 +274,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "correlations",
         "Correlation of path features and Vs",
-        "Over all contents every feature correlates with Vs, since both grow with content. With the mean of each "
-        "content subtracted, the correlation is that of the scatter at a fixed content.",
+        "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
+        "subtracted and the rest divided by the scatter there, so that contents count alike.",
         lambda analysis: draw_correlations(analysis.correlations),
     ),
     CampaignFigure(

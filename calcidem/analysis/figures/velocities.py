@@ -19,6 +19,7 @@ from calcidem.analysis.figures.style import (
     BLUE,
     CONTENT_LABEL,
     CONTENT_MAP,
+    GREEN,
     GREY,
     ORANGE,
     SEQUENCE,
@@ -31,6 +32,7 @@ from calcidem.analysis.figures.style import (
     new_figure,
     new_panel,
 )
+from calcidem.analysis.measured import Target
 from calcidem.analysis.published import PublishedVelocity
 from calcidem.storage.records.error_budget import NORMAL_95, departs
 
@@ -52,6 +54,7 @@ def draw_range(
     cells: xr.Dataset,
     distributions: Sequence[ContentDistribution],
     published: Sequence[tuple[float, PublishedVelocity]] = (),
+    measured: Sequence[Target] = (),
 ) -> Figure:
     """Draw Vs against content with its intervals (Fig. 10).
 
@@ -63,6 +66,8 @@ def draw_range(
         Of each content.
     published
         Means and standard deviations to show beside, each with its content in percent.
+    measured
+        Means and standard deviations of laboratory samples to lay over.
     """
     rows = [row for row in distributions if row.vs.n]
     axes, placed = new_panel(height=4.6)
@@ -70,6 +75,7 @@ def draw_range(
     low = [row for row in rows if row.content <= _LOW_CONTENT]
     enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
     _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
+    _draw_measured(axes, measured)
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
     if placed:  # what else is in the figure has its own legend
@@ -79,6 +85,7 @@ def draw_range(
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
         _draw_range(inset, cells, low, [row for row in published if row[0] <= _LOW_CONTENT])
+        _draw_measured(inset, [target for target in measured if target.content <= _LOW_CONTENT])
         inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
         inset.tick_params(labelsize=7)
     return figure
@@ -147,6 +154,24 @@ def _draw_range(
     axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is below, whatever a band says
 
 
+def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
+    """Lay laboratory means with their standard deviations over a picture of Vs against content."""
+    if measured:
+        axes.errorbar(
+            [target.content for target in measured],
+            [target.vs for target in measured],
+            yerr=[target.sd or 0.0 for target in measured],
+            fmt="s",
+            markersize=5,
+            markerfacecolor="white",
+            color=GREEN,
+            elinewidth=1.2,
+            capsize=3,
+            zorder=5,
+            label="measured mean and\nstandard deviation",
+        )
+
+
 @apply_style
 def draw_comparison(comparison: xr.Dataset) -> Figure:
     """Draw mean and scatter of Vs of several campaigns, and their differences from the first.
@@ -190,7 +215,9 @@ def _draw_bars(axes: Axes, at: NDArray[np.float64], row: xr.Dataset, name: str, 
 
 
 @apply_style
-def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistribution]) -> Figure:
+def draw_histograms(
+    vs: xr.DataArray, distributions: Sequence[ContentDistribution], measured: Sequence[Target] = ()
+) -> Figure:
     """Draw the distribution of Vs at each content with its normal fit (Fig. 11).
 
     Parameters
@@ -199,6 +226,8 @@ def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistributio
         m/s along (seed, content).
     distributions
         Of each content; those without velocities are left out.
+    measured
+        Laboratory means to mark at these contents.
     """
     rows = [row for row in distributions if row.vs.n]
     columns = min(_HISTOGRAM_COLUMNS, len(rows))
@@ -209,6 +238,9 @@ def draw_histograms(vs: xr.DataArray, distributions: Sequence[ContentDistributio
         values = vs.sel(content=row.content).to_numpy()
         _draw_histogram(axes, values[np.isfinite(values)], row.vs)
         axes.set_title(f"{row.content:g} %")
+        for target in measured:
+            if math.isclose(target.content, row.content, abs_tol=1e-6):
+                axes.axvline(target.vs, color=GREEN, linewidth=1.5, linestyle="--")
     letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
@@ -244,13 +276,15 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
 
 
 @apply_style
-def draw_methods(cells: xr.Dataset) -> Figure:
+def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
     """Draw mean Vs by three ways of reading the arrival against content (compare Fig. 6).
 
     Parameters
     ----------
     cells
         vs_peak, vs_first_arrival and vs_cross_correlation in m/s along (seed, content), NaN where missing.
+    measured
+        Means and standard deviations of laboratory samples to lay over.
     """
     figure = new_figure(height=4.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
@@ -267,6 +301,7 @@ def draw_methods(cells: xr.Dataset) -> Figure:
             axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
             # Each curve is thinner than those below it, so that none is hidden where they agree.
             axes.plot(content[known], middle, color=colour, lw=width, marker=marker, ms=2.5 + width, label=label)
+    _draw_measured(upper, measured)
     upper.set_title("velocity")
     lower.set_title("difference to peak to peak")
     letter_panels((upper, lower))

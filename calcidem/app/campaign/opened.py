@@ -492,8 +492,9 @@ class Campaign(Closable):
             Whose cement is drawn; if the campaign has this seed, it takes no part in the fit.
         pattern, features
             Instead of a seed: the cement, or features by their names, those of the path in
-            `calcidem.analysis.features.FEATURES` and `column_share`, the share of the contacts at the height of the
-            receiver that are cemented. Without any of the three the content alone predicts.
+            `calcidem.analysis.features.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts
+            that are cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two.
+            Without any of the three the content alone predicts.
         level
             Probability with which Vs falls into the interval.
 

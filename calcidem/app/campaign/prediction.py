@@ -1,7 +1,6 @@
 """Vs of samples that were not simulated, from those of their content that were."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +9,13 @@ import xarray as xr
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.features import FEATURES
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.predictor import Prediction, PredictorCheck, check_predictor, fit_predictor
+from calcidem.analysis.predictor import (
+    FEWEST_ROWS,
+    Prediction,
+    PredictorCheck,
+    check_predictor,
+    fit_predictor,
+)
 from calcidem.app.campaign.patterns import pattern_of
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
@@ -19,14 +24,13 @@ from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.store import Selection
 
-PATH_FEATURES = tuple(feature.name for feature in FEATURES)
-COLUMN = "column_share"
-"""Share of the contacts at the height of the receiver that are cemented."""
+CEMENT_FEATURES = ("column_share", "cemented_share")
+"""Shares of the contacts that are cemented, at the height of the receiver and of all: from these Vs is predicted."""
 
-FEATURE_NAMES = (*PATH_FEATURES, COLUMN)
+_FEATURE_NAMES = (*(feature.name for feature in FEATURES), *CEMENT_FEATURES)
 
-_FEWEST_VELOCITIES = 4
-"""A predictor needs three, and one more to be tried on."""
+
+_Shares = dict[tuple[int, float], tuple[float, float]]
 
 
 def predict_velocity(
@@ -45,8 +49,8 @@ def predict_velocity(
     content
         Of the campaign, percent.
     features
-        Those of the sample that are known, by their names in `calcidem.analysis.features.FEATURES`, or `COLUMN`; with
-        none the content alone is left.
+        Those of the sample that are known, by their names in `calcidem.analysis.features.FEATURES`, or in
+        `CEMENT_FEATURES`; with none the content alone is left.
     level
         Probability of the interval.
     without_seed
@@ -59,38 +63,43 @@ def predict_velocity(
         content.
     """
     names = tuple(features)
-    if strange := sorted(set(names) - set(FEATURE_NAMES)):
-        raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(FEATURE_NAMES)}.")
-    shares = _column_shares(analysis, [content], names)
+    if strange := sorted(set(names) - set(_FEATURE_NAMES)):
+        raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(_FEATURE_NAMES)}.")
+    shares = cement_shares(analysis, [content], names)
     names = _known_of(names, shares)
-    cells = campaign_dataset(analysis.store, ("vs", *(name for name in names if name != COLUMN)))
-    table, vs, seeds = _velocities_at(cells, content, names, shares)
+    table, vs, seeds = _velocities_at(_cells_with(analysis, names), content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
-    if others.sum() < _FEWEST_VELOCITIES:
+    fewest = FEWEST_ROWS + 1 + len(names)  # one more than a fit needs, so that it can be checked
+    if others.sum() < fewest:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
-        raise QueryError(problem, f"Compute at least {_FEWEST_VELOCITIES} seeds first.")
+        raise QueryError(problem, f"Compute at least {fewest} seeds, or give fewer features.")
     _refuse_far_features(content, names, features, table[others])
-    predictor = fit_predictor(table[others], vs[others], level, _choices(names))
+    predictor = fit_predictor(table[others], vs[others], level)
     return predictor.predict([features[name] for name in names])
 
 
 def check_predictions(
-    analysis: CampaignAnalysis, names: Sequence[str] = FEATURE_NAMES, level: float = 0.95
+    analysis: CampaignAnalysis, names: Sequence[str] = CEMENT_FEATURES, level: float = 0.95
 ) -> dict[float, PredictorCheck]:
     """Predict every sample from the other seeds of its content, by content.
 
     Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
     """
-    cells = campaign_dataset(analysis.store, ("vs", *(name for name in names if name != COLUMN)))
-    contents = cells["content"].to_numpy().tolist()
-    shares = _column_shares(analysis, contents, names)
+    contents = analysis.vs["content"].to_numpy().tolist()
+    shares = cement_shares(analysis, contents, names)
     names = _known_of(names, shares)
+    cells = _cells_with(analysis, names)
     samples = {content: _velocities_at(cells, content, names, shares) for content in contents}
     return {
-        content: check_predictor(table, vs, level, _choices(names))
+        content: check_predictor(table, vs, level)
         for content, (table, vs, _) in samples.items()
-        if len(vs) >= _FEWEST_VELOCITIES and np.ptp(vs) > 0.0
+        if len(vs) > FEWEST_ROWS + len(names) and np.ptp(vs) > 0.0
     }
+
+
+def _cells_with(analysis: CampaignAnalysis, names: Sequence[str]) -> xr.Dataset:
+    """Velocities and stored features of all cells."""
+    return campaign_dataset(analysis.store, ("vs", *(name for name in names if name not in CEMENT_FEATURES)))
 
 
 def _refuse_far_features(
@@ -105,16 +114,9 @@ def _refuse_far_features(
             raise QueryError(problem, "Give what a sample of this content has.")
 
 
-def _known_of(names: Sequence[str], shares: Collection[tuple[int, float]]) -> tuple[str, ...]:
+def _known_of(names: Sequence[str], shares: _Shares) -> tuple[str, ...]:
     """Names of features that samples of the campaign have: where no cement can be drawn again, the path's alone."""
-    return tuple(name for name in names if shares or name != COLUMN)
-
-
-def _choices(names: Sequence[str]) -> list[list[int]]:
-    """Columns of what may be taken: the cement at the receiver's height, the path, or both."""
-    column = [number for number, name in enumerate(names) if name == COLUMN]
-    path = [number for number, name in enumerate(names) if name != COLUMN]
-    return [columns for columns in (column, path, column + path) if columns]
+    return tuple(name for name in names if shares or name not in CEMENT_FEATURES)
 
 
 def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPattern:
@@ -133,39 +135,39 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
 
 
 def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:
-    """Features of a cement pattern in a packing, by their names in `FEATURE_NAMES`.
+    """`CEMENT_FEATURES` of a cement pattern, by their names.
 
     Raises
     ------
     QueryError
-        If the pattern cements grains that do not touch, or nothing joins transmitter and receiver.
+        If the pattern cements grains that do not touch.
     """
     try:
-        bonded = graph.bonded(pattern)
-        found = asdict(graph.features(graph.shortest_paths(bonded)))
+        return dict(zip(CEMENT_FEATURES, _shares_of(graph, pattern), strict=True))
     except ValueError as error:
         raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
-    known = {name: float(found[name]) for name in PATH_FEATURES if found[name] is not None}
-    return {**known, COLUMN: graph.column_share(bonded)}
 
 
-def _column_shares(
-    analysis: CampaignAnalysis, contents: Collection[float], names: Sequence[str]
-) -> dict[tuple[int, float], float]:
-    """`COLUMN`, if it is wanted, of all samples with a velocity whose cement is known, by seed and content."""
-    shares: dict[tuple[int, float], float] = {}
-    if COLUMN not in names:
+def cement_shares(analysis: CampaignAnalysis, contents: Collection[float], names: Sequence[str]) -> _Shares:
+    """`CEMENT_FEATURES`, if any is wanted, of samples with a velocity and known cement, by seed and content."""
+    shares: _Shares = {}
+    if not set(names) & set(CEMENT_FEATURES):
         return shares
     graphs = analysis.graphs
     for cell in analysis.outcomes_of(Selection(contents=contents, statuses=CellStatus.DONE), ("cement",)):
         if cell.cement is not None:
-            graph = graphs[cell.packing_index]
-            shares[cell.key.seed, cell.key.content] = graph.column_share(graph.bonded(cell.cement))
+            shares[cell.key.seed, cell.key.content] = _shares_of(graphs[cell.packing_index], cell.cement)
     return shares
 
 
+def _shares_of(graph: PackingGraph, pattern: CementPattern) -> tuple[float, float]:
+    """`CEMENT_FEATURES` of a pattern."""
+    bonded = graph.bonded(pattern)
+    return graph.column_share(bonded), float(np.mean(bonded))
+
+
 def _velocities_at(
-    cells: xr.Dataset, content: float, names: Sequence[str], shares: Mapping[tuple[int, float], float]
+    cells: xr.Dataset, content: float, names: Sequence[str], shares: _Shares
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
     """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
     contents = cells["content"].to_numpy()
@@ -174,8 +176,10 @@ def _velocities_at(
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
     cells = cells.isel(content=int(np.argmin(np.abs(contents - content))))
     vs, seeds = cells["vs"].to_numpy().astype(float), cells["seed"].to_numpy()
-    found = {name: cells[name].to_numpy() for name in names if name != COLUMN}
-    found[COLUMN] = np.array([shares.get((seed, float(cells["content"])), np.nan) for seed in seeds.tolist()])
+    found = {name: cells[name].to_numpy() for name in names if name not in CEMENT_FEATURES}
+    nothing = (np.nan,) * len(CEMENT_FEATURES)
+    rows = [shares.get((seed, float(cells["content"])), nothing) for seed in seeds.tolist()]
+    found |= dict(zip(CEMENT_FEATURES, np.array(rows).T, strict=True))
     table = np.array([found[name] for name in names], dtype=float).reshape(len(names), len(vs))
     known = np.isfinite(vs) & np.isfinite(table).all(axis=0)
     return table[:, known].T, vs[known], seeds[known]

@@ -44,6 +44,14 @@ Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or data
 CampaignName = Annotated[
     str | None, typer.Option("--campaign", metavar="NAME", help="Which campaign, if the database has several.")
 ]
+MeasuredFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--measured",
+        metavar="FILE.csv",
+        help="Laboratory velocities to lay over figures of Vs and to compare: columns content, vs, and sd, samples.",
+    ),
+]
 JudgedDatabase = Annotated[
     str | None,
     typer.Option(

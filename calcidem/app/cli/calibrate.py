@@ -66,10 +66,10 @@ def calibrate_command(
 ) -> None:
     """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
     from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
     from calcidem.app.studies.parameters import parse_range, text_with_values
-    from calcidem.app.studies.targets import read_targets
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
     refuse_to_replace(out)

@@ -52,13 +52,13 @@ def predict_command(
 ) -> None:
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
 
-    Every prediction comes with a check on samples left out one by one: how many fall into their interval, and whether
-    features make it better than the content alone: those of the path, and the share of the contacts at the height of
-    the receiver that are cemented (column_share).
+    It uses the shares of the contacts that are cemented, at the height of the receiver (column_share) and of all
+    (cemented_share), or the features given with --feature. Every prediction comes with a check on samples left out one
+    by one: how many fall into their interval, and how narrow it is beside that of the content alone.
     """
     from calcidem.analysis.campaign_analysis import CampaignAnalysis
     from calcidem.app.campaign.patterns import with_patterns
-    from calcidem.app.campaign.prediction import check_predictions
+    from calcidem.app.campaign.prediction import CEMENT_FEATURES, check_predictions
     from calcidem.app.cli.tables import make_console
     from calcidem.storage.sql.store import read_campaign
 
@@ -75,17 +75,20 @@ def predict_command(
                 content=content, seed=seed, pattern=cement, features=features, level=level
             )
             typer.echo(_prediction_line(content, prediction, level), err=layout is not Format.TABLE)
-        checks = check_predictions(CampaignAnalysis(store, with_cement=with_patterns), level=level)
+        names = CEMENT_FEATURES if features is None else tuple(features)
+        analysis = CampaignAnalysis(store, with_cement=with_patterns)
+        checks = check_predictions(analysis, names, level)
+        alone = check_predictions(analysis, (), level)
         if layout is not Format.TABLE:
-            chosen = {known: check for known, check in checks.items() if content is None or np.isclose(known, content)}
-            rows = [{"content": known, **asdict(check)} for known, check in chosen.items()]
-            tell_rows([row | {"used": _used(checks[row["content"]])} for row in rows], layout)
+            chosen = (known for known in checks if content is None or np.isclose(known, content))
+            rows = ({"content": known, **asdict(checks[known]), "score_alone": alone[known].score} for known in chosen)
+            tell_rows(list(rows), layout)
         elif content is None:
-            make_console().print(_check_table(checks))
-            typer.echo(_overall_line(checks))
+            make_console().print(_check_table(checks, alone))
+            typer.echo(_overall_line(checks, alone))
         else:
-            for check in (check for known, check in checks.items() if np.isclose(known, content)):
-                typer.echo(_check_line(check))
+            for known in (known for known in checks if np.isclose(known, content)):
+                typer.echo(_check_line(checks[known], alone[known]))
 
 
 _parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
@@ -120,45 +123,35 @@ def _prediction_line(content: float, prediction: "Prediction", level: float) -> 
     )
 
 
-def _used(check: "PredictorCheck") -> str:
-    """Which features have a part in a predictor."""
-    from calcidem.app.campaign.prediction import COLUMN, FEATURE_NAMES
-
-    kinds = {"column" if FEATURE_NAMES[number] == COLUMN else "path" for number in check.used}
-    return " and ".join(sorted(kinds))
-
-
-def _check_line(check: "PredictorCheck") -> str:
+def _check_line(check: "PredictorCheck", alone: "PredictorCheck") -> str:
     """How such predictions fare on samples that were left out."""
-    text = (
+    return (
         f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
-        f"Mean interval score {check.score:.0f} m/s; {check.content_score:.0f} m/s for the content alone."
+        f"Mean interval score {check.score:.0f} m/s; {alone.score:.0f} m/s for the content alone."
     )
-    helps = f"What helps within this content: {_used(check)}."
-    return f"{text} {helps if check.features_help else 'Features add nothing within this content.'}"
 
 
-def _check_table(checks: "Mapping[float, PredictorCheck]") -> Table:
+def _check_table(checks: "Mapping[float, PredictorCheck]", alone: "Mapping[float, PredictorCheck]") -> Table:
     """Table of all contents."""
     table = Table(box=SIMPLE_HEAD)
-    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s", "what helps"):
+    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s"):
         table.add_column(name, justify="right")
     for content, check in checks.items():
-        verdict = _used(check) if check.features_help else "nothing"
-        numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{check.content_score:.1f}"
-        table.add_row(f"{content:g}", str(check.n), *numbers, verdict)
+        numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{alone[content].score:.1f}"
+        table.add_row(f"{content:g}", str(check.n), *numbers)
     return table
 
 
-def _overall_line(checks: "Mapping[float, PredictorCheck]") -> str:
+def _overall_line(checks: "Mapping[float, PredictorCheck]", alone: "Mapping[float, PredictorCheck]") -> str:
     """Coverage and scores over all samples."""
-    counts = [check.n for check in checks.values()]
-    if not counts:
-        return "No content has the four velocities that a check needs."
-    coverage, score, alone = np.average(
-        [(check.coverage, check.score, check.content_score) for check in checks.values()], axis=0, weights=counts
+    if not checks:
+        return "No content has the six velocities that a check needs."
+    inside = np.concatenate([check.inside for check in checks.values()])
+    scores, without = (
+        np.concatenate([found[content].scores for content in checks]).mean() for found in (checks, alone)
     )
     return (
-        f"In all, {100.0 * coverage:.1f} % of {sum(counts)} samples, predicted from the other seeds of their content, "
-        f"lay in their interval; mean interval score {score:.1f} m/s, {alone:.1f} m/s for the content alone."
+        f"In all, {100.0 * inside.mean():.1f} % of {inside.size} samples, predicted from the other seeds of their "
+        f"content, lay in their interval. Mean interval score {scores:.1f} m/s; "
+        f"{without:.1f} m/s for the content alone."
     )

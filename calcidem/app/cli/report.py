@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName, Database, MeasuredFile
 from calcidem.app.cli.terminal import progress_bar
 
 
@@ -19,20 +19,25 @@ def report_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
     ] = None,
+    measured: MeasuredFile = None,
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
+    from calcidem.app.config.measured import read_targets
     from calcidem.app.report.page import write_report
     from calcidem.storage.files import refuse_to_replace
 
     refuse_to_replace(out)
+    targets = read_targets(measured) if measured else ()
     studies = None
     if with_studies:
         from calcidem.app.studies.frequency_and_damping import run_studies
 
         studies = run_studies(database, campaign_name=campaign)
     with progress_bar("Report") as watch:
-        page = write_report(database, out, campaign_name=campaign, studies=studies, files=files, watch=watch)
+        page = write_report(
+            database, out, campaign_name=campaign, studies=studies, measured=targets, files=files, watch=watch
+        )
     typer.echo(f"Wrote {page}")
     if files is not None:
         typer.echo(f"Wrote {len(list(files.iterdir()))} files to {files}")

@@ -7,11 +7,13 @@ from scipy import stats
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.measured import misfits, root_mean_square_misfit
 from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
 from calcidem.analysis.published_check import check_study, check_verdicts
 from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
 
 _SIGNIFICANCE = 0.05
+_MANY_ERRORS = 2.0
 
 
 def published_table(analysis: CampaignAnalysis) -> Table | None:
@@ -59,6 +61,45 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
         ),
         tuple(rows),
         frozenset(marked),
+    )
+
+
+def measured_table(analysis: CampaignAnalysis) -> Table | None:
+    """Mean and scatter beside measured ones; None if none are given."""
+    if not analysis.measured:
+        return None
+    found = misfits(analysis.distributions, analysis.measured)
+    rows = tuple(
+        (
+            f"{one.measured.content:g}{' (interpolated)' if one.interpolated else ''}",
+            decimal(one.mean),
+            decimal(one.measured.vs),
+            f"{decimal(100 * one.difference, 1)} %",
+            decimal(one.standard_errors, 1),
+            decimal(one.standard_deviation),
+            ABSENT if one.measured.sd is None else decimal(one.measured.sd),
+            decimal(one.deviation_ratio, 2),
+        )
+        for one in found
+    )
+    outside = len(analysis.measured) - len(found)
+    return Table(
+        f"This campaign and measured velocities: root mean square of the differences of the means "
+        f"{decimal(100 * root_mean_square_misfit(found), 1)} %. Between the campaign's contents by straight lines. A "
+        "standard error is that of the difference of both means. Marked: more than two of them. "
+        f"Measured contents outside the campaign's range: {outside}.",
+        (
+            "content (%)",
+            "mean (m/s)",
+            "measured",
+            "difference",
+            "in standard errors",
+            "standard deviation (m/s)",
+            "measured",
+            "ratio",
+        ),
+        rows,
+        frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > _MANY_ERRORS),
     )
 
 

@@ -21,6 +21,7 @@ _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
     "features": lambda analysis: analysis.table,
     "correlations_overall": lambda analysis: analysis.correlations.overall,
     "correlations_within_content": lambda analysis: analysis.correlations.within,
+    "correlations_by_content": lambda analysis: analysis.content_correlations,
 }
 """What NetCDF files hold, by their names."""
 

@@ -18,6 +18,7 @@ from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
+from calcidem.analysis.measured import Target
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.folder import write_files
@@ -109,6 +110,7 @@ def write_report(
     campaign_name: str | None = None,
     studies: Mapping[str, xr.Dataset] | None = None,
     files: str | os.PathLike[str] | None = None,
+    measured: tuple[Target, ...] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
     """Write the report of a campaign.
@@ -125,6 +127,8 @@ def write_report(
         Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
     files
         Folder to which all figures, tables and numbers are written, too.
+    measured
+        Laboratory velocities to lay over figures of Vs, with a table of the misfit.
     watch
         Told after each section how many of how many parts are made; the last part is the cells.
 
@@ -142,7 +146,7 @@ def write_report(
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
-        analysis = CampaignAnalysis(store, _MOST_SAMPLES, with_patterns)
+        analysis = CampaignAnalysis(store, _MOST_SAMPLES, with_patterns, measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
             write_files(analysis, files)

@@ -208,9 +208,9 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
     )
     return Table(
         "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
-        "contents a common growth with content inflates it; within one content, after the mean of each content "
-        "is subtracted, it tells how much of the scatter a feature explains. Its p-value is corrected for the number "
-        "of features: seeds are exchanged at random, and the largest coefficient counts.",
+        "contents a common growth with content inflates it. Within one content, less the mean and over the standard "
+        "deviation of each content, it tells how much of the scatter a feature explains. Its p-value is corrected for "
+        "the number of features: seeds are exchanged at random, and the largest coefficient counts.",
         ("feature", "definition", "with Vs, all contents", "Spearman", "with Vs, within one content", "p, corrected"),
         rows,
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.app.report.comparison import disagreement_table, published_table
+from calcidem.app.report.comparison import disagreement_table, measured_table, published_table
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
 from calcidem.app.report.results import (
     cost_table,
@@ -30,6 +30,7 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "laws": law_table,
     "errors_and_cost": cost_table,
     "two_velocities": departure_table,
+    "measured": measured_table,
     "published": published_table,
     "published_disagreements": disagreement_table,
     "parameters": lambda analysis: parameter_table(analysis.config),
@@ -64,7 +65,7 @@ PAGE_SECTIONS = (
         "velocities",
         "Shear-wave velocity",
         ("vs_range", "histograms"),
-        ("velocities", "meaning", "outcomes", "growth"),
+        ("velocities", "measured", "meaning", "outcomes", "growth"),
     ),
     SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods", "dispersion")),
     SectionPlan(

@@ -1,6 +1,7 @@
 """Velocities of many configurations on the same packing, contents and seeds, spread over cores."""
 
 import multiprocessing
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
+from calcidem.launch.starter import die_with_parent
 
 MeasureTrials = Callable[[Sequence[Configuration]], Iterator[Floats]]
 """Takes configurations; gives Vs of each in turn, m/s, shape (seeds, contents), NaN where there is none."""
@@ -60,8 +62,9 @@ def trial_workers(
     if cores == 1:
         yield measure_trials
         return
-    # Fresh processes: a fork would share what libraries hold open.
-    with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
+    # Fresh processes: a fork would share what libraries hold open. They would outlive a command that is killed.
+    ending = die_with_parent if sys.platform == "linux" else None
+    with ProcessPoolExecutor(cores, multiprocessing.get_context("spawn"), ending) as pool:
         yield partial(measure_trials, spread=pool.map)
 
 

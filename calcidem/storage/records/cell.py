@@ -184,7 +184,7 @@ class CellResult:
     ] = None
     frequency: Annotated[
         float | None,
-        Quantity("Hz", "frequency of the sent pulse", "wave", Bound.POSITIVE, is_exact=True, is_needed=True),
+        Quantity("Hz", "frequency of the transmitted pulse", "wave", Bound.POSITIVE, is_exact=True, is_needed=True),
     ] = None
     distance: Annotated[
         float | None, Quantity("m", "distance that the shear wave travelled", "wave", Bound.POSITIVE, is_exact=True)
@@ -244,7 +244,7 @@ class CellResult:
     broken_bonds: Annotated[
         int | None, Quantity("1", "number of bonds that the pulse broke", "wave", Bound.NOT_NEGATIVE, is_exact=True)
     ] = None
-    retry: Annotated[str | None, Quantity("", "why the sample was sent again, with half the time step", "wave")] = None
+    retry: Annotated[str | None, Quantity("", "why the sample was computed again with half the step", "wave")] = None
     seconds: Annotated[float | None, Quantity("s", "computing time", "run", Bound.NOT_NEGATIVE)] = None
     rank: Annotated[int | None, Quantity("1", "MPI rank that computed it", "run", Bound.NOT_NEGATIVE)] = None
     host: Annotated[str | None, Quantity("", "host that computed it", "run")] = None

@@ -22,8 +22,11 @@ from calcidem.storage.netcdf.trial import refuse_unreadable
 
 _SECONDS_BETWEEN_SAVES = 60.0
 
-_NEGLIGIBLE = 0.02
-"""Share of a variance with which a parameter is not found beside others that make all the rest."""
+_NEGLIGIBLE = 0.05
+"""A total index surely below this is negligible: beside all others a calibration does not find the parameter."""
+
+_FEWEST_TO_NEGLECT = 32
+"""Base points below which a narrow interval is a matter of luck."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +178,10 @@ def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
 
 
 def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
-    """Sobol indices along (output, content, parameter), see `calcidem.analysis.sobol.sobol_indices`."""
+    """Sobol indices along (output, content, parameter), see `calcidem.analysis.sobol.sobol_indices`.
+
+    ``lowest`` and ``highest`` are the least and the largest output over the points, along (output, content).
+    """
     vs = points["vs"].transpose("point", "content", "seed").to_numpy()
     outputs = campaign_outputs(np.where(points["done"].to_numpy()[:, None, None], vs, np.nan))
     outputs["readable_share"] = np.where(points["done"].to_numpy()[:, None], outputs["readable_share"], np.nan)
@@ -184,24 +190,41 @@ def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
         for values in outputs.values()
     ]
     coords = {"content": list(plan.contents), "output": list(outputs)}
-    return xr.concat(by_output, dim="output").assign_coords(coords)
+    values = np.stack(list(outputs.values()))
+    lowest, highest = (
+        np.where(np.isfinite(values).any(axis=1), found, np.nan)
+        for found in (
+            np.min(values, axis=1, initial=np.inf, where=np.isfinite(values)),
+            np.max(values, axis=1, initial=-np.inf, where=np.isfinite(values)),
+        )
+    )
+    both = ("output", "content")
+    return (
+        xr.concat(by_output, dim="output").assign_coords(coords).assign(lowest=(both, lowest), highest=(both, highest))
+    )
 
 
 def sobol_table(indices: xr.Dataset) -> str:
     """Table in Markdown: a row for each output and parameter, a column for each content; first index, then total.
 
-    Below it stands which parameters no calibration on these contents can find.
+    Below it stands which parameters are negligible, and of which the intervals are too wide to say so.
     """
     contents = [f"{content:g} %" for content in indices["content"].to_numpy()]
     lines = [f"| {' | '.join(['output', 'parameter', *contents])} |", f"|{'---|' * (2 + len(contents))}"]
     for output, label in OUTPUTS.items():
+        ranges = [_range_entry(indices.sel(output=output, content=content)) for content in indices["content"]]
+        lines.append(f"| {' | '.join([label, 'range over all points', *ranges])} |")
         for name in indices["parameter"].to_numpy().tolist():
             chosen = indices.sel(output=output, parameter=name)
             entries = [_index_entry(chosen.sel(content=content)) for content in indices["content"]]
             lines.append(f"| {' | '.join([label, str(name), *entries])} |")
-    lost = ", ".join(_parameters_out_of_reach(indices))
-    verdict = f"Mean and scatter hardly depend on {lost}: no calibration on these contents can find them."
-    return "\n".join([*lines, "", *([verdict] if lost else []), ""])
+    return "\n".join([*lines, "", *_verdicts(indices), ""])
+
+
+def _range_entry(chosen: xr.Dataset) -> str:
+    """Least and largest output over the points."""
+    low, high = float(chosen["lowest"]), float(chosen["highest"])
+    return "not read" if np.isnan(low) else f"{low:.3g} to {high:.3g}"
 
 
 def _index_entry(chosen: xr.Dataset) -> str:
@@ -212,10 +235,41 @@ def _index_entry(chosen: xr.Dataset) -> str:
     return ", total ".join(parts)
 
 
-def _parameters_out_of_reach(indices: xr.Dataset) -> list[str]:
-    """Parameters whose total index is surely above `_NEGLIGIBLE` neither for mean nor for sd / mean at any content."""
+def _verdicts(indices: xr.Dataset) -> list[str]:
+    """Say which parameters do not matter to mean and sd / mean at any content, and which may or may not."""
+    groups = _parameters_by_weight(indices)
+    bases = int(indices["bases"].sel(output=["mean", "relative_deviation"]).max())
+    found = []
+    if groups["negligible"]:
+        found.append(
+            f"Negligible for mean and scatter (each 95 % interval of the total index ends below {_NEGLIGIBLE:g}): "
+            f"{', '.join(groups['negligible'])}. A calibration on these contents cannot find them."
+        )
+    if groups["undecided"]:
+        found.append(
+            f"Not decided from {bases} base points: {', '.join(groups['undecided'])}. They may matter: an interval "
+            f"of a total index reaches above {_NEGLIGIBLE:g}, or fewer than {_FEWEST_TO_NEGLECT} base points were "
+            "read. Compute more base points."
+        )
+    return found
+
+
+def _parameters_by_weight(indices: xr.Dataset) -> dict[str, list[str]]:
+    """Parameters that matter, are negligible, or may be either, by the totals of mean and sd / mean at all contents.
+
+    One matters if a total is surely above `_NEGLIGIBLE`, and is negligible if all of them are surely below, from enough
+    base points.
+    """
     decided = indices.sel(output=["mean", "relative_deviation"])
+    groups: dict[str, list[str]] = {"matters": [], "negligible": [], "undecided": []}
     if not int(decided["bases"].max()):
-        return []
-    reached = (decided["total"] - decided["total_half_width"] > _NEGLIGIBLE).any(("output", "content"))
-    return [str(name) for name in indices["parameter"].to_numpy()[~reached.to_numpy()]]
+        return groups
+    low, high = (decided["total"] + sign * decided["total_half_width"] for sign in (-1, 1))
+    matters = (low > _NEGLIGIBLE).any(("output", "content"))
+    # An output that does not vary at a content has no index there, and says nothing against the parameter.
+    below = ((high < _NEGLIGIBLE) | high.isnull()).all(("output", "content"))
+    enough = int(decided["bases"].where(decided["bases"] > 0).min()) >= _FEWEST_TO_NEGLECT
+    for name in indices["parameter"].to_numpy().tolist():
+        small = enough and bool(below.sel(parameter=name))
+        groups["matters" if bool(matters.sel(parameter=name)) else "negligible" if small else "undecided"].append(name)
+    return groups

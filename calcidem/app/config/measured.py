@@ -1,36 +1,13 @@
-"""Measured means and scatter of Vs that a calibration is to meet, and the file that they are in."""
+"""The file of measured means and scatter of Vs, for a calibration to meet and for figures and reports to show."""
 
 import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from calcidem.analysis.measured import Target
 from calcidem.app.config.errors import ConfigurationError, Problem
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """What was measured at one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    vs
-        Mean, m/s.
-    sd
-        Standard deviation between samples, m/s; None if it is not to be fitted.
-    samples
-        Number of samples that both are from; None if they are taken as exact.
-    """
-
-    content: float
-    vs: float
-    sd: float | None = None
-    samples: int | None = None
-
 
 _COLUMNS = {
     "content": "percent, 0 or more",

@@ -1,0 +1,105 @@
+"""Velocities measured in a laboratory beside those of a campaign."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calcidem.analysis.distribution import ContentDistribution
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What was measured at one content.
+
+    Attributes
+    ----------
+    content
+        Percent.
+    vs
+        Mean, m/s.
+    sd
+        Standard deviation between samples, m/s; None if it is not known or not to be fitted.
+    samples
+        Number of samples that both are from; None if they are taken as exact.
+    """
+
+    content: float
+    vs: float
+    sd: float | None = None
+    samples: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A campaign beside what was measured at one content.
+
+    Attributes
+    ----------
+    measured
+        What was measured.
+    mean, standard_deviation
+        Of the campaign there, m/s; between its contents by straight lines.
+    interpolated
+        Whether the campaign lacks the content itself.
+    difference
+        Mean less the measured one, over the measured one.
+    standard_errors
+        The same in standard errors of the difference of both means; NaN where nothing scatters.
+    deviation_ratio
+        Standard deviation over the measured one; NaN where that is not known.
+    """
+
+    measured: Target
+    mean: float
+    standard_deviation: float
+    interpolated: bool
+    difference: float
+    standard_errors: float
+    deviation_ratio: float
+
+
+def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[Misfit, ...]:
+    """Compare a campaign with measured velocities; those outside the range of its contents are left out.
+
+    Parameters
+    ----------
+    distributions
+        Of each content of the campaign, ascending; contents without a velocity do not count.
+    measured
+        At contents of its own.
+    """
+    rows = [row for row in distributions if row.vs.n]
+    contents = np.array([row.content for row in rows])
+    return tuple(
+        _misfit(rows, contents, target)
+        for target in sorted(measured, key=lambda target: target.content)
+        if contents.size and contents[0] - _EQUAL_CONTENTS <= target.content <= contents[-1] + _EQUAL_CONTENTS
+    )
+
+
+_EQUAL_CONTENTS = 1e-6
+"""Percent by which two contents differ that are the same: they come out of text."""
+
+
+def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: Target) -> Misfit:
+    """Compare at one content."""
+    here = [[row.vs.mean, row.vs.standard_deviation, row.vs.standard_deviation / math.sqrt(row.vs.n)] for row in rows]
+    mean, deviation, error = (float(np.interp(target.content, contents, column)) for column in np.array(here).T)
+    of_target = 0.0 if target.sd is None or target.samples is None else target.sd / math.sqrt(target.samples)
+    both = math.hypot(0.0 if math.isnan(error) else error, of_target)
+    return Misfit(
+        measured=target,
+        mean=mean,
+        standard_deviation=deviation,
+        interpolated=bool(np.min(np.abs(contents - target.content)) > _EQUAL_CONTENTS),
+        difference=mean / target.vs - 1.0,
+        standard_errors=(mean - target.vs) / both if both else math.nan,
+        deviation_ratio=math.nan if target.sd is None else deviation / target.sd,
+    )
+
+
+def root_mean_square_misfit(found: Sequence[Misfit]) -> float:
+    """Root mean square of the relative differences of the means; NaN of none."""
+    return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan

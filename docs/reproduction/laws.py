@@ -1,0 +1,154 @@
+"""What connectivity says of Vs (Table 4, Figs. 13 and 14): `python docs/reproduction/laws.py CAMPAIGN.db`."""
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+from scipy import stats
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.features import FEATURES
+from calcidem.analysis.published import published_study
+from calcidem.app.campaign.opened import open_campaign
+
+C_DN = "path_normalized_connectivity"
+SIGNIFICANCE = 0.05
+
+
+def main() -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("database")
+    with open_campaign(parser.parse_args().database) as campaign:
+        analysis = campaign.analyse()
+        print_features(analysis)
+        print_contents(analysis)
+        print_laws(analysis)
+
+
+def print_features(analysis: CampaignAnalysis) -> None:
+    """Print coefficients over all contents and within one."""
+    matrices, tests, by_content = analysis.correlations, analysis.feature_tests, analysis.content_correlations
+    logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
+    of_all = "Pearson", "with log Vs", "Spearman"
+    show_header("feature", *of_all, "within: Pearson", "within: Spearman", "p, corrected", "contents")
+    for feature in FEATURES:
+        overall, within = (part.sel(variable=feature.name, other="vs") for part in (matrices.overall, matrices.within))
+        values = logarithm[[feature.name, "log_vs"]].to_array("name").stack(sample=("seed", "content")).dropna("sample")
+        found = by_content.sel(variable=feature.name)["p_corrected"]
+        print(
+            f"| {feature.symbol} | {float(overall['pearson']):+.2f} | {np.corrcoef(values)[0, 1]:+.2f} "
+            f"| {float(overall['spearman']):+.2f} | {float(within['pearson']):+.2f} | {float(within['spearman']):+.2f} "
+            f"| {float(tests['p_corrected'].sel(variable=feature.name)):.2g} "
+            f"| {int((found < SIGNIFICANCE).sum())} of {int(found.notnull().sum())} |"
+        )
+    scan = analysis.ratio_scan
+    interval = scan.best_ratio_interval
+    at_paper = float(np.interp(0.83, scan.ratios, scan.correlation))
+    print(
+        f"\nbest ratio {scan.best_ratio:.2f} ({interval.low:.2f} to {interval.high:.2f}), "
+        f"correlation {scan.best_correlation:.3f}; at the paper's 0.83 {at_paper:.3f}"
+    )
+
+
+def print_contents(analysis: CampaignAnalysis) -> None:
+    """Print how C_d,n goes with Vs at each content."""
+    found = analysis.content_correlations.sel(variable=C_DN)
+    show_header("%", "Pearson", "with log Vs", "Spearman (95 % for all contents)", "p", "p, corrected")
+    for content in found["content"].to_numpy()[np.isfinite(found["spearman"].to_numpy())]:
+        row = found.sel(content=content)
+        print(
+            f"| {content:g} | {float(row['pearson']):+.2f} | {float(row['pearson_log']):+.2f} "
+            f"| {float(row['spearman']):+.2f} ({float(row['low']):+.2f} to {float(row['high']):+.2f}) "
+            f"| {float(row['p']):.2g} | {float(row['p_corrected']):.2g} |"
+        )
+
+
+def print_laws(analysis: CampaignAnalysis) -> None:
+    """Print laws of Table 4, powers without an offset, and the content alone, with their errors on unseen seeds."""
+    ratio = next(law.weights.ratio for law in published_study().laws if law.name == "Monte-Carlo")
+    laws = (
+        analysis.physical_law,
+        analysis.law_of_ratio(ratio, f"ratio of the paper, {ratio:g}"),
+        analysis.law_of_ratio(analysis.ratio_scan.best_ratio, "best ratio"),
+    )
+    known = np.isfinite(analysis.sample_vs)
+    vs, seeds = analysis.sample_vs[known], analysis.sample_seeds[known]
+    contents = np.array([sample.content for sample in analysis.samples])[known]
+    errors = {"content alone": vs - without_seed(seeds, lambda rows: mean_of_content(contents, vs, rows))}
+    show_header("weights by", "weights", "range of C_d,n", "law", "Pearson", "rms error on unseen seeds, m/s")
+    for law in laws:
+        errors[law.name] = law.check.errors
+        show_law(law, vs, known)
+    for printed in published_study().laws:
+        low, high = printed.connectivity_range.low, printed.connectivity_range.high
+        print(
+            f"| {printed.name}, paper | {printed.weights.hertz:g}, {printed.weights.bond:g} | {low:g} to {high:g} "
+            f"| {printed.a:.0f} C^{printed.conclusions_b:g} {printed.c:+.0f} | | |"
+        )
+    for law in laws:
+        x = np.log(law.connectivity[known])
+        name = f"{law.name}, power alone"
+        power = stats.linregress(x, np.log(vs))
+        errors[name] = vs - without_seed(seeds, lambda rows, x=x: power_of(x, vs, rows))
+        print(
+            f"| {name} | | | {np.exp(power.intercept):.0f} C^{power.slope:.2f} | {power.rvalue:.3f} (of logarithms) "
+            f"| {rms(errors[name]):.0f} |"
+        )
+    print(f"| content alone | | | mean of the content | | {rms(errors['content alone']):.0f} |")
+    show_header("bias by content, m/s", *errors)
+    for content in np.unique(contents):
+        values = [f"{found[contents == content].mean():+.0f}" for found in errors.values()]
+        print(f"| {content:g} | {' | '.join(values)} |")
+
+
+def show_law(law: LawFit, vs: np.ndarray, known: np.ndarray) -> None:
+    """Print a law of ours."""
+    coefficient = np.corrcoef(law.connectivity[known], vs)[0, 1]
+    print(
+        f"| {law.name} | {law.weights.hertz:.3f}, {law.weights.bond:.3f} "
+        f"| {law.connectivity.min():.3f} to {law.connectivity.max():.3f} "
+        f"| {law.fit.a:.0f} C^{law.fit.b:.2f} {law.fit.c:+.0f} | {coefficient:.3f} | {rms(law.check.errors):.0f} |"
+    )
+
+
+def without_seed(seeds: np.ndarray, predict: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Predict the samples of each seed from those of the others; `predict` takes the rows it may use."""
+    predicted = np.empty(seeds.size)
+    for seed in np.unique(seeds):
+        predicted[seeds == seed] = predict(seeds != seed)[seeds == seed]
+    return predicted
+
+
+def mean_of_content(contents: np.ndarray, vs: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Mean over the rows at the content of each sample, m/s."""
+    _, place = np.unique(contents, return_inverse=True)
+    sums, counts = (np.bincount(place, weights=rows * weight) for weight in (vs, np.ones_like(vs)))
+    return (sums / counts)[place]
+
+
+def power_of(x: np.ndarray, vs: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Straight line of log Vs (m/s) in x through the rows, as velocities."""
+    line = stats.linregress(x[rows], np.log(vs[rows]))
+    return np.exp(line.intercept + line.slope * x)
+
+
+def rms(errors: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def show_row(*cells: object) -> None:
+    """Print a row of a table."""
+    print(f"| {' | '.join(str(cell) for cell in cells)} |")
+
+
+def show_header(*cells: object) -> None:
+    """Print the first row of a table and the line below it."""
+    print()
+    show_row(*cells)
+    print(f"|{'---|' * len(cells)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Which features predict Vs best, each sample from other seeds: `python docs/reproduction/predictors.py CAMPAIGN.db`.
+
+The same features are used at every content. The last rows choose among those of the cement, one set for all contents or
+one for each, by the errors of left-out samples among the other seeds (nested cross-validation). A negative difference
+to the content alone is a gain.
+"""
+
+import argparse
+
+import numpy as np
+import xarray as xr
+
+from calcidem.analysis.predictor import VelocityPredictor, fit_predictor, interval_score
+from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.prediction import CEMENT_FEATURES, cement_shares
+
+C_DN = "path_normalized_connectivity"
+COLUMN, CEMENTED = CEMENT_FEATURES
+CANDIDATES: dict[str, tuple[str, ...]] = {
+    "content alone": (),
+    "column share": (COLUMN,),
+    "C_d,n": (C_DN,),
+    "column share, C_d,n": (COLUMN, C_DN),
+    "column share, PLLC": (COLUMN, "path_longest_bonded_run_fraction"),
+    "cemented share": (CEMENTED,),
+    "column share, cemented share": (COLUMN, CEMENTED),
+}
+MEASURED: dict[str, tuple[str, ...]] = {
+    "column share, path_vs (measured)": (COLUMN, "path_vs"),
+    "column share, error of the reading (measured)": (COLUMN, "reading_error"),
+}
+"""Of the wave itself, so no predictors of a sample that was not simulated."""
+
+Fits = dict[tuple[int, int], VelocityPredictor]
+"""Predictors by the places of content and seed, each without that seed."""
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("database")
+    cells = read_cells(parser.parse_args().database)
+    candidates = CANDIDATES | {name: columns for name, columns in MEASURED.items() if cells[columns[1]].notnull().any()}
+    fits = {name: fit_without_each(cells, columns) for name, columns in candidates.items()}
+    print("| features | score, m/s | less that of content alone (standard error) | in interval, % | by content, % |")
+    print("|---|---|---|---|---|")
+    reference, _ = judge(cells, fits["content alone"], dict.fromkeys(fits["content alone"], ()))
+    for name, columns in candidates.items():
+        show(name, *judge(cells, fits[name], dict.fromkeys(fits[name], columns)), reference)
+    for title, together in (("one set of features, chosen", True), ("a set for each content, chosen", False)):
+        chosen = choose(fits, together=together)
+        predictors = {place: fits[name][place] for place, name in chosen.items()}
+        show(title, *judge(cells, predictors, {place: CANDIDATES[name] for place, name in chosen.items()}), reference)
+
+
+def read_cells(database: str) -> xr.Dataset:
+    """Give the samples with a velocity at all contents where Vs scatters; NaN for those without a feature."""
+    with open_campaign(database) as campaign:
+        cells, analysis = campaign.to_xarray(), campaign.analyse()
+        shares = cement_shares(analysis, cells["content"].to_numpy().tolist(), CEMENT_FEATURES)
+    seeds, contents = cells["seed"].to_numpy().tolist(), cells["content"].to_numpy().tolist()
+    rows = np.array([[shares.get((seed, content), (np.nan, np.nan)) for content in contents] for seed in seeds])
+    cells = cells.assign({name: (("seed", "content"), rows[..., n]) for n, name in enumerate(CEMENT_FEATURES)})
+    return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # noqa: PLR2004 - round-off
+
+
+def features_of(cells: xr.Dataset, content: int, columns: tuple[str, ...]) -> np.ndarray:
+    """Give the features of all seeds at a content, (seeds, k)."""
+    return (
+        np.array([cells[name].to_numpy()[:, content] for name in columns]).reshape(len(columns), cells.sizes["seed"]).T
+    )
+
+
+def fit_without_each(cells: xr.Dataset, columns: tuple[str, ...]) -> Fits:
+    """Fit the predictors of one set of features."""
+    fits = {}
+    for content, vs in enumerate(cells["vs"].to_numpy().T):
+        table = features_of(cells, content, columns)
+        known = np.isfinite(vs) & np.isfinite(table).all(axis=1)
+        for out in np.flatnonzero(known).tolist():
+            others = known & (np.arange(vs.size) != out)
+            fits[content, out] = fit_predictor(table[others], vs[others])
+    return fits
+
+
+def judge(
+    cells: xr.Dataset, fits: Fits, columns: dict[tuple[int, int], tuple[str, ...]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give interval score (m/s) and hit of each sample, (seed, content), NaN where there is none."""
+    scores, hits = (np.full(cells["vs"].shape, np.nan) for _ in range(2))
+    for (content, out), predictor in fits.items():
+        vs = float(cells["vs"].to_numpy()[out, content])
+        interval = predictor.predict(features_of(cells, content, columns[content, out])[out]).interval
+        scores[out, content], hits[out, content] = interval_score(interval, vs, 0.95), interval.contains(vs)
+    return scores, hits
+
+
+def choose(fits: dict[str, Fits], *, together: bool) -> dict[tuple[int, int], str]:
+    """Give the features whose left-out samples have the least errors over those of the content alone."""
+    errors = {
+        name: {place: float(np.mean(fit.errors**2) / np.mean(fits["content alone"][place].errors ** 2))
+               for place, fit in fits[name].items()}
+        for name in CANDIDATES
+    }  # fmt: skip
+    places = [place for place in fits["content alone"] if all(place in errors[name] for name in CANDIDATES)]
+    if together:
+        # Of a seed that is left out, what all contents together say.
+        seeds = {out: [place for place in places if place[1] == out] for _, out in places}
+        errors = {
+            name: {place: float(np.mean([errors[name][one] for one in seeds[place[1]]])) for place in places}
+            for name in CANDIDATES
+        }
+    return {place: min(CANDIDATES, key=lambda name: errors[name][place]) for place in places}
+
+
+def show(name: str, scores: np.ndarray, hits: np.ndarray, reference: np.ndarray) -> None:
+    """Print a row; samples of a seed share their cement, so that the standard error is that of the mean over seeds."""
+    gains = np.nanmean(scores - reference, axis=1)
+    by_content = 100.0 * np.nanmean(hits, axis=0)
+    print(
+        f"| {name} | {np.nanmean(scores):.1f} | {gains.mean():+.1f} ({gains.std(ddof=1) / gains.size**0.5:.1f}) "
+        f"| {100.0 * np.nanmean(hits):.1f} | {by_content.min():.1f} to {by_content.max():.1f} |"
+    )
+
+
+if __name__ == "__main__":
+    main()

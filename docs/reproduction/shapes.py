@@ -1,0 +1,154 @@
+"""Shape of the distributions, and what seeds can tell of it: `python docs/reproduction/shapes.py CAMPAIGN.db`."""
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.distribution import Distribution
+from calcidem.analysis.normality import jarque_bera_power
+from calcidem.analysis.published import published_study
+from calcidem.analysis.published_check import check_verdicts
+from calcidem.app.campaign.opened import open_campaign
+
+SIGNIFICANCE = 0.05
+NORMAL_QUARTILES = 1.349  # standard deviations of a normal distribution between its quartiles
+NORMAL = float(stats.norm.ppf(0.975))
+SEED = 35
+
+
+def main() -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("database")
+    with open_campaign(parser.parse_args().database) as campaign:
+        vs = campaign.vs()
+        printed = {round(row.content, 6): row.vs for row in campaign.analyse().distributions}
+    print_shapes(vs, printed)
+    print_middles(vs)
+    print_power()
+
+
+def print_shapes(vs: xr.DataArray, here: dict[float, Distribution]) -> None:
+    """Print skewness with its interval, kurtosis, and the verdicts of Jarque and Bera."""
+    by_moments = {check.content: check for check in check_verdicts()}
+    show_header(
+        "%",
+        "skewness (95 %)",
+        "published",
+        "kurtosis",
+        "published",
+        "p here",
+        "normal here",
+        "printed",
+        "by printed moments",
+    )
+    agree, rows = 0, published_study().velocities
+    for content, printed in rows:
+        found = here[round(content, 6)]
+        values = vs.sel(content=content).dropna("seed").to_numpy()
+        interval = bootstrap(values, stats.skew)
+        normal = found.normality.p_asymptotic >= SIGNIFICANCE
+        agree += normal == printed.normal
+        verdict = by_moments[content].computed_normal
+        print(
+            f"| {content:g} | {found.skewness:.2f} ({interval[0]:.2f} to {interval[1]:.2f}) | {printed.skewness:.2f} "
+            f"| {found.kurtosis:.2f} | {printed.kurtosis:.2f} | {found.normality.p_asymptotic:.2g} "
+            f"| {word(normal)} | {word(printed.normal)} | {word(verdict)} |"
+        )
+    print(f"\nverdicts that agree with the printed ones: {agree} of {len(rows)}")
+
+
+def print_middles(vs: xr.DataArray) -> None:
+    """Print where the median lies below the mean, and scatter by quartiles beside the standard deviation."""
+    show_header(
+        "%",
+        "median below mean, of the sd (95 %)",
+        "samples below the mean (95 %)",
+        "sd / mean, over published",
+        "by quartiles (95 %)",
+        "without the two farthest",
+    )
+    for content, printed in published_study().velocities:
+        values = vs.sel(content=content).dropna("seed").to_numpy()
+        target = printed.standard_deviation / printed.mean
+        below, low, high = (values.mean() - np.median(values)) / values.std(ddof=1), *bootstrap(values, lag_of_median)
+        share = stats.binomtest(int(np.sum(values < values.mean())), values.size)
+        ends = share.proportion_ci(method="wilson")
+        quartiles = [
+            float(quartile_scatter(values)) / target,
+            *(np.array(bootstrap(values, quartile_scatter)) / target),
+        ]
+        kept = np.sort(np.abs(values - np.median(values)))[-3]
+        trimmed = values[np.abs(values - np.median(values)) <= kept]
+        print(
+            f"| {content:g} | {below:+.2f} ({low:+.2f} to {high:+.2f}) "
+            f"| {100 * share.statistic:.0f} % ({100 * ends.low:.0f} to {100 * ends.high:.0f}) "
+            f"| {values.std(ddof=1) / values.mean() / target:.2f} "
+            f"| {quartiles[0]:.2f} ({quartiles[1]:.2f} to {quartiles[2]:.2f}) "
+            f"| {trimmed.std(ddof=1) / trimmed.mean() / target:.2f} |"
+        )
+
+
+def print_power() -> None:
+    """Print how often the test finds a skewness, and how many seeds a statement needs."""
+    show_header("seeds", "skewness 0", "0.25", "0.5", "0.75", "1")
+    for n in (24, 116, 232, 464, 1000):
+        shares = [jarque_bera_power(n, skewness) for skewness in (0.0, 0.25, 0.5, 0.75, 1.0)]
+        print(f"| {n} | {' | '.join(f'{100 * share:.0f} %' for share in shares)} |")
+    show_header(
+        "sd / mean",
+        "mean within 2 %",
+        "sd within 10 %, kurtosis 3",
+        "sd within 10 %, kurtosis 6",
+        "skewness within 0.25",
+    )
+    for scatter in (0.05, 0.10, 0.20):
+        needed = (
+            (NORMAL * scatter / 0.02) ** 2,
+            *((NORMAL / 0.10) ** 2 * (kurtosis - 1) / 4 for kurtosis in (3, 6)),
+            6 * (NORMAL / 0.25) ** 2,
+        )
+        print(f"| {scatter:g} | {' | '.join(f'{np.ceil(number):.0f}' for number in needed)} |")
+
+
+def bootstrap(values: np.ndarray, statistic: Callable[..., np.ndarray]) -> tuple[float, float]:
+    """95 % interval by percentiles of resampled seeds."""
+    drawn = stats.bootstrap(
+        (values,), statistic, n_resamples=2000, method="percentile", vectorized=True, rng=np.random.default_rng(SEED)
+    )
+    return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)
+
+
+def lag_of_median(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Mean less median over the standard deviation."""
+    return (values.mean(axis=axis) - np.median(values, axis=axis)) / values.std(axis=axis, ddof=1)
+
+
+def quartile_scatter(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Sd / mean of a normal distribution with these quartiles and this median."""
+    low, middle, high = np.percentile(values, [25, 50, 75], axis=axis)
+    return (high - low) / NORMAL_QUARTILES / middle
+
+
+def word(normal: bool) -> str:
+    """Verdict in a word."""
+    return "yes" if normal else "no"
+
+
+def show_row(*cells: object) -> None:
+    """Print a row of a table."""
+    print(f"| {' | '.join(str(cell) for cell in cells)} |")
+
+
+def show_header(*cells: object) -> None:
+    """Print the first row of a table and the line below it."""
+    print()
+    show_row(*cells)
+    print(f"|{'---|' * len(cells)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""A campaign beside velocities measured in a laboratory, on numbers that are counted by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.distribution import describe_contents
+from calcidem.analysis.figures import velocities
+from calcidem.analysis.measured import Target, misfits, root_mean_square_misfit
+from calcidem.app.report.comparison import measured_table
+
+VS = xr.DataArray(
+    [[190.0, 290.0], [200.0, 300.0], [210.0, 310.0]],
+    dims=("seed", "content"),
+    coords={"seed": [1, 2, 3], "content": [1.0, 3.0]},
+)
+"""Means of 200 and 300 m/s, standard deviations of 10 m/s."""
+
+
+def test_misfits_are_those_counted_by_hand() -> None:
+    """At the campaign's content, between two of them, and outside, where nothing is said."""
+    measured = (Target(4.0, 500.0), Target(2.0, 200.0, 20.0, 3), Target(1.0, 210.0))
+    first, second = misfits(describe_contents(VS), measured)
+    assert (first.mean, first.interpolated, second.mean, second.interpolated) == (200.0, False, 250.0, True)
+    assert first.difference == pytest.approx(-10.0 / 210.0)
+    assert first.standard_errors == pytest.approx(-10.0 / (10.0 / np.sqrt(3.0)))
+    assert np.isnan(first.deviation_ratio)
+    assert second.standard_errors == pytest.approx(50.0 / np.sqrt((10.0**2 + 20.0**2) / 3.0))
+    assert second.deviation_ratio == pytest.approx(0.5)
+    assert root_mean_square_misfit((first, second)) == pytest.approx(np.sqrt(((10 / 210) ** 2 + 0.25**2) / 2))
+    assert misfits(describe_contents(VS * np.nan), measured) == ()
+
+
+def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysis: CampaignAnalysis) -> None:
+    """They are named in the legend of the range and of the readings, and marked in the histogram of their content."""
+    measured = (Target(0.66, 380.0, 30.0, 5), Target(9.0, 2000.0))
+    figures = (
+        velocities.draw_range(analysis.cells, analysis.distributions, measured=measured),
+        velocities.draw_methods(analysis.cells, measured),
+    )
+    for figure in figures:
+        names = {text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]}
+        assert any(name.startswith("measured mean") for name in names)
+    plain, marked = (velocities.draw_histograms(analysis.vs, analysis.distributions, m) for m in ((), measured))
+    more = [len(two.lines) - len(one.lines) for one, two in zip(plain.axes, marked.axes, strict=True)]
+    assert sum(more) == sum(
+        any(abs(t.content - row.content) < 1e-6 for t in measured) for row in analysis.distributions
+    )
+
+
+def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: CampaignAnalysis) -> None:
+    """Without a file there is no table; with one it has a row for each content in the campaign's range."""
+    assert measured_table(analysis) is None
+    table = measured_table(replace(analysis, measured=(Target(0.66, 380.0, 30.0, 5), Target(99.0, 2000.0))))
+    assert table is not None
+    assert [row[0] for row in table.rows] == ["0.66"]
+    assert "outside the campaign's range: 1" in table.caption

@@ -1,0 +1,345 @@
+"""Numbers of docs/reproduction.md, computed again from the shipped campaign with NumPy and SciPy alone."""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import optimize, sparse, spatial, special, stats
+
+import calcidem
+from calcidem.app.campaign.opened import open_campaign
+
+PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
+FEATURES = {
+    "N": "path_contacts",
+    "N_h": "path_hertz_contacts",
+    "N_LPB": "path_bonded_contacts",
+    "LP": "path_bonded_fraction",
+    "QLLC": "path_longest_bonded_run",
+    "PLLC": "path_longest_bonded_run_fraction",
+    "C_d": "path_connectivity",
+    "C_d,n": "path_normalized_connectivity",
+}
+STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
+
+former = pytest.mark.skipif("former reading" in PAGE.read_text(encoding="utf-8"), reason="page of the former campaign")
+"""Until the page is renewed with the campaign that ships."""
+
+Array = NDArray[np.float64]
+Expected = dict[str, list[float] | str]
+"""Of a row by the header of its column: numbers in their order, or a word."""
+
+
+def tables() -> Iterator[tuple[list[str], list[list[str]]]]:
+    """Headers and rows of all tables of the page."""
+    for block in re.findall(r"(?:^\|.*\n)+", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE):
+        rows = [[cell.strip() for cell in line.strip("|\n").split("|")] for line in block.splitlines()]
+        yield rows[0], rows[2:]
+
+
+def table_with(*headers: str) -> tuple[list[str], list[list[str]]]:
+    """The one table of the page that has these columns."""
+    (found,) = [table for table in tables() if set(headers) <= set(table[0])]
+    return found
+
+
+def numbers_in(cell: str) -> list[tuple[float, float]]:
+    """Numbers of a cell, each with half a unit of its last digit."""
+    found = re.findall(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?", cell)
+    return [(float(text), 0.5 * 10.0 ** -len((text.split("e")[0] + ".").split(".")[1])) for text in found]
+
+
+def check(header: list[str], row: list[str], expected: Expected) -> None:
+    """Each column that is expected is as printed, up to rounding; columns of one name come in their order."""
+    for name, value in expected.items():
+        cell = row[header.index(name)]
+        if isinstance(value, str):
+            assert cell == value, (row, name)
+            continue
+        printed = numbers_in(cell)
+        assert len(printed) == len(value), (row, name)
+        for (number, half), exact in zip(printed, value, strict=True):
+            if "e" in cell:  # two significant digits
+                assert number == pytest.approx(exact, rel=0.06), (row, name)
+            else:
+                assert abs(number - exact) <= half * 1.001 + 1e-9, (row, name, exact)
+
+
+@pytest.fixture(scope="module")
+def cells() -> xr.Dataset:
+    """Give the shipped campaign."""
+    return calcidem.load_paper_campaign()
+
+
+@pytest.fixture(scope="module")
+def published() -> dict[float, dict[str, float]]:
+    """Give Table 3 of the paper, by content."""
+    text = resources.files("calcidem.analysis").joinpath("published.toml").read_text(encoding="utf-8")
+    return {row["content"]: row["vs"] for row in tomllib.loads(text)["contents"] if "vs" in row}
+
+
+def values_at(cells: xr.Dataset, content: float) -> Array:
+    """Velocities of a content."""
+    vs = cells["vs"].sel(content=content).to_numpy()
+    return np.asarray(vs[np.isfinite(vs)])
+
+
+def bonett(values: Array) -> tuple[float, float]:
+    """Interval of a standard deviation, Bonett 2006, Eq. 3 with its small-sample correction."""
+    n, z = values.size, stats.norm.ppf(0.975)
+    middle = stats.trim_mean(values, 1 / (2 * np.sqrt(n - 4)))
+    kurtosis = n * np.sum((values - middle) ** 4) / np.sum((values - values.mean()) ** 2) ** 2
+    c = n / (n - z)
+    error = c * np.sqrt((kurtosis - (n - 3) / n) / (n - 1))
+    low, high = (float(np.sqrt(c * values.var(ddof=1) * np.exp(sign * z * error))) for sign in (-1, 1))
+    return low, high
+
+
+@former
+def test_means_scatter_growth_and_shape_of_the_page(
+    cells: xr.Dataset, published: dict[float, dict[str, float]]
+) -> None:
+    """Means and sd with their intervals, sd over mean, rates of growth, moments and verdicts are those of the file."""
+    seen = set()
+    for title in ("calibrated, %", "predicted, %"):
+        header, rows = table_with(title)
+        for row in rows:
+            content, values = float(row[0]), values_at(cells, float(row[0]))
+            seen.add(content)
+            half = special.stdtrit(values.size - 1, 0.975) * values.std(ddof=1) / np.sqrt(values.size)
+            ratio = values.std(ddof=1) / published[content]["standard_deviation"]
+            check(
+                header,
+                row,
+                {
+                    "mean, m/s (95 %)": [values.mean(), values.mean() - half, values.mean() + half],
+                    "difference": [100 * (values.mean() / published[content]["mean"] - 1)],
+                    "sd, m/s (95 %)": [values.std(ddof=1), *bonett(values)],
+                    "ratio": [ratio],
+                },
+            )
+    assert seen == set(published)
+    header, rows = table_with("sd / mean", "readings disagree")
+    assert {float(row[0]) for row in rows} == seen
+    for row in rows:
+        content, values = float(row[0]), values_at(cells, float(row[0]))
+        both = cells[["vs", "vs_cross_correlation"]].sel(content=content).dropna("seed", subset=["vs"])
+        apart = np.abs(both["vs_cross_correlation"] / both["vs"] - 1)
+        target = published[content]["standard_deviation"] / published[content]["mean"]
+        over = np.array([values.std(ddof=1), *bonett(values)]) / values.mean() / target
+        low, middle, high = np.percentile(values, [25, 50, 75])
+        check(
+            header,
+            row,
+            {
+                "read": [values.size, cells.sizes["seed"]],
+                "sd / mean": [values.std(ddof=1) / values.mean()],
+                "over published (95 %)": over.tolist(),
+                "by quartiles": [(high - low) / 1.349 / middle / target],
+                "readings disagree": [100 * float((~(apart <= 0.05)).mean())],
+            },
+        )
+    header, rows = table_with("stage", "rate, m/s per %")
+    for row in rows:
+        low, high = STAGES[row[0]]
+        rise = values_at(cells, high).mean() - values_at(cells, low).mean()
+        check(header, row, {"rate, m/s per %": [rise / (high - low)]})
+    header, rows = table_with("kurtosis", "p here")
+    for row in rows:
+        values = values_at(cells, float(row[0]))
+        test = stats.jarque_bera(values)
+        check(
+            header,
+            [re.sub(r" \(.*", "", cell) for cell in row],
+            {
+                next(name for name in header if name.startswith("skewness")): [stats.skew(values)],
+                "kurtosis": [stats.kurtosis(values, fisher=False)],
+                "p here": [test.pvalue],
+                "normal here": "yes" if test.pvalue >= 0.05 else "no",
+            },
+        )
+
+
+def standardised(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Values of the known samples less the mean of their content and over its deviation; 0 where nothing varies."""
+    found = np.zeros(values.shape)
+    for column in range(values.shape[1]):
+        mine = values[known[:, column], column]
+        if np.ptp(mine) > 1e-9 * np.abs(mine).max():
+            found[known[:, column], column] = (mine - mine.mean()) / mine.std()
+    return found[known]
+
+
+def ranked(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Ranks of the known samples within their content."""
+    found = np.zeros(values.shape)
+    for column in range(values.shape[1]):
+        found[known[:, column], column] = stats.rankdata(values[known[:, column], column])
+    return found
+
+
+@former
+@pytest.mark.full
+def test_correlations_of_the_page(cells: xr.Dataset) -> None:
+    """Coefficients over all contents and within one, and those of C_d,n at each content."""
+    vs = cells["vs"].to_numpy()
+    known = np.isfinite(vs)
+    header, rows = table_with("feature")
+    for row in rows:
+        x = cells[FEATURES[row[0]]].to_numpy().astype(float)
+        coefficient: Callable[[Array, Array], float] = lambda a, b: float(np.corrcoef(a, b)[0, 1])  # noqa: E731 - short
+        check(
+            header,
+            row,
+            {
+                "Pearson": [coefficient(x[known], vs[known])],
+                "with log Vs": [coefficient(x[known], np.log(vs[known]))],
+                "Spearman": [float(stats.spearmanr(x[known], vs[known]).statistic)],
+                "within: Pearson": [coefficient(standardised(x, known), standardised(vs, known))],
+                "within: Spearman": [
+                    coefficient(standardised(ranked(x, known), known), standardised(ranked(vs, known), known))
+                ],
+            },
+        )
+    header, rows = table_with("with log Vs", "p")
+    for row in rows:
+        both = cells[["vs", FEATURES["C_d,n"]]].sel(content=float(row[0])).dropna("seed", subset=["vs"])
+        x, y = both[FEATURES["C_d,n"]].to_numpy(), both["vs"].to_numpy()
+        rank = stats.spearmanr(x, y)
+        half = stats.norm.ppf(1 - 0.025 / len(rows)) * np.sqrt((1 + rank.statistic**2 / 2) / (x.size - 3))
+        ends = np.tanh(np.arctanh(rank.statistic) + np.array([-half, half]))
+        check(
+            header,
+            row,
+            {
+                "Pearson": [stats.pearsonr(x, y).statistic],
+                "with log Vs": [stats.pearsonr(x, np.log(y)).statistic],
+                "Spearman (95 % for all contents)": [rank.statistic, *ends.tolist()],
+            },
+        )
+
+
+def law_errors(x: Array, y: Array, seeds: Array) -> tuple[Array, Array]:
+    """Parameters of a x^b + c by least squares, and errors of each seed from a fit to the others."""
+
+    def law(x: Array, a: float, b: float, c: float) -> Array:
+        return a * x**b + c
+
+    start, _ = optimize.curve_fit(law, x, y, p0=(500.0, -1.0, -200.0), maxfev=20000)
+    errors = np.empty(y.size)
+    for seed in np.unique(seeds):
+        out = seeds == seed
+        fit, _ = optimize.curve_fit(law, x[~out], y[~out], p0=start, maxfev=20000)
+        errors[out] = y[out] - law(x[out], *fit)
+    return start, errors
+
+
+@former
+@pytest.mark.full
+def test_laws_and_predictions_of_the_page(database: Path) -> None:
+    """C_d,n by Dijkstra for each row of the laws, their fits and errors; intervals predicted from shares of cement."""
+    with open_campaign(database) as campaign:
+        packing, half = campaign.packing(), campaign.config["wave"]["receiver_half_width"]
+        sending = campaign.config["wave"]["transmitter_half_width"]
+        samples = [(c.key.seed, c.key.content, c.vs, c.cement) for c in campaign.select(with_arrays=True)]
+    assert all(cement is not None for *_, cement in samples)
+    centres, radius, count = np.column_stack([packing.x, packing.y]), packing.radius, packing.radius.size
+    pairs = spatial.cKDTree(centres).query_pairs(2 * radius.max(), output_type="ndarray")
+    pairs = np.sort(pairs, axis=1)
+    touching = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1) < radius[pairs].sum(axis=1)
+    pairs = pairs[touching]
+    keys = pairs[:, 0] * count + pairs[:, 1]
+    middle = np.abs(packing.y - packing.height / 2)
+    left = np.flatnonzero((packing.x < radius) & (middle < sending))
+    right = np.flatnonzero((packing.width - packing.x < radius) & (middle < half))
+    column = np.abs(packing.y[pairs].mean(axis=1) - packing.height / 2) < half
+    straight = packing.width / (2 * np.median(radius)) - 1
+    bonded = np.array([np.isin(keys, np.sort(c.contacts, axis=1) @ [count, 1]) for *_, c in samples])
+
+    def c_dn(hertz: float, bond: float) -> Array:
+        first = np.concatenate([pairs[:, 0], np.full(left.size, count)])
+        second = np.concatenate([pairs[:, 1], left])
+        found = []
+        for mask in bonded:
+            # A start before the transmitter; a tiny length, since a sparse matrix has no edge of length 0.
+            weights = np.concatenate([np.where(mask, bond, hertz), np.full(left.size, 1e-12)])
+            graph = sparse.csr_array((weights, (first, second)), shape=(count + 1, count + 1))
+            found.append(sparse.csgraph.dijkstra(graph, directed=False, indices=count)[right].min())
+        return np.asarray((np.array(found) - bond * straight) / ((hertz - bond) * straight))
+
+    seeds, contents = np.array([sample[:2] for sample in samples]).T
+    vs = np.array([np.nan if sample[2] is None else sample[2] for sample in samples])
+    known = np.isfinite(vs)
+    header, rows = table_with("weights", "law")
+    for row in rows:
+        if ("paper" in row[0] and "ratio" not in row[0]) or not numbers_in(row[1]):
+            continue  # printed by the paper, or without weights
+        (hertz, _), (bond, _) = numbers_in(row[1])
+        if "physical" in row[0]:  # from the coordination number, not from three digits
+            coordination = 2 * len(pairs) / count
+            hertz, bond = coordination ** (-2 / 3), 1 / coordination
+        x = c_dn(hertz, bond)
+        (a, b, c), errors = law_errors(x[known], vs[known], seeds[known])
+        error_name = next(name for name in header if name.startswith("rms error"))
+        range_name = next(name for name in header if name.startswith("range"))
+        correlation = next(name for name in header if name in {"Pearson", "correlation"})
+        check(
+            header,
+            row,
+            {
+                range_name: [x.min(), x.max()],
+                correlation: [np.corrcoef(x[known], vs[known])[0, 1]],
+                error_name: [float(np.sqrt(np.mean(errors**2)))],
+            },
+        )
+        law = re.fullmatch(r"([\d.]+) C\^(\S+) ([+-]\d+)", row[header.index("law")])
+        assert law is not None
+        assert [float(part) for part in law.groups()] == pytest.approx([a, b, c], rel=0.02, abs=1.0)
+    features = np.column_stack([bonded[:, column].mean(axis=1), bonded.mean(axis=1)])
+    header, rows = table_with("in interval, %", "of content alone, m/s")
+    for row in rows:
+        here = known & np.isclose(contents, float(row[0]))
+        inside, score = left_out(features[here], vs[here])
+        _, alone = left_out(features[here][:, :0], vs[here])
+        check(
+            header,
+            row,
+            {
+                "samples": [int(here.sum())],
+                "in interval, %": [100 * inside],
+                "score, m/s": [score],
+                "of content alone, m/s": [alone],
+            },
+        )
+
+
+def left_out(x: Array, vs: Array) -> tuple[float, float]:
+    """Share inside the interval and mean interval score (m/s) of samples predicted from the others."""
+    design, y = np.column_stack([np.ones(len(vs)), x]), np.log(vs)
+    hits, scores = [], []
+    for out in range(len(y)):
+        others = np.arange(len(y)) != out
+        solution, *_ = np.linalg.lstsq(design[others], y[others], rcond=None)
+        hat = design[others] @ np.linalg.pinv(design[others])
+        errors = (y[others] - design[others] @ solution) / (1 - np.diag(hat))
+        low, high = np.exp(design[out] @ solution + np.quantile(errors, [0.025, 0.975], method="weibull"))
+        hits.append(low <= vs[out] <= high)
+        scores.append(high - low + 40 * max(0.0, low - vs[out], vs[out] - high))
+    return float(np.mean(hits)), float(np.mean(scores))
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    """Give a database of the shipped campaign, with its packing."""
+    from calcidem.app.cli.import_ import import_command  # noqa: PLC0415 - of this test alone
+
+    path = resources.files("calcidem.app.config.presets").joinpath("paper.nc")
+    target = tmp_path / "paper.db"
+    import_command(Path(str(path)), str(target))
+    return target
