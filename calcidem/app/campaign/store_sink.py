@@ -1,7 +1,8 @@
 """Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
@@ -55,15 +56,23 @@ class StoreSink:
         """Held while another thread than the master's uses the store."""
         self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
         self._counts = store.attempt_counts(keys) if keys else {}
+        self._unplanned: deque[CellKey] = deque()
 
     @property
     def losses(self) -> dict[Cell, int]:
         """Workers that each cell has taken down so far."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
+    def plan(self, keys: Iterable[CellKey]) -> None:
+        """Have cells planned with the next outcomes that are stored; does not wait."""
+        self._unplanned.extend(keys)
+
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
         """Write the outcomes in one transaction, after what is new of the workers that they come from."""
         self._note_workers(outcomes)
+        new = [self._unplanned.popleft() for _ in range(len(self._unplanned))]
+        if new:
+            self._with_patience(lambda: self._store.plan(new))
         results = [result for outcome in outcomes for result in self._results(outcome)]
         self._with_patience(lambda: self._store.record_results(results))
         for result in results:
