@@ -70,9 +70,9 @@ def field_statistics(fields: xr.DataArray) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Along content: `mean` and `deviation` in the unit of the fields, `log_deviation` of the natural logarithm,
-        `between` the part of its variance that is between the means of samples, and the scales of fluctuation of the
-        logarithm along x and y, `scale_x` and `scale_y`, m. `unknown` is the part of the places without a value.
+        Along content: `geometric_mean` in the unit of the fields, `log_deviation` of the natural logarithm, `between`
+        the part of its variance that is between the means of samples, and the scales of fluctuation of the logarithm
+        along x and y, `scale_x` and `scale_y`, m. `unknown` is the part of the places without a value.
     """
     steps = {axis: float(np.diff(fields[axis])[0]) if fields.sizes[axis] > 1 else np.nan for axis in ("x", "y")}
     rows = []
@@ -81,14 +81,13 @@ def field_statistics(fields: xr.DataArray) -> xr.Dataset:
         with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.where(values > 0.0, np.log(values), np.nan)
         if not np.isfinite(logs).any():
-            rows.append((np.nan,) * 6 + (1.0,))
+            rows.append((*(np.nan,) * 5, 1.0))
             continue
         variance = float(np.nanvar(logs))
         means = np.nanmean(logs.reshape(len(logs), -1), axis=1)
         rows.append(
             (
-                float(np.nanmean(values)),
-                float(np.nanstd(values)),
+                float(np.exp(np.nanmean(logs))),
                 float(np.sqrt(variance)),
                 float(np.var(means)) / variance if variance > 0.0 else np.nan,
                 scale_of_fluctuation(correlation(logs, -1), steps["x"]),
@@ -96,6 +95,6 @@ def field_statistics(fields: xr.DataArray) -> xr.Dataset:
                 float(np.mean(~np.isfinite(logs))),
             )
         )
-    names = ("mean", "deviation", "log_deviation", "between", "scale_x", "scale_y", "unknown")
+    names = ("geometric_mean", "log_deviation", "between", "scale_x", "scale_y", "unknown")
     columns = dict(zip(names, np.array(rows).T, strict=True))
     return xr.Dataset({name: ("content", values) for name, values in columns.items()}, {"content": fields["content"]})

@@ -27,7 +27,7 @@ def test_a_lattice_is_as_stiff_everywhere_as_its_shear_wave_says() -> None:
     normal = 1.5 * float(SOFT.hertz_coefficient(radius, radius)[0]) * np.sqrt(OVERLAP)
     found = stiffness_field(lattice, none, WINDOW)
     assert found.modulus.shape == (len(found.y), len(found.x))
-    assert min(found.modulus.shape) > 20
+    assert min(found.modulus.shape) > 10
     np.testing.assert_allclose(found.modulus, 0.5 * SOFT.shear_ratio * normal, rtol=1e-6)
     cemented = stiffness_field(lattice, ~none, WINDOW).modulus
     np.testing.assert_allclose(cemented, cemented[0, 0], rtol=1e-6)

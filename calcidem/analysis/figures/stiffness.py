@@ -22,7 +22,8 @@ def draw_stiffness(fields: xr.Dataset) -> Figure:
     contents = fields["content"].to_numpy()
     shown = contents[np.unique(np.linspace(0, len(contents) - 1, _MOST_MAPS).round().astype(int))]
     figure = new_figure(height=4.6)
-    maps, curves = figure.subfigures(1, 2, width_ratios=(1.6, 1.0))
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))
+    maps, curves = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     panels = maps.subplots(1, len(shown), sharey=True, squeeze=False).ravel()
     values = fields["shear_modulus"].isel(seed=0) * _GPA
     low, high = (float(values.sel(content=shown).quantile(part)) for part in (0.02, 0.98))

@@ -57,6 +57,5 @@ def stiffness_of_cells(
     for axis in ("x", "y"):
         described[axis].attrs["units"] = "m"
         described[f"scale_{axis}"].attrs.update(units="m", long_name=f"scale of fluctuation of ln G along {axis}")
-    for name in ("mean", "deviation"):
-        described[name].attrs["units"] = "Pa"
+    described["geometric_mean"].attrs["units"] = "Pa"
     return described

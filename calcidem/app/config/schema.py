@@ -39,7 +39,7 @@ Section = TypeVar("Section", bound="DataclassInstance")
 
 _MOST_SEEDS = 1_000_000
 
-FEWEST_FOR_DEVIATION = 8
+_FEWEST_SEEDS_UNTIL = 8
 """Seeds below which a standard deviation is too uncertain to decide how many more there should be."""
 
 _LONGEST_NAME = 200
@@ -131,10 +131,8 @@ class CampaignPlan:
         """Refuse empty, double and negative entries."""
         require_fields(self)
         if self.until is not None:
-            cure = (
-                f"give a number of {FEWEST_FOR_DEVIATION} to campaign.most_seeds, {self.most_seeds}: until adds to it"
-            )
-            fits = isinstance(self.seeds, int) and FEWEST_FOR_DEVIATION <= self.seeds <= self.most_seeds
+            cure = f"give a number of {_FEWEST_SEEDS_UNTIL} to campaign.most_seeds, {self.most_seeds}: until adds to it"
+            fits = isinstance(self.seeds, int) and _FEWEST_SEEDS_UNTIL <= self.seeds <= self.most_seeds
             require(fits, "seeds", quote(self.seeds), cure, "until", "most_seeds")
 
     @property

@@ -10,7 +10,7 @@ from calcidem.dem.kernels.layout import Floats
 _WIDER = 1.3
 """Of the proposal over the posterior of the linear model: weights have no long tail then."""
 
-_FREEDOM = 5.0
+_FREEDOM = 5
 """Degrees of freedom of the proposal, Student's t."""
 
 _SEED = 20_250_601

@@ -158,7 +158,7 @@ def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: in
     """
     triangles, found = sheared_triangles(state, motion, lane), []
     for part in parts:
-        chosen = part[triangles.corners].all(axis=1)
+        chosen = np.asarray(part[triangles.corners].all(axis=1))
         require(bool(chosen.any()), "parts", int(part.sum()), "give three neighbouring disks and more to each")
         found.append(triangles.among(chosen))
     return found

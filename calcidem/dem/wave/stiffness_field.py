@@ -80,7 +80,7 @@ def windowed_moduli(
     edges = [middle + pixel * (np.arange(n + 1) - n / 2) for middle, n in zip(ends.mean(axis=1), pixels, strict=True)]
     sums = []
     for values in (triangles.stress, triangles.strain):
-        found, _, _ = np.histogram2d(*triangles.middle.T, bins=edges, weights=values)
+        found = np.histogram2d(triangles.middle[:, 0], triangles.middle[:, 1], bins=edges, weights=values)[0]
         for axis in (0, 1):  # of the pixels of each window
             found = np.lib.stride_tricks.sliding_window_view(found, _PIXELS, axis=axis).sum(axis=-1)
         sums.append(found.T)
