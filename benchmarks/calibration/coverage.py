@@ -17,7 +17,7 @@ import numpy as np
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.studies.calibrate import FitPlan, ParameterValues, _fit_to_targets
+from calcidem.app.studies.calibrate import FitPlan, ParameterValues, fit_to_targets
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import parse_range, start_value, with_values
 from calcidem.app.studies.targets import Target, read_targets
@@ -107,7 +107,7 @@ def replayed(options: argparse.Namespace) -> tuple[FitPlan, list[float], Surroga
 
     start = [start_value(configuration, packing, chosen) for chosen in free]
     try:
-        _fit_to_targets(measure, plan, start)
+        fit_to_targets(measure, plan, start)
     except EndOfTrialsError:
         print(f"the calibration goes on after its {len(points)} trials")
     return plan, start, Surrogate(np.array(points), np.array(trials))
@@ -136,7 +136,7 @@ def fit_truth(plan: FitPlan, start: list[float], surrogate: Surrogate, number: i
         return found
 
     synthetic = FitPlan(targets, plan.free, plan.seeds, (), 0.0)
-    fitted = _fit_to_targets(measure, synthetic, start)
+    fitted = fit_to_targets(measure, synthetic, start)
     if fitted.at_limit or any("converged" in doubt for doubt in fitted.doubts):
         return None
     values = np.log(list(fitted.values.values()))

@@ -118,7 +118,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unread
 FEWEST_READ = 0.5
 """Part of the seeds that has to have a velocity: of fewer, more seeds do not make the mean of all known."""
 
-_SEEDS_AT_ONCE = 8
+_ADDED_TOGETHER = 8
 """Seeds are added in multiples of so many, which fill the lanes of a batch."""
 
 
@@ -163,7 +163,7 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
     if max(excess) <= 1.0:
         return count
     factor = min(2.0, max(excess) ** 2)
-    needed = math.ceil(factor * count / _SEEDS_AT_ONCE) * _SEEDS_AT_ONCE
+    needed = math.ceil(factor * count / _ADDED_TOGETHER) * _ADDED_TOGETHER
     return max(count, min(most, max(count + 1, needed)))
 
 

@@ -1,11 +1,13 @@
 """Variance and correlation length of fields: what a random-field model of a soil takes in."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 
-def correlation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     """Give the autocorrelation of fields along one of their axes.
 
     Parameters
@@ -34,7 +36,7 @@ def correlation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
         return np.asarray(covariance / covariance[0])
 
 
-def scale_of_fluctuation(correlations: NDArray[np.float64], step: float) -> float:
+def _scale_of_fluctuation(correlations: NDArray[np.float64], step: float) -> float:
     """Give twice the area below an autocorrelation (L,) up to its first zero, in the unit of the step.
 
     Vanmarcke (1983), *Random Fields*, chapter 5. It is 2 / b for ``exp(-b x)``, and the side of the window for
@@ -59,42 +61,63 @@ def _area(values: NDArray[np.float64]) -> float:
     return float(values.sum() - 0.5 * (values[0] + values[-1]))
 
 
-def field_statistics(fields: xr.DataArray) -> xr.Dataset:
-    """Describe positive fields at each content as random-field models take them: log-normal, with a length.
+def describe_fields(
+    fields: Mapping[tuple[int, float], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+) -> xr.Dataset:
+    """Gather positive fields of samples, and describe them as random-field models take them: log-normal, with a length.
 
     Parameters
     ----------
     fields
-        Dimensions (content, seed, y, x), coordinates x and y in m on a regular grid; NaN where there is no value.
+        By seed and content: x (X,), y (Y,) on a regular grid, m, the same for all, and the values (Y, X), NaN where
+        there is none; at least one.
 
     Returns
     -------
     xarray.Dataset
-        Along content: `geometric_mean` in the unit of the fields, `log_deviation` of the natural logarithm, `between`
-        the part of its variance that is between the means of samples, and the scales of fluctuation of the logarithm
-        along x and y, `scale_x` and `scale_y`, m. `unknown` is the part of the places without a value.
+        `shear_modulus` (content, seed, y, x), Pa, all NaN for a sample that is not given. Along content:
+        `geometric_mean`, `log_deviation` of the natural logarithm, `between` the part of its variance that is between
+        samples, and the scales of fluctuation of the logarithm along x and y, `scale_x` and `scale_y`, m. `unknown` is
+        the part of the places without a value.
     """
-    steps = {axis: float(np.diff(fields[axis])[0]) if fields.sizes[axis] > 1 else np.nan for axis in ("x", "y")}
-    rows = []
-    for content in fields["content"].to_numpy():
-        values = fields.sel(content=content).transpose("seed", "y", "x").to_numpy()
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.where(values > 0.0, np.log(values), np.nan)
-        if not np.isfinite(logs).any():
-            rows.append((*(np.nan,) * 5, 1.0))
-            continue
-        variance = float(np.nanvar(logs))
-        means = np.nanmean(logs.reshape(len(logs), -1), axis=1)
-        rows.append(
-            (
-                float(np.exp(np.nanmean(logs))),
-                float(np.sqrt(variance)),
-                float(np.var(means)) / variance if variance > 0.0 else np.nan,
-                scale_of_fluctuation(correlation(logs, -1), steps["x"]),
-                scale_of_fluctuation(correlation(logs, -2), steps["y"]),
-                float(np.mean(~np.isfinite(logs))),
-            )
-        )
+    x, y, first = next(iter(fields.values()))
+    seeds, contents = (np.unique([key[place] for key in fields]) for place in (0, 1))
+    values = np.full((len(contents), len(seeds), *first.shape), np.nan)
+    for (seed, content), (_, _, found) in fields.items():
+        values[np.searchsorted(contents, content), np.searchsorted(seeds, seed)] = found
+    steps = [float(places[1] - places[0]) if len(places) > 1 else np.nan for places in (x, y)]
     names = ("geometric_mean", "log_deviation", "between", "scale_x", "scale_y", "unknown")
-    columns = dict(zip(names, np.array(rows).T, strict=True))
-    return xr.Dataset({name: ("content", values) for name, values in columns.items()}, {"content": fields["content"]})
+    columns = zip(names, np.array([_described(logs, *steps) for logs in np.log(values)]).T, strict=True)
+    units = dict.fromkeys(("scale_x", "scale_y"), "m") | {"geometric_mean": "Pa"}
+    return xr.Dataset(
+        {name: ("content", column, {"units": units.get(name, "1")}) for name, column in columns}
+        | {
+            "shear_modulus": (
+                ("content", "seed", "y", "x"),
+                values,
+                {"units": "Pa", "long_name": "local shear modulus"},
+            )
+        },
+        {
+            "content": ("content", contents, {"units": "percent"}),
+            "seed": seeds,
+            "y": ("y", y, {"units": "m"}),
+            "x": ("x", x, {"units": "m"}),
+        },
+    )
+
+
+def _described(logs: NDArray[np.float64], step_x: float, step_y: float) -> tuple[float, ...]:
+    """What is said of one content, of logarithms (S, Y, X)."""
+    if not np.isfinite(logs).any():
+        return (*(np.nan,) * 5, 1.0)
+    variance, samples = float(np.nanvar(logs)), logs[np.isfinite(logs).any(axis=(1, 2))]
+    means = np.nanmean(samples.reshape(len(samples), -1), axis=1)
+    return (
+        float(np.exp(np.nanmean(logs))),
+        float(np.sqrt(variance)),
+        float(np.var(means)) / variance if variance > 0.0 else np.nan,
+        _scale_of_fluctuation(_autocorrelation(samples, -1), step_x),
+        _scale_of_fluctuation(_autocorrelation(samples, -2), step_y),
+        float(np.mean(~np.isfinite(samples))),
+    )

@@ -5,12 +5,13 @@ The numbers of the paper's campaign, which come with the package, can be loaded 
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -27,13 +28,13 @@ from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
+from calcidem.analysis.random_field import describe_fields
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
 from calcidem.app.campaign.remedy_trials import RemedyTrial, rank_trials, try_remedies
-from calcidem.app.campaign.stiffness import stiffness_of_cells
 from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
@@ -45,6 +46,7 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
+from calcidem.dem.wave.stiffness_field import stiffness_field
 from calcidem.storage.conventions import campaign_attributes
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
@@ -451,30 +453,22 @@ class Campaign(Closable):
         return static_speed(*self.cemented(seed=seed, content=content))
 
     def stiffness(
-        self,
-        *,
-        seed: int | Sequence[int],
-        content: float | Sequence[float],
-        window: float = 0.012,
-        watch: Callable[[int, int], None] = lambda _done, _all: None,
+        self, *, seed: int | Sequence[int], content: float | Sequence[float], window: float = 0.012
     ) -> xr.Dataset:
         """Compute the shear stiffness of samples from place to place, its variance and its correlation length.
 
         Parameters
         ----------
         seed, content
-            Of which samples; each takes some seconds.
+            Of which samples; each takes a second.
         window
             Side of the square windows in which stress and strain are averaged, m; by default a cluster's diameter.
-        watch
-            Told how many samples are done, of how many.
 
         Returns
         -------
         xarray.Dataset
-            `shear_modulus` (content, seed, y, x) in Pa, NaN where a window has none or the cell does not exist, and
-            along content what `calcidem.analysis.random_field.field_statistics` makes of it. ``to_netcdf`` writes it,
-            `plot.stiffness` draws it.
+            See `calcidem.analysis.random_field.describe_fields`, and `calcidem.dem.wave.stiffness_field` for the
+            modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
 
         Raises
         ------
@@ -482,13 +476,14 @@ class Campaign(Closable):
             If none of the cells has an outcome and cement that is known.
         ValueError
             If the window is larger than the samples inside of their rim.
-
-        Notes
-        -----
-        See `calcidem.dem.wave.stiffness_field`.
         """
-        found = stiffness_of_cells(self.cemented, seed, content, window, watch)
-        return found.assign_attrs(campaign_attributes(self.store) | {"window": window})
+        found = {}
+        for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
+            with suppress(UnknownCellError):
+                found[cell] = stiffness_field(*self.cemented(seed=cell[0], content=cell[1]), window)
+        if not found:
+            raise UnknownCellError("None of these cells has an outcome.", "'calcidem status DB' shows which have.")
+        return describe_fields(found).assign_attrs(campaign_attributes(self.store) | {"window": window})
 
     def dispersion(self, *, content: float) -> Dispersion:
         """Find phase velocity against frequency, and the speed of long waves, from the sections of a content.

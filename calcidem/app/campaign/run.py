@@ -238,9 +238,9 @@ class CampaignRun:
         if plan.until is None:
             own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
         else:
-            from calcidem.app.campaign.until import SeedDemand, stored_velocities  # noqa: PLC0415 - statistics
+            from calcidem.app.campaign.until import SeedDemand, known_velocities  # noqa: PLC0415 - statistics
 
-            self.demand = SeedDemand(plan, stored_velocities(self.store, plan))
+            self.demand = SeedDemand(plan, known_velocities(self.store, plan))
             own = set(self.demand.cells)
             self.store.plan(starmap(CellKey, own))
         self.store.use_campaign(plan.name)  # with the whole plan

@@ -39,7 +39,7 @@ class SeedDemand:
 
     def take_in(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> list[Cell]:
         """Note further outcomes; return the cells that are needed now, were not before and are unknown."""
-        known = _velocities(outcomes)
+        known = _outcome_velocities(outcomes)
         self._known |= known
         found: list[Cell] = []
         for content in sorted({content for _, content in known} & self._counts.keys()):
@@ -76,7 +76,7 @@ class SeedDemand:
         return found if found > count else 0
 
 
-def stored_velocities(store: Store, plan: CampaignPlan) -> dict[Cell, float]:
+def known_velocities(store: Store, plan: CampaignPlan) -> dict[Cell, float]:
     """Velocities of all cells of a plan's contents that have an outcome, m/s; NaN where it is none."""
     wanted = Selection(contents=plan.contents)
     pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
@@ -85,7 +85,7 @@ def stored_velocities(store: Store, plan: CampaignPlan) -> dict[Cell, float]:
     return {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
 
 
-def _velocities(outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> dict[Cell, float]:
+def _outcome_velocities(outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> dict[Cell, float]:
     found = {}
     for outcome in outcomes:
         for place, cell in enumerate(outcome.batch.cells):

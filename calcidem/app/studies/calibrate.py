@@ -37,7 +37,7 @@ _MOST_ROUNDS = 6
 
 _MOST_HALVINGS = 3
 
-_NEAR = 0.3
+_LINEAR_WITHIN = 0.3
 """Distance in the logarithm of each parameter within which trials count as linear."""
 
 ParameterValues = Mapping[str, float]
@@ -316,7 +316,7 @@ def calibrate(
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
         measure = trials.remembered(measure_trials, contents, plan.seeds)
-        fitted = _fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
+        fitted = fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
@@ -329,7 +329,7 @@ def calibrate(
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
 
-def _fit_to_targets(
+def fit_to_targets(
     measure: Callable[[Sequence[ParameterValues]], Sequence[Floats]],
     plan: FitPlan,
     start: Sequence[float],
@@ -424,7 +424,7 @@ def _open_questions(
 ) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
     """Intervals of the parameters, and bands by content and what is wanted there; none where few trials are near."""
     near = [np.frombuffer(key) for key in fit.trials]
-    near = [other for other in near if np.abs(other - point).max() < _NEAR]
+    near = [other for other in near if np.abs(other - point).max() < _LINEAR_WITHIN]
     wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 if target.sd is None else 2]]
     fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
     for target, vs in fit.columns(point):

@@ -13,7 +13,7 @@ from calcidem.dem.wave.static_speed import distances_from_walls, state_at_rest
 _PIXELS = 4
 """Steps in which a window slides over its own side."""
 
-_MARGIN = 0.1
+_LEFT_OUT = 0.1
 """Rim that is left out, over the smaller side of the box: what is held there stiffens it."""
 
 
@@ -59,12 +59,12 @@ def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> Sti
     packing, _ = experiment.stiffen()
     state = state_at_rest(experiment, bonded)
     held = np.minimum(*distances_from_walls(packing)) < np.asarray(packing.radius, dtype=float)
-    margin = _MARGIN * min(packing.width, packing.height)
+    margin = _LEFT_OUT * min(packing.width, packing.height)
     box = (margin, packing.width - margin), (margin, packing.height - margin)
-    return windowed_moduli(sheared_triangles(state, sheared_motion(state, held)), box, window)
+    return _windowed_moduli(sheared_triangles(state, sheared_motion(state, held)), box, window)
 
 
-def windowed_moduli(
+def _windowed_moduli(
     triangles: ShearedTriangles, box: tuple[tuple[float, float], tuple[float, float]], window: float
 ) -> StiffnessField:
     """Shear moduli of the windows of this side, m, in a box, whose ends along x and y are given in m."""
