@@ -49,5 +49,5 @@ def test_the_picture_shows_maps_scatter_and_length() -> None:
     """A map for each content, a bar of colours, and two panels against content."""
     axes = draw_stiffness(described()).get_axes()
     titles = {panel.get_title(loc=place) for panel in axes for place in ("left", "center")}
-    assert {"(a) 1 %", "5 %"} <= titles
+    assert {"1 %", "5 %"} <= titles
     assert {panel.get_ylabel() for panel in axes} >= {"sd of ln G", "scale of fluctuation (mm)"}

@@ -51,9 +51,9 @@ def draw_stiffness(fields: xr.Dataset) -> Figure:
         lower.plot(contents, fields[f"scale_{name}"] * MM, "o-", color=colour, markersize=3, label=f"along {name}")
     lower.axhline(float(fields.attrs["window"]) * MM, color="grey", linestyle=":", label="window")
     lower.set_ylabel("scale of fluctuation (mm)")
-    lower.set_xlabel("calcite content (% of sand mass)")
+    lower.set_xlabel("calcite content (%)")
     lower.legend()
     for axes in (upper, lower):
         axes.set_ylim(bottom=0.0)
-    letter_panels([panels[0], upper, lower])
+    letter_panels([upper, lower])
     return figure
