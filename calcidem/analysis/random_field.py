@@ -1,10 +1,13 @@
 """Variance and correlation length of fields: what a random-field model of a soil takes in."""
 
 from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+
+_Array: TypeAlias = NDArray[np.floating[Any]]
 
 
 def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
@@ -62,7 +65,7 @@ def _area(values: NDArray[np.float64]) -> float:
 
 
 def describe_fields(
-    fields: Mapping[tuple[int, float], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+    fields: Mapping[tuple[int, float], tuple[_Array, _Array, _Array]],
 ) -> xr.Dataset:
     """Gather positive fields of samples, and describe them as random-field models take them: log-normal, with a length.
 
@@ -87,7 +90,7 @@ def describe_fields(
         values[np.searchsorted(contents, content), np.searchsorted(seeds, seed)] = found
     steps = [float(places[1] - places[0]) if len(places) > 1 else np.nan for places in (x, y)]
     names = ("geometric_mean", "log_deviation", "between", "scale_x", "scale_y", "unknown")
-    columns = zip(names, np.array([_described(logs, *steps) for logs in np.log(values)]).T, strict=True)
+    columns = zip(names, np.array([_field_numbers(logs, *steps) for logs in np.log(values)]).T, strict=True)
     units = dict.fromkeys(("scale_x", "scale_y"), "m") | {"geometric_mean": "Pa"}
     return xr.Dataset(
         {name: ("content", column, {"units": units.get(name, "1")}) for name, column in columns}
@@ -107,7 +110,7 @@ def describe_fields(
     )
 
 
-def _described(logs: NDArray[np.float64], step_x: float, step_y: float) -> tuple[float, ...]:
+def _field_numbers(logs: NDArray[np.float64], step_x: float, step_y: float) -> tuple[float, ...]:
     """What is said of one content, of logarithms (S, Y, X)."""
     if not np.isfinite(logs).any():
         return (*(np.nan,) * 5, 1.0)

@@ -46,7 +46,7 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
-from calcidem.dem.wave.stiffness_field import stiffness_field
+from calcidem.dem.wave.stiffness_field import StiffnessField, stiffness_field
 from calcidem.storage.conventions import campaign_attributes
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
@@ -477,7 +477,7 @@ class Campaign(Closable):
         ValueError
             If the window is larger than the samples inside of their rim.
         """
-        found = {}
+        found: dict[tuple[int, float], StiffnessField] = {}
         for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
             with suppress(UnknownCellError):
                 found[cell] = stiffness_field(*self.cemented(seed=cell[0], content=cell[1]), window)
