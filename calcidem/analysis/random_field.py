@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-_Array: TypeAlias = NDArray[np.floating[Any]]
+_FieldArray: TypeAlias = NDArray[np.floating[Any]]
 
 
 def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
@@ -65,7 +65,7 @@ def _area(values: NDArray[np.float64]) -> float:
 
 
 def describe_fields(
-    fields: Mapping[tuple[int, float], tuple[_Array, _Array, _Array]],
+    fields: Mapping[tuple[int, float], tuple[_FieldArray, _FieldArray, _FieldArray]],
 ) -> xr.Dataset:
     """Gather positive fields of samples, and describe them as random-field models take them: log-normal, with a length.
 
