@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calcidem.analysis.measured import Target
 from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.studies.calibrate import FitPlan, ParameterValues, fit_to_targets
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import parse_range, start_value, with_values
-from calcidem.app.studies.targets import Target, read_targets
 
 TRUTHS = 200
 SPREAD = 0.1
