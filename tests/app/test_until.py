@@ -17,7 +17,6 @@ from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
 from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
-from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, BatchOutcome, Cell, Place, plan_batches, run_sweep
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def measured(batch: Batch[Cell], _deadline_check: Callable[[], None]) -> Sequenc
         found = CellResult(
             CellKey(*cell), status, "unread", vs=vs if np.isfinite(vs) else None, seconds=0.0, **numerics
         )
-        results.append(pack_result(found))
+        results.append(found.packed())
     return results
 
 

@@ -12,7 +12,6 @@ from calcidem.app.campaign.packing import Tell
 from calcidem.app.campaign.workers import describe_unlike, group_workers
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult, WorkerRecord
-from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.sql.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell
 
@@ -134,7 +133,7 @@ class StoreSink:
             status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
-            found = [pack_result(CellResult(key, status, reason, seconds=seconds)) for key in keys]
+            found = [CellResult(key, status, reason, seconds=seconds).packed() for key in keys]
         place = outcome.place
         return [
             replace(
