@@ -17,7 +17,6 @@ from simulation import durations
 
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
-from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.sql.store import Store, open_store
 from calcidem.sweep import Batch, BatchOutcome, Cell, Session, run_sweep
 
@@ -74,7 +73,7 @@ def real_outcomes(database: str) -> tuple[PackedResult, ...]:
         stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
     sections = {result.key.content: result.section for result in stored if result.section is not None}
     complete = (replace(result, section=sections[result.key.content]) for result in stored)
-    return tuple(islice(cycle(map(pack_result, complete)), CELLS))
+    return tuple(islice(cycle(result.packed() for result in complete), CELLS))
 
 
 def moved(payload: Sequence[PackedResult], batch: Batch[Cell]) -> tuple[PackedResult, ...]:

@@ -64,7 +64,7 @@ PHASES = {
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task._describe_graph",),
-    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.app.campaign.task.pack_result"),
+    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
     "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
     "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),
 }

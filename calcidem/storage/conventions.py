@@ -1,6 +1,7 @@
 """How quantities and provenance are written down in datasets and NetCDF files: CF attributes, flags and gaps."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -8,9 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, Quantity
+from calcidem.storage.records import STATUS_CODES, Quantity
 from calcidem.storage.sql.store import Store
 from calcidem.version import __version__
+
+Group = Any
+"""A netCDF4.Dataset or netCDF4.Group; that library has no types."""
 
 LAYOUT = 1
 """Version of the layout of exported files."""
@@ -19,13 +23,36 @@ INDEX_NAMES = ("seed", "content")
 """Dimensions of what each cell has."""
 
 
-def values_and_gap(quantity: Quantity, values: NDArray[Any]) -> tuple[NDArray[Any], Any]:
-    """Values as a matrix of a Dataset has them, and what stands for a cell that isn't planned."""
-    if quantity.name == "status":
-        return np.array([STATUS_CODES[status] for status in values], dtype=np.int8), STATUS_CODES[NOT_PLANNED]
+_NO_NUMBER = -1  # stands for None among whole numbers, all of whose real values are 0 or more
+
+
+def fill_value(quantity: Quantity) -> Any:  # noqa: ANN401 - text or number
+    """What stands for a missing value in a file."""
+    return {"text": "", "whole": _NO_NUMBER, "real": np.nan}[quantity.kind]
+
+
+def as_column(quantity: Quantity, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+    """Values of a quantity, None or NaN where missing, as a file has them."""
     if quantity.kind == "text":
-        return np.array([text or "" for text in values], dtype=object), ""
-    return values, np.nan
+        return np.array([text or "" for text in values], dtype=object)
+    numbers = np.array(values, dtype=np.float64)
+    if quantity.kind == "real":
+        return numbers
+    return np.where(np.isnan(numbers), _NO_NUMBER, numbers).astype(np.int64)
+
+
+def as_values(quantity: Quantity, column: NDArray[Any]) -> NDArray[np.object_]:
+    """Inverse of `as_column`: Python's own int, float or str, None where missing."""
+    plain = column.astype(object)
+    missing = {"text": plain == "", "whole": column == _NO_NUMBER, "real": column != column}[quantity.kind]  # noqa: PLR0124 - NaN
+    if quantity.is_optional:
+        plain[missing] = None
+    return plain
+
+
+def status_codes(statuses: Sequence[str] | NDArray[Any]) -> NDArray[np.int8]:
+    """Statuses as the flags of CF."""
+    return np.array([STATUS_CODES[status] for status in statuses], dtype=np.int8)
 
 
 def quantity_attributes(quantity: Quantity) -> dict[str, Any]:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from calcidem.storage.conventions import INDEX_NAMES, campaign_attributes, quantity_attributes, values_and_gap
+from calcidem.storage.conventions import INDEX_NAMES, as_column, campaign_attributes, quantity_attributes, status_codes
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.records import QUANTITY_BY_NAME
+from calcidem.storage.records import NOT_PLANNED, QUANTITY_BY_NAME, STATUS_CODES
 from calcidem.storage.sql.store import Store
 
 
@@ -41,12 +41,15 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
     }
     matrices: dict[str, xr.DataArray] = {}
     for name in names:
-        values, gap = values_and_gap(QUANTITY_BY_NAME[name], columns.pop(name))
+        quantity, values = QUANTITY_BY_NAME[name], columns.pop(name)
+        gap: float | str = np.nan
+        if name == "status":
+            values, gap = status_codes(values), STATUS_CODES[NOT_PLANNED]
+        elif quantity.kind == "text":
+            values, gap = as_column(quantity, values), ""
         matrix = np.full((seeds.size, contents.size), gap, dtype=values.dtype)
         matrix[row, column] = values
-        matrices[name] = xr.DataArray(
-            matrix, coordinates, INDEX_NAMES, name, quantity_attributes(QUANTITY_BY_NAME[name])
-        )
+        matrices[name] = xr.DataArray(matrix, coordinates, INDEX_NAMES, name, quantity_attributes(quantity))
     return matrices
 
 

@@ -21,16 +21,28 @@ class Forecast:
     """
 
     def __init__(self, batches: Iterable[Batch[Any]]) -> None:
+        self._cells: Counter[Hashable] = Counter()
         self._remaining: Counter[Hashable] = Counter()
-        self._estimate: dict[Hashable, float] = defaultdict(float)
-        for batch in batches:
-            self._remaining[batch.group] += len(batch.cells)
-            self._estimate[batch.group] += batch.cost
-        for group, cells in self._remaining.items():
-            self._estimate[group] /= cells
-        self.total = self._remaining.total()
+        self._cost: dict[Hashable, float] = defaultdict(float)
         self._seconds: dict[Hashable, float] = defaultdict(float)
         self._measured: Counter[Hashable] = Counter()
+        self.extend(batches)
+
+    def extend(self, batches: Iterable[Batch[Any]]) -> None:
+        """Count further batches."""
+        for batch in batches:
+            self._cells[batch.group] += len(batch.cells)
+            self._remaining[batch.group] += len(batch.cells)
+            self._cost[batch.group] += batch.cost
+
+    @property
+    def total(self) -> int:
+        """Number of cells of all batches."""
+        return self._cells.total()
+
+    def _estimate(self, group: Hashable) -> float:
+        """Expected cost of a cell, in the unit of the batches."""
+        return self._cost[group] / self._cells[group]
 
     @property
     def settled(self) -> int:
@@ -47,7 +59,7 @@ class Forecast:
 
     def seconds_left(self, workers: int) -> float | None:
         """Return the seconds that the remaining cells need on so many workers, or None if unknown."""
-        estimated = sum(self._estimate[group] * cells for group, cells in self._measured.items())
+        estimated = sum(self._estimate(group) * cells for group, cells in self._measured.items())
         if self.settled == self.total:
             return 0.0
         if estimated == 0.0 or workers < 1:
@@ -56,6 +68,6 @@ class Forecast:
         work = 0.0
         for group, cells in self._remaining.items():
             measured = self._measured[group]
-            per_cell = self._seconds[group] / measured if measured else self._estimate[group] * scale
+            per_cell = self._seconds[group] / measured if measured else self._estimate(group) * scale
             work += cells * per_cell
         return work / workers

@@ -14,6 +14,9 @@ class Progress:
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Take note of the batches that are about to be handed out to so many workers."""
 
+    def on_further(self, batches: Sequence[Batch[Any]]) -> None:
+        """Take note of batches that are handed out after those so far."""
+
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Take note that an outcome is stored."""
 

@@ -1,11 +1,11 @@
 """`run_sweep`: compute all batches, wherever, and store what becomes of them."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from calcidem.launch.channel import tell_command
 from calcidem.sweep.attempt import Compute
@@ -28,8 +28,14 @@ if TYPE_CHECKING:
 _HEARTBEAT_INTERVAL = 0.5
 """Seconds between two heartbeats, for the command that started the ranks and for the progress display."""
 
+More: TypeAlias = Callable[[Sequence[BatchOutcome[CellT, Any]]], Iterable[Batch[CellT]]]
 
-def run_sweep(
+
+def _no_more(_outcomes: Sequence[BatchOutcome[Any, Any]]) -> tuple[()]:
+    return ()
+
+
+def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     where: "MPI.Comm | Executor | None",
     batches: Iterable[Batch[CellT]],
     compute: Compute[CellT, ResultT],
@@ -38,6 +44,7 @@ def run_sweep(
     options: SweepOptions | None = None,
     progress: Progress | None = None,
     stop_request: StopRequest | None = None,
+    more: More[CellT] = _no_more,
 ) -> SweepEnd:
     """Compute all batches and store what becomes of them.
 
@@ -64,6 +71,9 @@ def run_sweep(
     stop_request
         Signals as noted since the start of the program (`Session` has one); by default they are noted during
         the sweep only. Used on rank 0 only.
+    more
+        Gives further batches for the final outcomes that have come; their identifiers do not count. Used on rank 0
+        only, on the main thread, before these outcomes are stored.
 
     Returns
     -------
@@ -92,7 +102,7 @@ def run_sweep(
     schedule = Schedule(tuple(batches))
     progress = progress or Progress()
     with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:
-        master = _Master(schedule, sink, progress, stop, options)
+        master = _Master(schedule, sink, progress, stop, options, more)
         workers: Workers[CellT]
         if isinstance(where, Executor):
             workers = ExecutorWorkers(where, compute, options)
@@ -121,13 +131,21 @@ class _Master:
         Signals noted so far.
     options
         Limits.
+    more
+        Gives further batches for final outcomes.
     """
 
     def __init__(
-        self, schedule: Schedule[Any], sink: Sink, progress: Progress, stop_request: StopRequest, options: SweepOptions
+        self,
+        schedule: Schedule[Any],
+        sink: Sink,
+        progress: Progress,
+        stop_request: StopRequest,
+        options: SweepOptions,
+        more: More[Any],
     ) -> None:
         self._schedule, self._sink, self._progress = schedule, sink, progress
-        self._stop_request, self._options = stop_request, options
+        self._stop_request, self._options, self._more = stop_request, options, more
         self._next_heartbeat = 0.0
 
     def go_on_here(self) -> bool:
@@ -164,8 +182,8 @@ class _Master:
         while True:
             level = self._stop_request.level  # taken first, so that the last round misses nothing
             outcomes, losses = workers.poll()
-            settled = (self._schedule.settle(outcome) for outcome in outcomes)
-            commits.add(*(outcome for outcome in settled if outcome is not None))
+            settled = [self._schedule.settle(outcome) for outcome in outcomes]
+            self._take_in([outcome for outcome in settled if outcome is not None], commits)
             if isinstance(workers, SerialWorkers):
                 commits.flush()  # the thread that stores would fight with this one, which computes, for the interpreter
             handed_out = not commits.is_full and self._hand_out(workers)
@@ -178,6 +196,12 @@ class _Master:
             if outcomes or handed_out or losses:
                 backoff.reset()
             backoff.sleep()
+
+    def _take_in(self, outcomes: Sequence[BatchOutcome[CellT, Any]], commits: GroupCommit[CellT]) -> None:
+        """Have final outcomes stored, and queue what they make necessary."""
+        if further := self._schedule.extend(self._more(outcomes)):
+            self._progress.on_further(further)
+        commits.add(*outcomes)
 
     def _beat(self, workers: int, running: int) -> None:
         if time.monotonic() > self._next_heartbeat:
@@ -211,7 +235,7 @@ class _Master:
             self._schedule.tally.lost_workers += loss.workers
             outcome: BatchOutcome[CellT, Any] | None = self._schedule.lose(batch, loss.reason, loss.place, loss.seconds)
             if outcome is not None:
-                commits.add(outcome)
+                self._take_in([outcome], commits)
 
     def _reason_to_end(self, workers: Workers[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
         """Return why the sweep is over, or None if it isn't."""

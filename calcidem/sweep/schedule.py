@@ -1,8 +1,8 @@
 """Which batch comes next and what to do with each outcome: the decisions, without any communication."""
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Generic
 
 from calcidem.sweep.batch import Batch, CellT
@@ -76,6 +76,15 @@ class Schedule(Generic[CellT]):
     def __len__(self) -> int:
         """Return the number of batches that wait to be handed out."""
         return len(self._queue) + len(self._suspects)
+
+    def extend(self, batches: Iterable[Batch[CellT]]) -> tuple[Batch[CellT], ...]:
+        """Queue further batches after the others; return them as they are numbered here."""
+        further = tuple(
+            replace(batch, identifier=number) for number, batch in enumerate(batches, self._next_identifier)
+        )
+        self._queue.extend(further)
+        self._next_identifier += len(further)
+        return further
 
     def take(self) -> Batch[CellT] | None:
         """Remove and return the next batch, or None if there is none."""

@@ -235,7 +235,7 @@ def test_columns_are_those_of_the_store(tmp_path: Path) -> None:
     with open_store(database, read_only=True) as store:
         store.use_campaign()
         rows = store.table(names)
-        columns = CellColumns.empty(store.velocities(), names[2:])
+        columns = CellColumns.empty(store.table(("seed", "content")), names[2:])
         assert columns.put(rows) == [1, 3, 5]
     found = columns.rows(names)
     for name in names[:4]:

@@ -16,7 +16,6 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import parse_address
-from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.sql.store import Store, open_store
 from calcidem.sweep import EXIT_RESUMABLE, Batch, BatchOutcome, Place
 
@@ -59,7 +58,7 @@ def test_workers_of_an_executor_are_noted_once_they_answer(tmp_path: Path) -> No
     """What a run has as its workers grows by each that answers, with its rank; one that is known changes nothing."""
     own = describe_worker(0)
     numbers = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
-    result = pack_result(CellResult(CellKey(1, 5.0), CellStatus.DONE, vs=900.0, **numbers))
+    result = CellResult(CellKey(1, 5.0), CellStatus.DONE, vs=900.0, **numbers).packed()
     told: list[str] = []
     with open_store(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))

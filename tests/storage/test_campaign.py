@@ -11,7 +11,6 @@ import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
-from calcidem.storage.netcdf import groups
 from calcidem.storage.records import STATUS_CODES, CellStatus, canonical
 from calcidem.storage.sql.store import Store
 
@@ -120,7 +119,7 @@ def test_campaign_is_chosen_by_name(store: Store, records: "Records", address: s
         open_campaign(address, "third")
 
 
-@pytest.mark.parametrize("module", [canonical, groups])
+@pytest.mark.parametrize("module", [canonical])
 def test_examples_of_the_documentation(module: ModuleType) -> None:
     """The examples in the docstrings give what they show."""
     result = doctest.testmod(module)

@@ -27,8 +27,8 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
-from calcidem.storage.sql.schema import _CREATION_LOCK
 from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.tables import _CREATION_LOCK
 from calcidem.sweep import EXIT_RESUMABLE
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from sqlalchemy import CheckConstraint, inspect, text
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import NewerSchemaError, OlderSchemaError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
-from calcidem.storage.sql.models import Base
 from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.tables import _METADATA
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -23,8 +23,8 @@ def test_every_constraint_is_in_the_database(open_here: Callable[..., Store]) ->
     """All tables, columns and checks of the models are in a database that was made."""
     with open_here()._engine.connect() as connection:
         found = inspect(connection)
-        assert set(found.get_table_names()) == set(Base.metadata.tables)
-        for name, table in Base.metadata.tables.items():
+        assert set(found.get_table_names()) == set(_METADATA.tables)
+        for name, table in _METADATA.tables.items():
             assert {column["name"] for column in found.get_columns(name)} == set(table.columns.keys())
             checks = {str(check.name) for check in table.constraints if isinstance(check, CheckConstraint)}
             # SQLAlchemy 2.0.30 takes what follows a column's constraint in SQLite for a part of its name.

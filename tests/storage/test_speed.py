@@ -11,10 +11,9 @@ from sqlalchemy.dialects import sqlite
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.models import EXPRESSIONS, AttemptRow, CellRow
-from calcidem.storage.sql.reading import _conditions, cell_in, join_results
-from calcidem.storage.sql.store import open_store
-from calcidem.storage.sql.writing import _attempt_in
+from calcidem.storage.sql.reading import _conditions, cell_in
+from calcidem.storage.sql.store import _attempt_in, open_store
+from calcidem.storage.sql.tables import ATTEMPT, CELL, EXPRESSIONS, join_results
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def test_queries_use_indices(large: Large, selection: Selection, index: str) -> 
     with open_store(path) as store, store._reading() as session:
         columns = list(EXPRESSIONS.values())
         statement = (
-            join_results(select(*columns)).where(*_conditions(1, selection)).order_by(CellRow.seed, CellRow.content)
+            join_results(select(*columns)).where(*_conditions(1, selection)).order_by(CELL.c.seed, CELL.c.content)
         )
         compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
         plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]
@@ -104,10 +103,10 @@ def test_listed_cells_are_searched_by_their_keys(large: Large, keys: list[CellKe
     with open_store(path) as store, store._reading() as session:
         for statement, columns in (
             (
-                select(CellRow.id).where(CellRow.campaign_id == 1, cell_in(keys)),
+                select(CELL.c.id).where(CELL.c.campaign_id == 1, cell_in(keys)),
                 ("campaign_id=?", "seed=?", "content=?"),
             ),
-            (select(AttemptRow.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
+            (select(ATTEMPT.c.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),
         ):
             compiled = statement.compile(dialect=sqlite.dialect(), compile_kwargs={"literal_binds": True})
             plan = [row.detail for row in session.execute(text(f"EXPLAIN QUERY PLAN {compiled}"))]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -27,6 +28,7 @@ from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
+from calcidem.analysis.random_field import describe_fields
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
@@ -44,6 +46,8 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
+from calcidem.dem.wave.stiffness_field import StiffnessField, stiffness_field
+from calcidem.storage.conventions import campaign_attributes
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -447,6 +451,39 @@ class Campaign(Closable):
         True
         """
         return static_speed(*self.cemented(seed=seed, content=content))
+
+    def stiffness(
+        self, *, seed: int | Sequence[int], content: float | Sequence[float], window: float = 0.012
+    ) -> xr.Dataset:
+        """Compute the shear stiffness of samples from place to place, its variance and its correlation length.
+
+        Parameters
+        ----------
+        seed, content
+            Of which samples; each takes a second.
+        window
+            Side of the square windows in which stress and strain are averaged, m; by default a cluster's diameter.
+
+        Returns
+        -------
+        xarray.Dataset
+            See `calcidem.analysis.random_field.describe_fields`, and `calcidem.dem.wave.stiffness_field` for the
+            modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
+
+        Raises
+        ------
+        UnknownCellError
+            If none of the cells has an outcome and cement that is known.
+        ValueError
+            If the window is larger than the samples inside of their rim.
+        """
+        found: dict[tuple[int, float], StiffnessField] = {}
+        for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
+            with suppress(UnknownCellError):
+                found[cell] = stiffness_field(*self.cemented(seed=cell[0], content=cell[1]), window)
+        if not found:
+            raise UnknownCellError("None of these cells has an outcome.", "'calcidem status DB' shows which have.")
+        return describe_fields(found).assign_attrs(campaign_attributes(self.store) | {"window": window})
 
     def dispersion(self, *, content: float) -> Dispersion:
         """Find phase velocity against frequency, and the speed of long waves, from the sections of a content.

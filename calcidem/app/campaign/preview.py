@@ -48,6 +48,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     batches = planned_batches(configuration)
     own = [CellKey(*cell) for batch in batches for cell in batch.cells]
     part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
+    part += "" if plan.until is None else f" to begin with (up to {plan.most_seeds} seeds each)"
     packing, settled, widths = None, set[CellKey](), dict[float, float]()
     with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):

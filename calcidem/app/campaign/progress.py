@@ -144,14 +144,22 @@ class ProgressReporter(Progress):
         """Begin to count cells."""
         self._forecast = Forecast(batches)
         self._outcomes.clear()
-        self._contents = {content: [0, 0] for content in sorted({batch.cells[0][1] for batch in batches})}
-        for batch in batches:
-            self._contents[batch.cells[0][1]][1] += len(batch.cells)
+        self._contents = {}
+        self._count(batches)
         total = pluralize(self._forecast.total, "cell")
         where = pluralize(workers, "worker") if workers else "the workers of the executor"
         parts = f"{pluralize(len(batches), 'batch', 'batches')} on {where}"
         self._display.note(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
         self._tell_cells(workers, 0)
+
+    def on_further(self, batches: Sequence[Batch[Any]]) -> None:
+        """Count further cells."""
+        self._forecast.extend(batches)
+        self._count(batches)
+
+    def _count(self, batches: Sequence[Batch[Any]]) -> None:
+        for batch in batches:
+            self._contents.setdefault(batch.cells[0][1], [0, 0])[1] += len(batch.cells)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Count, and tell of a failure."""
@@ -186,7 +194,7 @@ class ProgressReporter(Progress):
             finished=self._forecast.settled,
             total=self._forecast.total,
             outcomes=dict(sorted(self._outcomes.items(), key=lambda item: (item[0] != "done", item[0]))),
-            contents=tuple((content, finished, total) for content, (finished, total) in self._contents.items()),
+            contents=tuple((content, finished, total) for content, (finished, total) in sorted(self._contents.items())),
             workers=workers,
             busy=running,
         )

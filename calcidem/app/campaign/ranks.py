@@ -118,6 +118,7 @@ def _lead(
                 options=sweep_options(orders.configuration),
                 progress=reporter,
                 stop_request=session.stop_request,
+                more=work.more,
             )
             work.store.renew_lease()  # nothing is complete whose database is no longer there
             reporter.begin(RunStage.WRITING)

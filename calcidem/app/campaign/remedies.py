@@ -186,7 +186,7 @@ def _higher_frequency(case: Case, factor: float) -> Iterator[Remedy]:
     frequency, highest = case.section.frequency, _highest_frequency(case)
     value = min(_round_up(factor * frequency), float(f"{highest:.2g}"))
     if value >= _WORTH_TRYING * frequency:
-        why = f"{case.wavelengths * value / frequency:.1f} instead of {case.wavelengths:.1f} wavelengths on the path"
+        why = f"{case.wavelengths * value / frequency:.2g} instead of {case.wavelengths:.2g} wavelengths on the path"
         yield Remedy("wave.frequency", value, why)
     if factor * frequency > highest:
         why = f"{factor * case.wavelengths:.1f} wavelengths on the path; more is close to the grains' cut-off"

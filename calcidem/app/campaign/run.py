@@ -3,11 +3,12 @@
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import starmap
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
@@ -24,11 +25,14 @@ from calcidem.app.config.checks import check_against_packing, packing_warnings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
-from calcidem.storage.records import WorkerRecord
+from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import LeaseGrant
 from calcidem.sweep import (
+    Batch,
+    BatchOutcome,
+    Cell,
     StopRequest,
     SweepEnd,
     SweepOptions,
@@ -41,6 +45,7 @@ from calcidem.sweep import (
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # statistics, which the ranks do not need
+    from calcidem.app.campaign.until import SeedDemand
 
 _LEASE_POLL = 1.0
 """Seconds between two looks at a lease that another machine holds."""
@@ -127,10 +132,13 @@ def run(
                 options=sweep_options(configuration),
                 progress=reporter,
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
+                more=work.more,
             )
             work.store.renew_lease()  # what was stored is still there
             if work.end.state is not SweepState.COMPLETE:
                 raise WorkersLostError(f"{work.end.detail} (everything stored is safe)")
+            for line in work.demand.lines() if work.demand else ():
+                display.note(line)
     return open_campaign(configuration.database, configuration.campaign.name)
 
 
@@ -167,6 +175,8 @@ class CampaignRun:
         What is left to compute, in order.
     sink
         Takes the outcomes.
+    demand
+        How many seeds each content needs, if the configuration does not say.
     end
         To be set to the end of the sweep.
     """
@@ -181,6 +191,7 @@ class CampaignRun:
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
+        self.demand: SeedDemand | None = None
         _refuse_before_writing(configuration)
         configuration.output.mkdir(parents=True, exist_ok=True)  # before hours are spent on what is written there
         store = self._master(tell, check) if _exists(configuration.database) else None
@@ -220,25 +231,41 @@ class CampaignRun:
 
     def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
         """Plan the cells and the batches."""
-        plan, run = self.configuration.campaign, self.configuration.run
+        plan = self.configuration.campaign
         record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
         self.store.save_packing(record)
         self.store.extend(plan.seed_numbers, plan.contents)
+        if plan.until is None:
+            own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
+        else:
+            from calcidem.app.campaign.until import SeedDemand, known_velocities  # noqa: PLC0415 - statistics
+
+            self.demand = SeedDemand(plan, known_velocities(self.store, plan))
+            own = set(self.demand.cells)
+            self.store.plan(starmap(CellKey, own))
         self.store.use_campaign(plan.name)  # with the whole plan
-        own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
-        planned = self.store.pending(plan.seed_numbers, plan.contents)
-        pending = [key for key in planned if (key.seed, key.content) in own]
+        pending = self.store.pending(contents=plan.contents)
         kinds = group_workers(workers)
         self.sink = StoreSink(self.store, pending, tell, kinds)
-        self.batches = plan_batches(
-            [(key.seed, key.content) for key in pending],
-            run.lanes,
-            lambda content: expected_effort(self.configuration, content),
-            self.sink.losses,
-        )
+        self._losses = self.sink.losses
+        self.batches = self._batches((key.seed, key.content) for key in pending if (key.seed, key.content) in own)
         self.store.begin_run(replace(describe_run(len(workers)), workers=kinds))
         if unlike := describe_unlike(kinds):
             tell(unlike)
+
+    def _batches(self, cells: Iterable[Cell]) -> tuple[Batch[Cell], ...]:
+        configuration = self.configuration
+        return plan_batches(
+            cells, configuration.run.lanes, lambda content: expected_effort(configuration, content), self._losses
+        )
+
+    def more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
+        """Batches that are needed because of what has come; none unless the number of seeds is open."""
+        if self.demand is None:
+            return ()
+        cells = self.demand.take_in(outcomes)
+        self.sink.plan(starmap(CellKey, cells))
+        return self._batches(cells)
 
     def __enter__(self) -> Self:
         """Use it in a `with` statement."""

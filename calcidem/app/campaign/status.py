@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
 from calcidem.app.campaign.stored_packing import content_hash_of
-from calcidem.storage.records import AttemptCount, CellKey, CellStatus, RunRecord
+from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
@@ -154,7 +154,9 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
         If the database can't be read or has no such campaign.
     """
     with read_campaign(database, campaign_name) as store:
-        return campaign_status(store, store.table(STATUS_QUANTITIES), _troubles_of(store))
+        # The seconds are those of attempts: a cell whose attempt is damaged is not damaged itself.
+        columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"]) | store.table(("seconds",))
+        return campaign_status(store, columns, _troubles_of(store, columns))
 
 
 def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
@@ -239,26 +241,36 @@ def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float6
     return np.interp(contents, contents[known], measured[known])
 
 
-def _troubles_of(store: Store) -> tuple[Trouble, ...]:
+def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Trouble, ...]:
     """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
+    cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
+    statuses = dict(zip(cells, columns["status"].tolist(), strict=True))
 
     def texts(quantity: str, selection: Selection) -> dict[CellKey, str]:
-        columns = store.table(("seed", "content", quantity), selection)
-        keys = map(CellKey, columns["seed"].astype(int).tolist(), columns["content"].tolist())
-        return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, columns[quantity], strict=True)}
+        found = store.table(("seed", "content", quantity), selection)
+        keys = map(CellKey, found["seed"].tolist(), found["content"].tolist())
+        return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, found[quantity], strict=True)}
 
-    attempts = store.attempt_counts()
-    reasons = texts("reason", Selection(statuses=_TROUBLES))
+    reasons = texts("reason", Selection(statuses=_TROUBLES[1:]))
+    if CellStatus.DAMAGED in statuses.values():  # to find all damage takes long
+        damaged = texts("reason", Selection(statuses=CellStatus.DAMAGED)).items()
+        reasons |= {key: why for key, why in damaged if statuses[key.seed, key.content] == CellStatus.DAMAGED}
     retries = texts("retry", Selection(where="retry is not None"))
-    repeated = {key for key, count in attempts.items() if count.attempts > 1 or count.losses}
-    keys = repeated | reasons.keys() | retries.keys()
-    statuses = store.statuses() if keys else {}
-    found = []
-    for key in sorted(keys, key=lambda key: (_URGENCY[statuses[key]], key)):
-        count = attempts.get(key, AttemptCount())  # a damaged database may have lost its attempts
-        reason, retry = reasons.get(key, ""), retries.get(key, "")
-        found.append(Trouble(key, statuses[key], count.attempts, count.losses, reason, retry))
-    return tuple(found)
+    attempts = store.attempt_counts()
+    wrong = {CellKey(*cell) for cell, status in statuses.items() if status in _TROUBLES}
+    attempts |= store.attempt_counts((wrong | retries.keys()) - attempts.keys())
+    found = [
+        Trouble(
+            key,
+            CellStatus(statuses[key.seed, key.content]),
+            count.attempts,
+            count.losses,
+            reasons.get(key, "its attempt is damaged" if key in wrong else ""),
+            retries.get(key, ""),
+        )
+        for key, count in attempts.items()
+    ]
+    return tuple(sorted(found, key=lambda trouble: (_URGENCY[trouble.status], trouble.key)))
 
 
 def _is_being_written(store: Store) -> bool:

@@ -1,7 +1,8 @@
 """Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
@@ -11,7 +12,6 @@ from calcidem.app.campaign.packing import Tell
 from calcidem.app.campaign.workers import describe_unlike, group_workers
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult, WorkerRecord
-from calcidem.storage.sql.rows import pack_result
 from calcidem.storage.sql.store import Store
 from calcidem.sweep import Batch, BatchOutcome, Cell
 
@@ -55,15 +55,23 @@ class StoreSink:
         """Held while another thread than the master's uses the store."""
         self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
         self._counts = store.attempt_counts(keys) if keys else {}
+        self._unplanned: deque[CellKey] = deque()
 
     @property
     def losses(self) -> dict[Cell, int]:
         """Workers that each cell has taken down so far."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
+    def plan(self, keys: Iterable[CellKey]) -> None:
+        """Have cells planned with the next outcomes that are stored; does not wait."""
+        self._unplanned.extend(keys)
+
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
         """Write the outcomes in one transaction, after what is new of the workers that they come from."""
         self._note_workers(outcomes)
+        new = [self._unplanned.popleft() for _ in range(len(self._unplanned))]
+        if new:
+            self._with_patience(lambda: self._store.plan(new))
         results = [result for outcome in outcomes for result in self._results(outcome)]
         self._with_patience(lambda: self._store.record_results(results))
         for result in results:
@@ -125,7 +133,7 @@ class StoreSink:
             status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
-            found = [pack_result(CellResult(key, status, reason, seconds=seconds)) for key in keys]
+            found = [CellResult(key, status, reason, seconds=seconds).packed() for key in keys]
         place = outcome.place
         return [
             replace(

@@ -40,7 +40,6 @@ from calcidem.storage.records import (
     PackedResult,
     PathFeatures,
 )
-from calcidem.storage.sql.rows import pack_result
 from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
 from calcidem.version import __version__
 
@@ -87,7 +86,7 @@ class CellComputation:
                 for result, measurement in zip(results, measurements, strict=True)
             ]
         worker = describe_worker(rank=0)  # the master knows the rank
-        return tuple(replace(pack_result(result), worker=worker) for result in results)
+        return tuple(replace(result.packed(), worker=worker) for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Be prepared by the process that unpickles it; the URL of the database, with its password, stays here."""

@@ -94,7 +94,9 @@ def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
     """Report on a calibration."""
     if fitted.is_fitted:
         for name, value in fitted.values.items():
-            yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}"
+            low, high = fitted.intervals.get(name, (None, None))
+            posterior = "" if low is None else f", 95 % of the posterior {low:.4g} to {high:.4g}"
+            yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}{posterior}"
         for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
             yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
         yield f"chi-square {fitted.chi_square:.1f} with {fitted.freedom} degrees of freedom"
@@ -114,4 +116,10 @@ def _content_line(row: "FittedContent", trials: int) -> str:
     if target is not None and target.sd is not None:
         sd += f" (target {target.sd:.1f}, x {row.sd / target.sd:.2f})"
     used = f"{row.seeds} of {row.planned} seeds" + (f" in all {trials} trials" if row.role == "fitted" else "")
-    return f"{row.role} {row.content:g} %: {mean}, {sd}; {used}"
+    bands = [
+        f"{name} {band[0]:.0f} to {band[1]:.0f}"
+        for name, band in (("mean", row.mean_band), ("sd", row.sd_band))
+        if band is not None
+    ]
+    predicted = f"; 95 % of campaigns have {', '.join(bands)} m/s" if bands else ""
+    return f"{row.role} {row.content:g} %: {mean}, {sd}; {used}{predicted}"

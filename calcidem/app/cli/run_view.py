@@ -52,7 +52,11 @@ class TerminalView:
         from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # after the cells, not before
 
         configuration, plan = work.configuration, work.configuration.campaign
-        self.console.print(vs_table(work.store, Selection(seeds=plan.seed_numbers, contents=plan.contents)))
+        seeds = plan.seed_numbers if work.demand is None else None
+        self.console.print(vs_table(work.store, Selection(seeds, plan.contents)))
+        if work.demand is not None and work.end is not None and work.end.exit_code == 0:
+            for line in work.demand.lines():
+                self.say(line)
         address = parse_address(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf

@@ -48,6 +48,7 @@ def cross_check(configuration: Configuration) -> list[Problem]:
         _check_friction,
         _check_frequencies,
         _check_files,
+        _check_part,
     )
     return [problem for check in checks for problem in check(configuration)]
 
@@ -65,6 +66,16 @@ def plan_contents(configuration: Configuration, contents: Collection[float]) -> 
     if problems := cross_check(changed):
         raise ConfigurationError("configuration", problems)
     return changed
+
+
+def _check_part(configuration: Configuration) -> Iterator[Problem]:
+    """Parts are dealt out before it is known how many seeds a content needs."""
+    if configuration.run.part is not None and configuration.campaign.until is not None:
+        yield Problem(
+            f"run.part = {quote(configuration.run.part)}: campaign.until adds seeds as it goes, which no part can "
+            "know; leave one of the two out",
+            ("run.part", "campaign.until"),
+        )
 
 
 def _check_size(configuration: Configuration) -> Iterator[Problem]:

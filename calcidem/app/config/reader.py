@@ -212,11 +212,11 @@ def _value_problems(place: str, value: object, hint: Any, details: list[ErrorDet
         words = [f"give {accepted}"] if len(branches) > 1 else [phrase(detail, accepted) for detail in details]
         return [Problem(f"{place} = {quote(value)}: {'; '.join(dict.fromkeys(words))}", (place,))]
     problems = []
-    for detail in details:
-        _, _, branch, *inner = detail["loc"]
+    # The kind of value is named where there are several.
+    own = [detail for detail in details if table.__name__ in detail["loc"][2:3]]
+    for detail in own or details:
+        inner = detail["loc"][3 if own else 2 :]
         key = str(inner[0]) if inner else ""
-        if branch != table.__name__:
-            continue
         if not key:
             problem = _refusal(place, detail)
         elif key not in field_hints(table):

@@ -39,6 +39,9 @@ Section = TypeVar("Section", bound="DataclassInstance")
 
 _MOST_SEEDS = 1_000_000
 
+_FEWEST_SEEDS_UNTIL = 8
+"""Seeds below which a standard deviation is too uncertain to decide how many more there should be."""
+
 _LONGEST_NAME = 200
 """Bytes: file systems take 255, and endings and the names of temporary files need some."""
 
@@ -63,6 +66,26 @@ def _are_contents(contents: tuple[float, ...]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
+class WantedIntervals:
+    """Table ``until`` of section ``[campaign]``: half-widths of 95 % intervals over what they are of.
+
+    Attributes
+    ----------
+    mean, sd
+        Of the mean of Vs and of its standard deviation at each content; None for any width.
+    """
+
+    mean: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
+    sd: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a table that asks for nothing."""
+        require_fields(self)
+        asked = self.mean is not None or self.sd is not None
+        require(asked, "mean", self.mean, "give mean or sd, for instance mean = 0.02", "sd")
+
+
+@dataclass(frozen=True, slots=True)
 class CampaignPlan:
     """Section ``[campaign]``: which cells are computed.
 
@@ -76,6 +99,11 @@ class CampaignPlan:
         Calcite contents, percent of the sand's mass.
     root_seed
         Root of all random numbers.
+    until
+        How well mean and standard deviation of each content are to be known: each content begins with `seeds` seeds,
+        a number, and gets more until its intervals are as narrow. Without it there are no more.
+    most_seeds
+        Seeds that a content then gets at most.
     """
 
     name: Annotated[
@@ -94,10 +122,18 @@ class CampaignPlan:
         "a list of percentages of 0 to 100 such as [0.0, 0.66, 5.0] that has every content once",
     ] = tuple(content for content, _ in EXCITATION)
     root_seed: Annotated[int, Interval(ge=0)] = 0
+    until: (
+        Annotated[WantedIntervals, "a table { mean = 0.02, sd = 0.10 } of one or both, or leave the key out"] | None
+    ) = None
+    most_seeds: Annotated[int, Interval(ge=1, le=_MOST_SEEDS)] = 1000
 
     def __post_init__(self) -> None:
         """Refuse empty, double and negative entries."""
         require_fields(self)
+        if self.until is not None:
+            cure = f"give a number of {_FEWEST_SEEDS_UNTIL} to campaign.most_seeds, {self.most_seeds}: until adds to it"
+            fits = isinstance(self.seeds, int) and _FEWEST_SEEDS_UNTIL <= self.seeds <= self.most_seeds
+            require(fits, "seeds", quote(self.seeds), cure, "until", "most_seeds")
 
     @property
     def seed_numbers(self) -> tuple[int, ...]:

@@ -230,9 +230,9 @@ class CampaignFeed:
         return holder is not None and holder.may_live(), len(runs), runs[-1][1].exit_state if runs else None
 
     def _begin(self, store: Store) -> None:
-        """Read all cells: at once what takes no time, then piece by piece what is compared with checksums."""
+        """Read all cells: at once the velocities, then all columns piece by piece."""
         store.use_campaign(self.name)
-        rows = store.velocities()
+        rows = store.table(("seed", "content", "status", "vs"))
         names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
         if len(rows["seed"]) > MOST_FULL_RECORDS:
             names = [name for name in names if name in {*SHORT_RECORD, *BUDGET_QUANTITIES}]

@@ -1,20 +1,252 @@
-"""The server of the live page: its port, its address with the token, its end."""
+"""The server of the live page: its port, its address with the token, its end.
+
+Who may see the page: whoever has the token that is in the printed address, and nobody through a foreign page.
+
+Addresses of the page and what they answer.
+"""
 
 import asyncio
+import ipaddress
+import math
+import secrets
 import signal
-from collections.abc import Callable, Iterator, Sequence
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
 from threading import Thread
+from urllib.parse import parse_qs
 
 import uvicorn
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from calcidem.app.serve.access import Guard
 from calcidem.app.serve.address import PageAddress
-from calcidem.app.serve.application import LiveApplication
 from calcidem.app.serve.feed import CampaignFeed
 from calcidem.app.serve.hub import Hub
-from calcidem.app.serve.movies import MovieMaker
+from calcidem.app.serve.movies import MovieMaker, Wanted
+from calcidem.storage.errors import StoreError, UnknownCellError
+from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.records import canonical_content, checked_seed
+
+_LAST_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class _LiveApplication:
+    """What the addresses of the page answer, to all; see `calcidem.app.serve.server`.
+
+    Attributes
+    ----------
+    hub, movies
+        Where the answers come from.
+    """
+
+    hub: Hub
+    movies: MovieMaker
+
+    def routes(self) -> Starlette:
+        """Give the application of a server."""
+        of_campaign = "/campaigns/{campaign:int}"
+        return Starlette(
+            routes=[
+                *(Route(address, _static(kind, text)) for address, (kind, text) in _fixed(self.hub).items()),
+                Route("/events", self._events),
+                Route(f"{of_campaign}/records", self._records),
+                Route(f"{of_campaign}/cell", self._cell),
+                Route(f"{of_campaign}/packings/{{index:int}}", self._packing),
+                Route(f"{of_campaign}/movie", self._movie, methods=["GET", "POST"]),
+                Route("/movies/{name}", self._movie_file),
+            ]
+        )
+
+    async def _events(self, _request: Request) -> Response:
+        return StreamingResponse(self.hub.listen(), media_type="text/event-stream")
+
+    async def _records(self, request: Request) -> Response:
+        packed = await run_in_threadpool(self._feed(request).records)
+        return Response(packed, media_type="application/octet-stream")
+
+    async def _cell(self, request: Request) -> Response:
+        feed, (_, seed, content) = self._feed(request), _wanted(request)
+        try:
+            return JSONResponse(await run_in_threadpool(feed.cell, seed, content))
+        except UnknownCellError:
+            return JSONResponse({"cells": [], "sections": []})
+        except StoreError as error:
+            return JSONResponse({"cells": [], "sections": [], "problem": hide_passwords(str(error))})
+
+    async def _packing(self, request: Request) -> Response:
+        found = await run_in_threadpool(self._feed(request).packing, request.path_params["index"])
+        if found is None:
+            raise HTTPException(404)
+        return JSONResponse(found)
+
+    async def _movie(self, request: Request) -> Response:
+        feed, wanted = self._feed(request), _wanted(request)
+        if request.method == "POST":
+            return JSONResponse(self.movies.start(wanted, feed, await run_in_threadpool(feed.status)))
+        return JSONResponse(self.movies.state(wanted))
+
+    async def _movie_file(self, request: Request) -> Response:
+        file = self.movies.file(request.path_params["name"])
+        if file is None:
+            raise HTTPException(404)
+        return FileResponse(file, media_type="image/gif")
+
+    def _feed(self, request: Request) -> CampaignFeed:
+        number: int = request.path_params["campaign"]
+        if number >= len(self.hub.feeds):
+            raise HTTPException(404)
+        return self.hub.feeds[number]
+
+
+def _static(kind: str, text: str) -> Callable[[Request], Response]:
+    """Give what answers always the same."""
+
+    def answer(_request: Request) -> Response:
+        return Response(text, media_type=kind)
+
+    return answer
+
+
+def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:
+    """Type and text of the page, its style and its script, by their addresses; they are made of the report's own."""
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader("calcidem.app.serve"), PackageLoader("calcidem.app.report")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("live.html").render(campaigns=len(hub.feeds), remarks=())
+    return {
+        "/": ("text/html", page),
+        "/page.css": ("text/css", environment.get_template("live_page.css").render()),
+        "/page.js": ("text/javascript", environment.get_template("live_page.js").render()),
+    }
+
+
+def _wanted(request: Request) -> Wanted:
+    """Give the cell that a request is about."""
+    try:
+        seed = checked_seed(int(request.query_params["seed"]))
+        content = canonical_content(float(request.query_params["content"]))
+    except (KeyError, ValueError, TypeError) as error:
+        raise HTTPException(400) from error
+    if not math.isfinite(content) or seed > _LAST_SEED:
+        raise HTTPException(400)
+    return request.path_params["campaign"], seed, content
+
+
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; "
+        "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Of every answer: no script but the page's own, no address told to others, nothing kept by the browser."""
+
+_REFUSAL = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
+
+
+class _Guard:
+    """Lets those in who know the token: in the address of the first request, then in a cookie.
+
+    Parameters
+    ----------
+    application
+        What it guards.
+    address
+        Of the server, with the token.
+    """
+
+    def __init__(self, application: ASGIApp, address: PageAddress) -> None:
+        self._application = application
+        self._token = address.token.encode()
+        self._cookie = f"calcidem_{address.port}"  # the cookies of a host go to all of its ports
+        self._names = {"localhost", address.host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or let it through."""
+        if scope["type"] != "http":
+            return
+
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        answer = self._answer(scope) or self._application
+        await answer(scope, receive, send_safely)
+
+    def _answer(self, scope: Scope) -> Response | None:
+        """Give the answer to a request that is not let through."""
+        headers = Headers(scope=scope)
+        if not self._is_own_name(headers.get("host", "")):
+            # A foreign page whose name was made to point here is a page of that name for the browser.
+            return PlainTextResponse("Open this page under the name that calcidem has printed.\n", 403)
+        offered = parse_qs(scope["query_string"].decode("ascii", "replace")).get("token", [""])[0]
+        if scope["path"] == "/" and self._is_token(offered):
+            answer = RedirectResponse("/", 303)  # so that the token is neither in the history nor in the address bar
+            answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
+            return answer
+        if not self._is_token(_cookie_of(headers, self._cookie)) or _is_foreign(scope, headers):
+            return PlainTextResponse(_REFUSAL, 403)
+        return None
+
+    def _is_token(self, text: str) -> bool:
+        return secrets.compare_digest(text.encode("utf-8", "replace"), self._token)
+
+    def _is_own_name(self, host: str) -> bool:
+        """Whether a Host header has one of our names, or an address: addresses can't be made to point elsewhere."""
+        name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
+        name = name.strip("[]").lower()
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return name in self._names
+        return True
+
+
+def _cookie_of(headers: Mapping[str, str], name: str) -> str:
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(name)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
+    """Whether a request that changes something comes from a page of another origin."""
+    if scope["method"] in {"GET", "HEAD"}:
+        return False
+    origin = headers.get("origin", "")
+    return headers.get("sec-fetch-site", "same-origin") != "same-origin" or (
+        bool(origin) and origin.partition("://")[2] != headers.get("host")
+    )
+
 
 _GRACE = 1
 """Seconds that open requests have for their end."""
@@ -66,7 +298,7 @@ class LivePage:
 
     async def _serve(self, hub: Hub, ready: Callable[[], None]) -> None:
         movies = MovieMaker()
-        application = Guard(LiveApplication(hub, movies).routes(), self.address)
+        application = _Guard(_LiveApplication(hub, movies).routes(), self.address)
         server = _Server(
             uvicorn.Config(
                 application,

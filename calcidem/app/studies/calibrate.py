@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, start_value, with_values
+from calcidem.app.studies.posterior import draw_posterior
 from calcidem.app.studies.trials import check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
@@ -35,6 +36,9 @@ _MOST_ROUNDS = 6
 """From a start within a factor of two, three are enough."""
 
 _MOST_HALVINGS = 3
+
+_LINEAR_WITHIN = 0.3
+"""Distance in the logarithm of each parameter within which trials count as linear."""
 
 ParameterValues = Mapping[str, float]
 """Value of each parameter by its name."""
@@ -96,6 +100,9 @@ class FittedContent:
         Seeds that are read in every trial, or with the fitted values for a prediction; and all that were measured.
     mean, mean_error, sd
         Of Vs over these seeds with the fitted values, the standard error of the mean, and the standard deviation, m/s.
+    mean_band, sd_band
+        Where 95 % of campaigns of as many samples as the target's have their mean and standard deviation, m/s, with
+        parameters drawn from their posterior; None where that is not known.
     """
 
     content: float
@@ -106,6 +113,8 @@ class FittedContent:
     mean: float
     mean_error: float
     sd: float
+    mean_band: tuple[float, float] | None = None
+    sd_band: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +129,9 @@ class FittedParameters:
         Standard deviation of each, by the scatter of Vs between seeds and between the samples of the targets.
     correlation
         (P, P) of the parameters.
+    intervals
+        Lower and upper end of the 95 % interval of each in its posterior (`calcidem.app.studies.posterior`), where the
+        trials tell it.
     at_limit
         Parameters that ended at a limit of their range, so that their deviation says little.
     contents
@@ -142,6 +154,7 @@ class FittedParameters:
     chi_square: float
     freedom: int
     doubts: tuple[str, ...] = ()
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def is_fitted(self) -> bool:
@@ -167,7 +180,7 @@ class _Fit:
     def __init__(
         self, measure: Callable[[Sequence[Floats]], Sequence[Floats]], targets: Sequence[Target], tolerance: float
     ) -> None:
-        self._measure, self._targets, self._tolerance = measure, targets, tolerance
+        self._measure, self._targets, self.tolerance = measure, targets, tolerance
         self.trials: dict[bytes, Floats] = {}
         self.used: tuple[int, ...] = tuple(range(len(targets)))
 
@@ -209,7 +222,7 @@ class _Fit:
     def deviation(self, point: Floats) -> Floats:
         """Logarithms of mean, and of standard deviation where there is a target, over their targets, (R,)."""
         found = []
-        for target, vs in self._columns(point):
+        for target, vs in self.columns(point):
             found.append(math.log(vs.mean() / target.vs))
             if target.sd is not None:
                 found.append(math.log(vs.std(ddof=1) / target.sd))
@@ -218,14 +231,14 @@ class _Fit:
     def errors(self, point: Floats) -> Floats:
         """Standard errors of `deviation` for normal scatter, (R,): of target and trial, and the model's tolerance."""
         found = []
-        for target, vs in self._columns(point):
+        for target, vs in self.columns(point):
             scatter = max((target.sd or vs.std(ddof=1)) / target.vs, 1e-6)
             of_target = 0.0 if target.samples is None else 1.0
             count = target.samples or 2
-            found.append(math.hypot(self._tolerance, scatter * math.sqrt(1.0 / len(vs) + of_target / count)))
+            found.append(math.hypot(self.tolerance, scatter * math.sqrt(1.0 / len(vs) + of_target / count)))
             if target.sd is not None:
                 half = 0.5 / (len(vs) - 1) + 0.5 * of_target / (count - 1)
-                found.append(math.hypot(self._tolerance, math.sqrt(half)))
+                found.append(math.hypot(self.tolerance, math.sqrt(half)))
         return np.array(found)
 
     def covariance(self, point: Floats) -> Floats:
@@ -250,7 +263,7 @@ class _Fit:
         rows = np.array(influence)
         return np.asarray(rows @ rows.T + np.diag(of_targets))
 
-    def _columns(self, point: Floats) -> list[tuple[Target, Floats]]:
+    def columns(self, point: Floats) -> list[tuple[Target, Floats]]:
         """Each target that is used with the velocities that count there."""
         vs, common = self.trials[point.tobytes()], self.common
         return [(self._targets[i], vs[common[:, i], i]) for i in self.used]
@@ -303,7 +316,7 @@ def calibrate(
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
         measure = trials.remembered(measure_trials, contents, plan.seeds)
-        fitted = _fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
+        fitted = fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
@@ -316,7 +329,7 @@ def calibrate(
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
 
-def _fit_to_targets(
+def fit_to_targets(
     measure: Callable[[Sequence[ParameterValues]], Sequence[Floats]],
     plan: FitPlan,
     start: Sequence[float],
@@ -387,17 +400,52 @@ def _fit_to_targets(
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
+    intervals, bands = _open_questions(fit, point, limits)
+    banded = tuple(
+        replace(row, mean_band=bands.get((row.content, "vs")), sd_band=bands.get((row.content, "sd")))
+        for row in contents
+    )
     return FittedParameters(
         values=_values_at(names, point),
         deviations=_values_at(names, point + np.log(deviation)),
         correlation=covariance / np.outer(deviation, deviation),
         at_limit=tuple(names[i] for i in np.flatnonzero(at_limit)),
-        contents=contents,
+        contents=banded,
         trials=len(fit.trials),
         chi_square=chi_square,
         freedom=freedom,
         doubts=tuple(doubts),
+        intervals=dict(zip(names, intervals, strict=False)),
     )
+
+
+def _open_questions(
+    fit: _Fit, point: Floats, limits: Floats
+) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
+    """Intervals of the parameters, and bands by content and what is wanted there; none where few trials are near."""
+    near = [np.frombuffer(key) for key in fit.trials]
+    near = [other for other in near if np.abs(other - point).max() < _LINEAR_WITHIN]
+    wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 if target.sd is None else 2]]
+    fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
+    for target, vs in fit.columns(point):
+        count = target.samples or len(vs)
+        fresh.append((target.sd or vs.std(ddof=1)) / target.vs / math.sqrt(count))
+        fresh += [] if target.sd is None else [math.sqrt(0.5 / (count - 1))]
+    try:
+        found = draw_posterior(
+            np.array(near),
+            np.array([fit.deviation(other) for other in near]),
+            np.zeros(len(wanted)),
+            covariance,
+            np.array(fresh),
+            limits,
+        )
+    except (ValueError, np.linalg.LinAlgError):
+        return [], {}
+    scale = np.array([target.vs if of == "vs" else target.sd for target, of in wanted], dtype=float)
+    ends = (found.band() * scale).T.tolist()
+    bands = {(target.content, of): (low, high) for (target, of), (low, high) in zip(wanted, ends, strict=True)}
+    return [(low, high) for low, high in found.interval().T.tolist()], bands
 
 
 def _doubts_of_content(row: FittedContent) -> Iterator[str]:

@@ -203,7 +203,8 @@ def _look_undamped(state: State) -> State:
 def _net_forces(state: State, ahead: State, lane: int) -> Floats:
     """(N, 3) net force and moment on the disks; ``ahead`` is what `_look_undamped` gives."""
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
-    change = (ahead.motion.velocity[:, :, lane] - before) / state.time_step[lane]
+    # In double precision from here on: NumPy 1 would divide single-precision numbers by a double in single precision.
+    change = (ahead.motion.velocity[:, :, lane] - before).astype(float) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
     return state.to_scene_order(change) * inertia
 

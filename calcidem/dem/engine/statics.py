@@ -18,8 +18,6 @@ from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_AR
 _GROUND = 1e-9
 """Stiffness that holds each disk to the mean strain, over the median one of a contact: what hangs on nothing stays."""
 
-_CORNERS = 3
-
 
 class ShearedPart(NamedTuple):
     """A part of a sheared sample.
@@ -81,12 +79,70 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
     return state.to_scene_order(np.column_stack([moved[:, :2], moved[:, 2] / radius]))
 
 
+class ShearedTriangles(NamedTuple):
+    """The triangles between neighbouring centres (Delaunay) of a sheared sample; sums over them are those of a part.
+
+    Attributes
+    ----------
+    corners
+        (K, 3) disks.
+    middle
+        (K, 2) centroids, m.
+    area, solid
+        (K,) m^2; solid is what disks fill.
+    strain, stress
+        (K,) shear strain and shear stress, times area.
+    """
+
+    corners: Integers
+    middle: Floats
+    area: Floats
+    solid: Floats
+    strain: Floats
+    stress: Floats
+
+    def among(self, chosen: Flags) -> ShearedPart:
+        """The part that these triangles (K,) make; at least one."""
+        area, strain, stress = (float(values[chosen].sum()) for values in (self.area, self.strain, self.stress))
+        return ShearedPart(stress / strain, float(self.solid[chosen].sum()) / area)
+
+
+def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTriangles:
+    """Strain and stress of each triangle of a sheared sample.
+
+    The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927): half of a contact belongs to each of
+    the two triangles that have it as a side, so that one on the rim of a part belongs to it by half.
+
+    Parameters
+    ----------
+    state, motion, lane
+        See `sheared_motion`.
+    """
+    order, pairs = state.assembly.order, state.assembly.pairs
+    centres = np.column_stack([state.scene.x, state.scene.y])
+    radius = np.asarray(state.scene.radius)
+    ends = order[np.column_stack([pairs.first, pairs.second])]
+    force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
+    moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
+    corners = Delaunay(centres).simplices
+    sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
+    double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, below zero if clockwise
+    # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
+    shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
+    return ShearedTriangles(
+        corners,
+        centres[corners].mean(axis=1),
+        0.5 * np.abs(double),
+        0.5 * (radius[corners] ** 2 * _angles(sides)).sum(axis=1),
+        0.5 * np.sign(double) * shear.sum(axis=1),
+        0.5 * _carried(corners, ends, moments, len(centres)).sum(axis=1),
+    )
+
+
 def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[ShearedPart]:
     """Shear modulus and density of parts of a sheared sample.
 
-    A part is made of the triangles between neighbouring centres (Delaunay) that have all their corners in it. Its mean
-    strain is that of the triangles, by area. Its mean stress is ``sum(branch f) / area`` over its contacts (Love 1927);
-    a contact on the rim of the part belongs to it by half.
+    A part is made of the triangles (`sheared_triangles`) that have all their corners in it.
 
     Parameters
     ----------
@@ -100,25 +156,11 @@ def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: in
     ValueError
         If a part has fewer than three neighbours.
     """
-    order, pairs = state.assembly.order, state.assembly.pairs
-    centres = np.column_stack([state.scene.x, state.scene.y])
-    radius = np.asarray(state.scene.radius)
-    ends = order[np.column_stack([pairs.first, pairs.second])]
-    force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
-    moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
-    triangles, found = Delaunay(centres).simplices, []
+    triangles, found = sheared_triangles(state, motion, lane), []
     for part in parts:
-        corners = triangles[part[triangles].all(axis=1)]
-        require(len(corners) > 0, "parts", int(part.sum()), "give three neighbouring disks and more to each")
-        sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
-        double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, below zero if clockwise
-        area = 0.5 * float(np.abs(double).sum())
-        # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
-        shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
-        strain = 0.5 * float((np.sign(double)[:, None] * shear).sum()) / area
-        stress = float((_belonging(corners, ends, len(centres)) * moments).sum()) / area
-        solid = 0.5 * float((radius[corners] ** 2 * _angles(sides)).sum()) / area
-        found.append(ShearedPart(stress / strain, solid))
+        chosen = np.asarray(part[triangles.corners].all(axis=1))
+        require(bool(chosen.any()), "parts", int(part.sum()), "give three neighbouring disks and more to each")
+        found.append(triangles.among(chosen))
     return found
 
 
@@ -129,13 +171,12 @@ def _angles(sides: Floats) -> Floats:
     return np.asarray(np.arccos(np.clip((one**2 + other**2 - length**2) / (2.0 * one * other), -1.0, 1.0)))
 
 
-def _belonging(corners: Integers, pairs: Integers, count: int) -> Floats:
-    """(M,) share of each pair that belongs to some triangles: half for each triangle that it is a side of."""
-    sides = np.concatenate([corners[:, [k, (k + 1) % _CORNERS]] for k in range(_CORNERS)])
-    keys, times = np.unique(pair_keys(sides, count), return_counts=True)
-    wanted = pair_keys(pairs, count)
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(is_among(wanted, keys), 0.5 * times[place], 0.0)
+def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) -> Floats:
+    """(K, 3) moment (M,) of the pair (M, 2) of so many disks that is a side of each triangle; 0 where none is."""
+    keys, sides = pair_keys(pairs, count), np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+    rising, wanted = np.argsort(keys), pair_keys(sides, count)
+    place = np.minimum(np.searchsorted(keys[rising], wanted), len(keys) - 1)
+    return np.where(is_among(wanted, keys[rising]), moments[rising][place], 0.0).reshape(corners.shape)
 
 
 def _force_changes(state: State, motion: Floats, lane: int) -> Floats:

@@ -2,19 +2,119 @@
 
 The step is a part of the limit that present contacts, speeds and unbalanced forces set. It is looked at again and
 again, shrinks with its limit, and never grows. A step that the caller has fixed ends the run instead.
+
+Impacts: the part of the step limit that no present stiffness shows.
+
+Disks that hardly touch have hardly any stiffness, and a scheme that goes by it leaps over their collision. What counts
+is the overlap that a collision will reach, at present speeds or under forces that nothing balances yet: loads, gravity,
+a lid. Hertz's law makes of both how long such a contact lasts (Landau & Lifshitz, Theory of Elasticity, section 9).
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import pair_overlaps, wall_pair_overlaps
+from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, pair_overlaps, wall_pair_overlaps
 from calcidem.dem.engine.energy import stored_energy
-from calcidem.dem.engine.impacts import Instant, contact_durations
 from calcidem.dem.engine.leapfrog import State, StepControl, change_step, look_ahead
-from calcidem.dem.engine.portable import length
+from calcidem.dem.engine.portable import length, root
+from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.stability import critical_time_step_of_disks, squared_frequencies
-from calcidem.dem.kernels.layout import ROTATION, SPEEDS, XY, Floats, X, Y
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import (
+    GAIN,
+    NORMAL,
+    NORMAL_SPEED,
+    ROTATION,
+    SPEEDS,
+    STIFFNESS,
+    TARGET,
+    TOP_SPEED,
+    XY,
+    Floats,
+    X,
+    Y,
+)
+
+_DURATION = 3.2180
+"""Of a Hertz contact over ``(m*^2 / (h^2 v))^(1/5)``: 2.943275 (5/4)^(2/5)."""
+_QUIET = 1e-2  # free energy over the stored one up to which no impact matters
+
+
+class _Instant(NamedTuple):
+    """What a state does now, in double precision and memory order.
+
+    Attributes
+    ----------
+    velocity, force
+        (N, 3, L) velocities (m/s, rad/s), and net forces (N/m) and moments (N).
+    overlap, wall_overlap
+        (M, L) and (V, L) of the listed pairs, m.
+    reaction
+        (W, 3, L) as in `layout.Walls`.
+    kinetic, stored
+        (L,) energies, J/m, see `readout.Energies`.
+    """
+
+    velocity: Floats
+    force: Floats
+    overlap: Floats
+    wall_overlap: Floats
+    reaction: Floats
+    kinetic: Floats
+    stored: Floats
+
+
+def _contact_durations(
+    scene: Scene, assembly: Assembly, features: Features, now: _Instant, time_step: Floats
+) -> tuple[Floats, Floats]:
+    """How long the shortest contacts will last that disks may make, (N, L) s, and the fastest speed, (L,) m/s.
+
+    Infinite for disks that are held, and for all where next to nothing moves freely, or nothing is listed that it could
+    hit.
+
+    Notes
+    -----
+    Two disks of reduced mass m* that meet at a speed v touch for ``3.218 (m*^2 / (h^2 v))^(1/5)``. A disk is taken to
+    hit its like, at its own speed and that of the fastest thing together; a heavier partner or a wall makes the contact
+    longer. An unbalanced force F adds the speed that a contact gives back which it has pressed, ``v^2 = 1.6 F d / m``
+    with ``F = h d^1.5``: so v stays as it is while two disks collide, and a disk at rest has one before it falls.
+    """
+    radius = assembly.grains.radius.astype(float)
+    inverse = assembly.grains.inverse_mass.astype(float)[:, None]
+    coefficient = scene.sand.hertz_coefficient(radius, radius)[:, None]
+    mass = scene.sand.density * np.pi * (radius * radius)[:, None]
+    speed, push = (length(field[:, X], field[:, Y]) for field in (now.velocity, now.force))
+    walls = _wall_speeds(assembly, now.reaction, time_step)
+    fastest = np.maximum(speed.max(axis=0), walls.max(axis=0, initial=0.0))
+    depth = root(push / coefficient, 3)
+    released = 0.8 * push * depth * depth * (inverse > 0.0)
+    own, disk = assembly.wall_pairs, assembly.wall_pairs.disk
+    free = (0.5 * mass * speed * speed + released).sum(axis=0) + (0.5 * mass[disk] * walls[own.wall] ** 2).sum(axis=0)
+    approach = np.sqrt((speed + fastest) ** 2 + 2.0 * released / mass)
+    ratio = 0.5 * mass / coefficient
+    with np.errstate(divide="ignore"):
+        duration = _DURATION / root(approach / (ratio * ratio), 5)
+    matters = (free > _QUIET * now.stored) & _may_touch(assembly, features)
+    return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
+
+
+def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:
+    """Speeds (W, L) of walls along their normals, as they are or as a servo will make them, m/s."""
+    walls = assembly.walls
+    gain, target, fastest = (walls.servo[:, column, None].astype(float) for column in (GAIN, TARGET, TOP_SPEED))
+    held = reaction[:, STIFFNESS] > 0.0
+    speed = gain * np.abs(target - reaction[:, NORMAL]) / (np.where(held, reaction[:, STIFFNESS], 1.0) * time_step)
+    served = np.where(held, np.minimum(speed, fastest), fastest)
+    return np.where(gain > 0.0, served, np.abs(walls.motion[:, NORMAL_SPEED].astype(float)))
+
+
+def _may_touch(assembly: Assembly, features: Features) -> Floats:
+    """Lanes (L,) in which a wall or a disk is listed that some disk may hit and is not cemented to."""
+    loose = ~lanes_of_bits(assembly.pairs.intact, features.lanes)
+    return np.asarray(loose.any(axis=0) | (len(assembly.wall_pairs.disk) > 0))
+
 
 SAFETY = 0.8  # default step as a part of the critical time step
 _CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
@@ -49,9 +149,9 @@ def is_watched(state: State) -> bool:
     return not state.features.linear and state.control.per_contact > 0.0
 
 
-def _impact_limits(state: State, now: Instant) -> tuple[Floats, Floats]:
+def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
     """Limit (N, L) by the impacts each disk may have and by what it may cross in a step, s; fastest speed (L,), m/s."""
-    limits, fastest = contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
+    limits, fastest = _contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
     with np.errstate(divide="ignore"):
         limits = limits / (SAFETY * state.control.per_contact)
         if state.features.search:
@@ -62,7 +162,7 @@ def _impact_limits(state: State, now: Instant) -> tuple[Floats, Floats]:
     return limits, fastest
 
 
-def _instant(state: State, ahead: State) -> Instant:
+def _instant(state: State, ahead: State) -> _Instant:
     """What a state does now; ``ahead`` is what `look_ahead` gives."""
     scene, order = state.scene, state.assembly.order
     inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
@@ -70,7 +170,7 @@ def _instant(state: State, ahead: State) -> Instant:
     before = velocity if state.steps else 0.0
     overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
     wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
-    return Instant(
+    return _Instant(
         velocity=velocity,
         force=(later - before) / state.time_step * inertia,
         overlap=overlap,
@@ -99,7 +199,7 @@ def look(state: State) -> State:
     return current if np.array_equal(step, state.time_step) else change_step(current, ahead, step)
 
 
-def _watch_stability(state: State, now: Instant) -> StepControl:
+def _watch_stability(state: State, now: _Instant) -> StepControl:
     """Return the control with a new stability limit if overlaps have grown so much that it may be lower."""
     control = state.control
     sides = [np.maximum(side, 0.0) for side in (now.overlap, now.wall_overlap)]
@@ -113,7 +213,7 @@ def _watch_stability(state: State, now: Instant) -> StepControl:
     return replace(control, stability=limit, overlap=overlap)
 
 
-def _steps_to_look(state: State, now: Instant, limits: Floats, fastest: Floats) -> int:
+def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats) -> int:
     """Steps in which speeds and overlaps cannot change much, nor anything be met that is not listed."""
     step, pull = state.time_step, _accelerations(state, now.force).max(axis=0)
     busy = (limits < np.inf).any()
@@ -143,7 +243,7 @@ def _accelerations(state: State, force: Floats) -> Floats:
     return np.asarray(length(force[:, X], force[:, Y]) * state.assembly.grains.inverse_mass.astype(float)[:, None])
 
 
-def _watch_energy(state: State, now: Instant, control: StepControl) -> StepControl:
+def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepControl:
     """Return the control with the largest energy so far.
 
     Raises
@@ -172,7 +272,7 @@ def _watch_energy(state: State, now: Instant, control: StepControl) -> StepContr
     return replace(control, energy=np.stack([control.energy[0], np.maximum(largest, present)]))
 
 
-def _is_closed(state: State, now: Instant, lane: int) -> bool:
+def _is_closed(state: State, now: _Instant, lane: int) -> bool:
     """Whether nothing but loads supplies energy to a lane."""
     walls, pairs = state.assembly.walls, state.assembly.pairs
     still = not state.features.servo and not np.any(walls.motion[:, SPEEDS, lane])
@@ -181,7 +281,7 @@ def _is_closed(state: State, now: Instant, lane: int) -> bool:
     return still and not np.any(now.velocity[held, :, lane]) and whole and state.features.rescaling
 
 
-def _refuse_step(state: State, now: Instant, limits: Floats) -> None:
+def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
     """Raise an `UnstableRunError` if a fixed step is above its limit."""
     stability = state.control.stability
     for lane in np.flatnonzero(

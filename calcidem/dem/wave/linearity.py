@@ -189,7 +189,7 @@ def slipped_force(state: State, transmitter: int) -> Floats:
     hertz, shear_stiff = pairs.hertz[here].astype(float), pairs.tangent[here, SHEAR].astype(float)
     normal_x, normal_y = assembly.walls.normal[transmitter].astype(float)
     path = assembly.walls.motion[transmitter, :, :, None].astype(float)
-    x, y, turned = moved[disk].transpose(1, 2, 0)
+    x, y, turned = moved[disk].transpose(1, 2, 0).astype(float)
     away, along = normal_x * x + normal_y * y, normal_x * y - normal_y * x
     arm = assembly.grains.radius[disk].astype(float) - 0.5 * overlap
     shear = np.abs(shear_stiff * (along - path[TANGENT_PATH] - arm * turned))

@@ -4,10 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds
 from calcidem.dem.engine.state import start
 from calcidem.dem.engine.statics import sheared_motion, sheared_parts
-from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.kernels.layout import Flags, Floats
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
@@ -63,14 +65,9 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     slower: local damping takes a part of each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
-    rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
-    bonds = Bonds(packing.pairs[bonded], experiment.cement, installation=experiment.installation)
-    scene = wave_scene(packing, sand, rule, bonds if np.any(bonded) else None)
-    state = start(scene, regime="linear" if keeps_forces else rule.regime, preload=packing.preload)
-    if np.any(bonded) and not keeps_forces:
-        state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps)
-    x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
-    from_sides, from_ends = np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)
+    state = state_at_rest(experiment, bonded)
+    from_sides, from_ends = distances_from_walls(packing)
+    radius = np.asarray(packing.radius, dtype=float)
     sides, rim = from_sides < radius, np.minimum(from_sides, from_ends) < radius
     from_rim = np.minimum(from_sides, from_ends) / min(packing.width, packing.height)
     speeds = np.empty((2, len(_MARGINS)))
@@ -83,3 +80,21 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         raise ValueError("bonded: the inner part of the sample carries no shear: give more cement, or a denser packing")
     spread = np.hypot(0.5 * abs(clamped - free), 0.5 * np.ptp(speeds.mean(axis=0)))
     return StaticSpeed(speed, float(spread / speed))
+
+
+def state_at_rest(experiment: Experiment, bonded: Flags) -> State:
+    """State of a cemented sample before its wave is sent; arguments and errors as `static_speed`."""
+    packing, sand = experiment.stiffen()
+    rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
+    bonds = Bonds(packing.pairs[bonded], experiment.cement, installation=experiment.installation)
+    scene = wave_scene(packing, sand, rule, bonds if np.any(bonded) else None)
+    state = start(scene, regime="linear" if keeps_forces else rule.regime, preload=packing.preload)
+    if np.any(bonded) and not keeps_forces:
+        state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps)
+    return state
+
+
+def distances_from_walls(packing: Packing) -> tuple[Floats, Floats]:
+    """Distances (N,) of the centres from the nearer side wall, and from the nearer of floor and lid, m."""
+    x, y = (np.asarray(values, dtype=float) for values in (packing.x, packing.y))
+    return np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)

@@ -1,8 +1,16 @@
-"""Export of a campaign to one NetCDF-4 file."""
+"""Export of a campaign to one NetCDF-4 file.
 
+The annotations of the records say what there is. Columns are appended block by block to keep memory small. Arrays of
+different lengths lie one after the other along a dimension, and a count for each of them tells how many elements are
+whose (the contiguous ragged arrays of the CF conventions, section 9.3.3). An array whose rows differ in length from
+cell to cell lies there row after row.
+"""
+
+import json
 import os
 import shutil
-from collections.abc import Collection, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,12 +19,29 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.conventions import INDEX_NAMES, campaign_attributes, quantity_attributes, values_and_gap
+from calcidem.storage.conventions import (
+    INDEX_NAMES,
+    Group,
+    as_column,
+    campaign_attributes,
+    fill_value,
+    quantity_attributes,
+    status_codes,
+)
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError, UnknownCampaignError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.netcdf.groups import COMPRESSED, Group, append_arrays, append_attempts, append_packing
 from calcidem.storage.netcdf.trial import refuse_unreadable
-from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME, STATUS_CODES, CellStatus, Quantity
+from calcidem.storage.records import (
+    ARRAY_RECORDS,
+    NOT_PLANNED,
+    QUANTITY_BY_NAME,
+    STATUS_CODES,
+    AttemptRecord,
+    CellKey,
+    CellStatus,
+    PackingRecord,
+)
+from calcidem.storage.records.quantity import array_fields, quantities_of
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
@@ -24,13 +49,17 @@ from calcidem.storage.store import Selection
 if TYPE_CHECKING:
     import xarray as xr  # half a second; whoever has a dataset to write has loaded it
 
+_Column = tuple[str, str, NDArray[Any]]
+"""Unit ("" for texts), long name and values of a variable."""
+
+_COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
+_CHUNK = 8192  # elements, about two cells' contacts; the library's own are so small that each costs more than its bytes
+
 _CELLS_COPIED_AT_ONCE = 10_000
 """Cells whose numbers are in memory at a time."""
 
 _ARRAYS_COPIED_AT_ONCE = 1000
 """Cells whose arrays are in memory at a time."""
-
-_WHOLE_NUMBER_FILL = -1
 
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
@@ -76,9 +105,9 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
     ):
         for index in store.packing_indices():
             with suppress(DamagedStoreError):  # cells without a packing tell that it is missing
-                append_packing(file, store.packing(index))
+                _append_packing(file, store.packing(index))
         for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
-            append_attempts(file, attempts)
+            _append_attempts(file, attempts)
         _write_cells(file, store, wanted)
     return Path(path).absolute()
 
@@ -135,20 +164,25 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
         selection = Selection(block.tolist(), contents.tolist())
         columns = store.table(tuple(QUANTITY_BY_NAME), selection)
         place = np.searchsorted(block, columns["seed"]), np.searchsorted(contents, columns["content"])
-        matrices = {
-            name: _matrix(name, columns[name], place, (block.size, contents.size))
-            for name in QUANTITY_BY_NAME
-            if name not in INDEX_NAMES
-        }
+        matrices: dict[str, NDArray[Any]] = {}
+        for name in [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]:
+            is_status = name == "status"
+            values = status_codes(columns[name]) if is_status else as_column(QUANTITY_BY_NAME[name], columns[name])
+            gap = STATUS_CODES[NOT_PLANNED] if is_status else fill_value(QUANTITY_BY_NAME[name])
+            matrices[name] = np.full((block.size, contents.size), gap, dtype=values.dtype)
+            matrices[name][place] = values
         for found in chunks(store.arrays(selection) if wanted else (), _ARRAYS_COPIED_AT_ONCE):
             whole = []
             for key, arrays in found:
                 cell = int(np.searchsorted(block, key.seed)), int(np.searchsorted(contents, key.content))
                 if isinstance(arrays, str):  # the numbers beside damaged arrays are missing, too
-                    _mark_damaged(matrices, cell, arrays)
+                    for name in matrices.keys() - {"status"}:
+                        matrices[name][cell] = fill_value(QUANTITY_BY_NAME[name])
+                    matrices["status"][cell] = STATUS_CODES[CellStatus.DAMAGED]
+                    matrices["reason"][cell] = arrays
                 elif matrices["status"][cell] != STATUS_CODES[CellStatus.DAMAGED]:
                     whole.append((key, arrays))
-            append_arrays(file, whole, wanted)
+            _append_arrays(file, whole, wanted)
         for name, matrix in matrices.items():
             file[name][first : first + block.size] = matrix
 
@@ -157,47 +191,102 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
     """Make the variables of the root group; a chunk is a block of seeds. CF allows coordinates no gaps."""
     for name, values in zip(INDEX_NAMES, (seeds, contents), strict=True):
         file.createDimension(name, values.size)
-        kind = np.int64 if name == "seed" else np.float64
+        kind: type[Any] = np.int64 if name == "seed" else np.float64
         variable = file.createVariable(name, kind, (name,), fletcher32=True, fill_value=False)
         variable.setncatts(quantity_attributes(QUANTITY_BY_NAME[name]))
         variable[:] = values
     for quantity in QUANTITY_BY_NAME.values():
         if quantity.name in INDEX_NAMES:
             continue
-        kind, fill = _type_of(quantity)
-        is_text = kind is str  # of variable length, which is not compressed
-        options = {} if is_text else COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
+        is_text = quantity.kind == "text" and quantity.name != "status"  # of variable length, which is not compressed
+        kind = str if is_text else np.int8 if quantity.name == "status" else as_column(quantity, ()).dtype.type
+        fill = False if quantity.name == "status" else fill_value(quantity)  # each cell has a status
+        options = {} if is_text else _COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
         variable = file.createVariable(quantity.name, kind, INDEX_NAMES, **options)
         if not is_text:  # a block of seeds is written once; the library would keep 16 MB of each variable
             variable.set_var_chunk_cache(size=2 * rows * contents.size * np.dtype(kind).itemsize)
         variable.setncatts(quantity_attributes(quantity))
 
 
-def _type_of(quantity: Quantity) -> tuple[type[Any], Any]:
-    """Type of a quantity in a file, and what stands there for a missing value."""
-    if quantity.name == "status":
-        return np.int8, False  # each cell has one
-    if quantity.kind == "text":
-        return str, ""
-    return (np.int64, _WHOLE_NUMBER_FILL) if quantity.kind == "whole" else (np.float64, np.nan)
+def _append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
+    """Append attempts to the group ``attempts``."""
+    recorded = np.array([round(attempt.recorded.timestamp() * 1e6) for attempt in attempts], dtype=np.int64)
+    own: dict[str, _Column] = {
+        "recorded": ("microseconds since 1970-01-01T00:00:00Z", "time of storing", recorded),
+        "forgiven": ("1", "1 if a retry came after it", np.array([a.forgiven for a in attempts], dtype=np.int8)),
+    }
+    keys = _key_columns([attempt.key for attempt in attempts])
+    _append_records(file.createGroup("attempts"), "attempt", AttemptRecord, attempts, keys | own)
 
 
-def _matrix(
-    name: str, values: NDArray[Any], place: tuple[NDArray[Any], NDArray[Any]], shape: tuple[int, int]
-) -> NDArray[Any]:
-    """Values of cells as a matrix of seeds and contents, as its variable has them."""
-    quantity = QUANTITY_BY_NAME[name]
-    values, gap = values_and_gap(quantity, values)
-    if quantity.kind == "whole" and name != "status":
-        values, gap = np.where(np.isnan(values), _WHOLE_NUMBER_FILL, values).astype(np.int64), _WHOLE_NUMBER_FILL
-    matrix = np.full(shape, gap, dtype=values.dtype)
-    matrix[place] = values
-    return matrix
+def _append_packing(file: Group, packing: PackingRecord) -> None:
+    """Append a packing to the group ``packings``."""
+    stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
+    own = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
+    _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
 
 
-def _mark_damaged(matrices: dict[str, NDArray[Any]], cell: tuple[int, int], reason: str) -> None:
-    """Leave nothing of a cell but that it is damaged, and why."""
-    for name, matrix in matrices.items():
-        matrix[cell] = _type_of(QUANTITY_BY_NAME[name])[1]
-    matrices["status"][cell] = STATUS_CODES[CellStatus.DAMAGED]
-    matrices["reason"][cell] = reason
+def _append_arrays(file: Group, cells: Sequence[tuple[CellKey, Mapping[str, Any]]], groups: Collection[str]) -> None:
+    """Append the arrays of some cells, records by name, those whose group is wanted."""
+    for name in groups:
+        found = [(key, arrays[name]) for key, arrays in cells if name in arrays]
+        if found:
+            keys, records = zip(*found, strict=True)
+            _append_records(file.createGroup(name), "cell", ARRAY_RECORDS[name], records, _key_columns(keys))
+
+
+def _key_columns(keys: Sequence[CellKey]) -> dict[str, _Column]:
+    return {
+        "seed": ("1", "seed of the cell", np.array([key.seed for key in keys], dtype=np.int64)),
+        "content": ("percent", "calcite content of the cell", np.array([key.content for key in keys])),
+    }
+
+
+def _append_records(
+    group: Group, dimension: str, kind: type[Any], records: Sequence[Any], own: Mapping[str, _Column]
+) -> None:
+    """Append records: quantities, and columns of their own, along a dimension; arrays along theirs."""
+    columns = dict(own)
+    for quantity in quantities_of(kind):
+        values = as_column(quantity, [getattr(record, quantity.name) for record in records])
+        columns[quantity.name.removesuffix("_id")] = (quantity.unit, quantity.meaning, values)
+    of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
+    for name, along in array_fields(kind).items():
+        arrays = [getattr(record, name) for record in records]
+        arrays = [np.frombuffer(array, np.uint8) if isinstance(array, bytes) else array for array in arrays]
+        if along.columns:
+            arrays = [array.ravel() for array in arrays]
+        counts = np.array([len(array) for array in arrays], dtype=np.int64)
+        columns[f"{along.elements}_count"] = ("1", f"number of elements of {along.elements}", counts)
+        of_dimensions[along.elements][name] = (along.unit, along.meaning, np.concatenate(arrays))
+    _append_columns(group, dimension, columns)
+    for elements, found in of_dimensions.items():
+        _append_columns(group, elements, found)
+
+
+def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
+    """Append columns of equal length along an unlimited dimension, creating what isn't there yet.
+
+    A column named ``<other dimension>_count`` tells how many elements of that dimension belong to each
+    element of this one.
+    """
+    if dimension not in group.dimensions:
+        group.createDimension(dimension, None)
+    start = len(group.dimensions[dimension])
+    for name, (unit, long_name, values) in columns.items():
+        if name not in group.variables:
+            is_text = values.dtype.kind == "O"
+            further = []
+            for length in values.shape[1:]:  # arrays with several numbers for each element
+                further.append(f"of_{length}")
+                if further[-1] not in group.dimensions:
+                    group.createDimension(further[-1], length)
+            chunks = {"chunksizes": (min(max(1, len(values)), _CHUNK), *values.shape[1:])}
+            options = {} if is_text else _COMPRESSED | chunks
+            variable = group.createVariable(name, str if is_text else values.dtype, (dimension, *further), **options)
+            variable.long_name = long_name
+            if unit:
+                variable.units = unit
+            if name.endswith("_count"):
+                variable.sample_dimension = name.removesuffix("_count")
+        group.variables[name][start : start + len(values)] = values

@@ -2,17 +2,17 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.conventions import LAYOUT
+from calcidem.storage.conventions import LAYOUT, Group, as_values
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,
@@ -20,33 +20,32 @@ from calcidem.storage.errors import (
     OlderSchemaError,
     StoreUnavailableError,
 )
-from calcidem.storage.netcdf.groups import CellArrays, Group, read_attempts, read_packings
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
     ARRAY_RECORDS,
     NOT_PLANNED,
     QUANTITY_BY_NAME,
     STATUS_CODES,
+    AttemptRecord,
     CampaignRecord,
     CellKey,
     CellResult,
     CellStatus,
-    GraphSummary,
     PackingRecord,
-    PathFeatures,
     RunRecord,
     WorkerRecord,
 )
 from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.records.quantity import quantities_of
+from calcidem.storage.records.quantity import array_fields, quantities_of
 from calcidem.storage.sql.store import Store
+
+_RECORDS_READ_AT_ONCE = 500
+"""Records whose arrays are in memory at a time."""
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(
     name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in {"seed", "content", "status"}
 )
-_OWN_QUANTITIES = tuple(quantity for quantity in quantities_of(CellResult) if quantity.name != "status")
-_P = TypeVar("_P", PathFeatures, GraphSummary)
 _STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
 _WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED))
 _CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
@@ -104,20 +103,27 @@ def import_netcdf(
                 f"{path}: its configuration, or the hash {campaign.hash} of its cells, is not what was exported.",
                 _CURE_OF_CHANGE,
             )
-        packings = [identify(packing) for packing in read_packings(file)]
-        _check_packings_of_cells(path, file, packings)
+        packings = [identify(packing) for packing in _read_packings(file)]
+        status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
+        named = np.asarray(file["packing_index"][:])[~np.isin(status, _WITHOUT_OUTCOME)].tolist()
+        if lacking := set(named) - {packing.index for packing in packings}:
+            raise DamagedStoreError(
+                f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", _CURE_OF_CHANGE
+            )
         name = store.begin_campaign(campaign).name
         _refuse_other_packings(path, store, packings, identify)
         for packing in packings:
             store.save_packing(packing)
-        status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
         seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
         planned = np.argwhere(status != STATUS_CODES[NOT_PLANNED]).tolist()
         store.plan(CellKey(seeds[i], contents[j]) for i, j in planned)
-        run_numbers = {
-            run.pop("number"): store.begin_run(_run_from_json(run)) for run in json.loads(file.calcidem_runs)
-        }
-        store.restore_attempts(read_attempts(file, run_numbers))
+        run_numbers = {}
+        for run in json.loads(file.calcidem_runs):
+            number = run.pop("number")
+            moments = {name: run[name] and datetime.fromisoformat(run[name]) for name in ("started", "ended")}
+            workers = tuple(WorkerRecord(**worker) for worker in run["workers"])
+            run_numbers[number] = store.begin_run(RunRecord(**(run | moments | {"workers": workers})))
+        store.restore_attempts(_read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
         return store.use_campaign(name)
 
@@ -145,15 +151,6 @@ def _open(path: Path) -> Group:
     )
 
 
-def _check_packings_of_cells(path: str | os.PathLike[str], file: Group, packings: Sequence[PackingRecord]) -> None:
-    with_outcome = ~np.isin(file["status"][:], _WITHOUT_OUTCOME)
-    lacking = set(np.asarray(file["packing_index"][:])[with_outcome].tolist()) - {packing.index for packing in packings}
-    if lacking:
-        raise DamagedStoreError(
-            f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", _CURE_OF_CHANGE
-        )
-
-
 def _refuse_other_packings(
     path: str | os.PathLike[str],
     store: Store,
@@ -170,50 +167,108 @@ def _refuse_other_packings(
             refuse_other_packing(stored, packing, ("the database", str(path)))
 
 
-def _run_from_json(values: dict[str, Any]) -> RunRecord:
-    for name in ("started", "ended"):
-        if values[name] is not None:
-            values[name] = datetime.fromisoformat(values[name])
-    workers = tuple(WorkerRecord(**worker) for worker in values.pop("workers"))
-    return RunRecord(**values, workers=workers)
-
-
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
-    arrays = {name: CellArrays(file, name) for name in ARRAY_RECORDS}
+    arrays = {name: _CellArrays(file, name) for name in ARRAY_RECORDS}
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         columns = {
             # A file of an earlier physics version lacks the quantities that were added since.
-            name: _python_values(name, file[name][rows])
+            name: as_values(QUANTITY_BY_NAME[name], file[name][rows])
             for name in _VALUE_NAMES
             if name in file.variables
         }
         for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
-            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)
+            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES) | {"status": _STATUS_NAMES[int(status[start + i, j])]}
             values |= {name: column[i, j] for name, column in columns.items()}
-            yield CellResult(
-                key,
-                CellStatus(_STATUS_NAMES[int(status[start + i, j])]),
-                features=_part(PathFeatures, values),
-                graph=_part(GraphSummary, values),
-                **{name: of_cells.get(key) for name, of_cells in arrays.items()},
-                **{quantity.name: values[quantity.name] for quantity in _OWN_QUANTITIES},
-            )
+            yield CellResult.from_values(key, values | {name: found.get(key) for name, found in arrays.items()})
 
 
-def _part(kind: type[_P], values: Mapping[str, Any]) -> _P | None:
-    """Quantities that a cell has or lacks as a whole; the first of them is never missing alone."""
-    names = [quantity.name for quantity in quantities_of(kind)]
-    return None if values[names[0]] is None else kind(**{name: values[name] for name in names})
+def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptRecord]:
+    """Read the group ``attempts``.
+
+    Parameters
+    ----------
+    file : netCDF4.Dataset
+    run_numbers : dict of int to int
+        From the numbers of runs in the file to those in the store.
+    """
+    records = _Records(file, "attempts", "attempt", AttemptRecord)
+    for row, key in enumerate(records.keys()):
+        values = records.values(row)
+        values["run_id"] = None if values["run_id"] is None else run_numbers[values["run_id"]]
+        recorded = datetime.fromtimestamp(records.columns["recorded"][row] / 1e6, UTC)
+        yield AttemptRecord(key, recorded=recorded, forgiven=bool(records.columns["forgiven"][row]), **values)
 
 
-def _python_values(name: str, values: NDArray[Any]) -> NDArray[np.object_]:
-    """Values of a quantity as Python's own int, float or str, None where missing."""
-    kind = QUANTITY_BY_NAME[name].kind
-    plain = values.astype(object)
-    missing = plain == "" if kind == "text" else values < 0 if kind == "whole" else np.isnan(values)
-    plain[missing] = "" if name == "reason" else None
-    return plain
+def _read_packings(file: Group) -> Iterator[PackingRecord]:
+    """Read the group ``packings``."""
+    records = _Records(file, "packings", "packing", PackingRecord)
+    for row, stress in enumerate(records.columns.get("wall_stress", ())):
+        values = records.values(row)
+        yield PackingRecord(wall_stress=json.loads(stress), **(values | {"state": values["state"].tobytes()}))
+
+
+class _CellArrays:
+    """Random access to the arrays of one group of a file by cell."""
+
+    def __init__(self, file: Group, name: str) -> None:
+        """Look up the cells of a group of `ARRAY_RECORDS`; a file without that group has no such arrays."""
+        self._records = _Records(file, name, "cell", ARRAY_RECORDS[name])
+        self._kind: type[Any] = ARRAY_RECORDS[name]
+        self._row = {key: row for row, key in enumerate(self._records.keys())}
+
+    def get(self, key: CellKey) -> Any:  # noqa: ANN401 - an object of the group's class
+        """Return the record of a cell, None if it has none."""
+        row = self._row.get(key)
+        return None if row is None else self._kind(**self._records.values(row))
+
+
+class _Records:
+    """Random access to the records of a group, whose arrays are read block by block.
+
+    Attributes
+    ----------
+    columns : dict of str to array
+        What there is along the dimension of the records; empty in a file without that group.
+    """
+
+    def __init__(self, file: Group, name: str, dimension: str, kind: type[Any]) -> None:
+        self._group, self._kind = file.groups.get(name), kind
+        self.columns = {} if self._group is None else self._read(dimension, slice(None))
+        self._block = range(0)
+        self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
+        self._ends: dict[str, NDArray[np.int64]] = {}
+        self._values: dict[str, NDArray[np.object_]] = {}
+        if self.columns:
+            elements = {along.elements for along in array_fields(kind).values()}
+            self._ends = {e: np.concatenate(([0], np.cumsum(self.columns[f"{e}_count"]))) for e in elements}
+            names = {quantity: quantity.name.removesuffix("_id") for quantity in quantities_of(kind)}
+            self._values = {q.name: as_values(q, self.columns[column]) for q, column in names.items()}
+
+    def keys(self) -> list[CellKey]:
+        """Return the cells that the records are of."""
+        columns = (self.columns[name].tolist() if self.columns else () for name in ("seed", "content"))
+        return list(map(CellKey, *columns))
+
+    def values(self, row: int) -> dict[str, Any]:
+        """Return quantities and arrays of a record by name."""
+        if row not in self._block:  # it is read together with those after it: a file is mostly read in its order
+            count = len(next(iter(self.columns.values())))
+            self._block = range(row, min(row + _RECORDS_READ_AT_ONCE, count))
+            blocks = {e: slice(ends[row], ends[self._block.stop]) for e, ends in self._ends.items()}
+            self._arrays = {elements: self._read(elements, block) for elements, block in blocks.items()}
+        values: dict[str, Any] = {name: column[row] for name, column in self._values.items()}
+        for name, along in array_fields(self._kind).items():
+            first, end = self._ends[along.elements][[row, row + 1]] - self._ends[along.elements][self._block.start]
+            values[name] = self._arrays[along.elements][name][first:end]
+            if along.columns:
+                values[name] = values[name].reshape(-1, self.columns[f"{along.columns}_count"][row])
+        return values
+
+    def _read(self, dimension: str, rows: slice) -> dict[str, NDArray[Any]]:
+        """Read some rows of all columns along a dimension."""
+        variables = self._group.variables.items()
+        return {name: np.asarray(variable[rows]) for name, variable in variables if variable.dimensions[0] == dimension}

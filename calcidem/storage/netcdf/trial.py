@@ -1,15 +1,30 @@
-"""NetCDF files from elsewhere are read by a process that can be ended before they are read by this one."""
+"""NetCDF files from elsewhere are read by a process that can be ended before they are read by this one.
 
+The library loops for ever on some damaged files. This module is the program of that process, too. Its arguments are the
+file, the seconds that it may take to open it or to read a block, and how much is read: ``all`` or ``names``. It ends
+with 0 if the file can be read, or refused, within that time.
+"""
+
+import faulthandler
+import math
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+import netCDF4
 
 from calcidem.storage.errors import DamagedStoreError, StoreUnavailableError
-from calcidem.storage.netcdf import read_through
 
 _TIME_FOR_A_BLOCK = 30.0
 """Seconds for opening a file, and for each block that is read of it."""
+
+_BLOCK = 1 << 20
+"""Elements that are read at a time."""
+
+_ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
 
 def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False) -> None:
@@ -32,9 +47,9 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
     if not file.is_file():
         what = "is not a file" if file.exists() else "does not exist"
         raise StoreUnavailableError(f"{path} {what}.", "Check the name.")
-    program, amount = str(Path(read_through.__file__).absolute()), "names" if names_only else "all"
-    ended = subprocess.run(  # noqa: S603 - our own program
-        [sys.executable, program, str(file), str(_TIME_FOR_A_BLOCK), amount],
+    arguments = [str(file), str(_TIME_FOR_A_BLOCK), "names" if names_only else "all"]
+    ended = subprocess.run(  # noqa: S603 - this module
+        [sys.executable, "-P", "-m", __name__, *arguments],
         check=False,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -46,3 +61,28 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
             f"{path} is damaged: the library for NetCDF does not come to an end with it.",
             "Export it again from its database; nothing was written.",
         )
+
+
+def _read_file(path: str, seconds: float, amount: str) -> None:
+    """Open the file and read it; a thread of Python's own, which needs no lock, ends the process if that hangs."""
+    faulthandler.dump_traceback_later(seconds, exit=True)
+    with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
+        file.set_auto_mask(False)
+        if amount == "all":
+            _read(file, seconds)
+
+
+def _read(group: Any, seconds: float) -> None:  # noqa: ANN401 - the library has no types
+    """Read all variables of a group and of those in it."""
+    for variable in group.variables.values():
+        with suppress(*_ERRORS_OF_READING):
+            rows = max(_BLOCK // (math.prod(variable.shape[1:]) or 1), 1)
+            for start in range(0, variable.shape[0] if variable.shape else 1, rows):
+                faulthandler.dump_traceback_later(seconds, exit=True)
+                _ = variable[start : start + rows] if variable.shape else variable[...]
+    for inner in group.groups.values():
+        _read(inner, seconds)
+
+
+if __name__ == "__main__":
+    _read_file(sys.argv[1], float(sys.argv[2]), sys.argv[3])

@@ -15,7 +15,7 @@ from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.records.cell import canonical_content, checked_seed
-from calcidem.storage.records.quantity import Bound, Quantity, check_bounds
+from calcidem.storage.records.quantity import Along, Bound, Quantity, check_bounds
 from calcidem.storage.records.run import as_utc
 
 
@@ -42,11 +42,11 @@ class PackingRecord(ComparedByValue):
         stored.
     """
 
-    index: int
-    hash: str
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    radius: NDArray[np.float64]
+    index: Annotated[int, Quantity("1", "index of the packing")]
+    hash: Annotated[str, Quantity("", "hash of what it was made from")]
+    x: Annotated[NDArray[np.float64], Along("grain", "m", "horizontal position of the centre")]
+    y: Annotated[NDArray[np.float64], Along("grain", "m", "vertical position of the centre")]
+    radius: Annotated[NDArray[np.float64], Along("grain", "m", "radius")]
     width: Annotated[float, Quantity("m", "width of the box", "packing", Bound.POSITIVE)]
     height: Annotated[float, Quantity("m", "height of the lid", "packing", Bound.POSITIVE)]
     porosity: Annotated[float, Quantity("1", "area of the voids over area of the box", "packing", Bound.NOT_NEGATIVE)]
@@ -67,8 +67,8 @@ class PackingRecord(ComparedByValue):
         float, Quantity("1", "mean unbalanced force over mean contact force", "packing", Bound.NOT_NEGATIVE)
     ]
     seconds: Annotated[float, Quantity("s", "computing time", "packing", Bound.NOT_NEGATIVE)]
-    state: bytes = b""
-    content_hash: str | None = None
+    state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")] = b""
+    content_hash: Annotated[str | None, Quantity("", "hash of its own bits: disks, walls and forces")] = None
 
     def __post_init__(self) -> None:
         """Check and normalise the fields."""

@@ -5,21 +5,29 @@ A missing number is None in a record and NULL in the database, never NaN; what h
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from enum import StrEnum
+from functools import partial
 from html import escape
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
+
+import numpy as np
 
 from calcidem.storage.errors import DamagedStoreError
-from calcidem.storage.records.arrays import normalize_numbers
+from calcidem.storage.records.arrays import normalize_numbers, pack_arrays
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, vs_interval
 from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
 from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _CONTENT_DECIMALS = 9
+
+_Real = float | None
+_Whole = int | None
+_POSITIVE, _NOT_NEGATIVE = Bound.POSITIVE, Bound.NOT_NEGATIVE
+_exact = partial(Quantity, is_exact=True)
 
 LARGEST_SEED = 2**63 - 1
 """What SQLite, PostgreSQL and NetCDF's int64 hold, exactly."""
@@ -148,108 +156,64 @@ class CellResult:
     """
 
     key: CellKey
-    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement")]
+    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True)]
     reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
     vs: Annotated[
-        float | None, Quantity("m s-1", "shear-wave velocity", "reading", Bound.POSITIVE, is_exact=True, is_needed=True)
+        _Real, _exact("m s-1", "shear-wave velocity", "reading", _POSITIVE, is_needed=True, is_brief=True)
     ] = None
-    vs_peak: Annotated[
-        float | None,
-        Quantity("m s-1", "shear-wave velocity from peak to peak", "reading", Bound.POSITIVE, is_exact=True),
-    ] = None
+    vs_peak: Annotated[_Real, _exact("m s-1", "shear-wave velocity from peak to peak", "reading", _POSITIVE)] = None
     vs_first_arrival: Annotated[
-        float | None,
-        Quantity("m s-1", "shear-wave velocity by first arrival", "reading", Bound.POSITIVE, is_exact=True),
+        _Real, _exact("m s-1", "shear-wave velocity by first arrival", "reading", _POSITIVE)
     ] = None
     vs_cross_correlation: Annotated[
-        float | None,
-        Quantity("m s-1", "shear-wave velocity by cross-correlation", "reading", Bound.POSITIVE, is_exact=True),
+        _Real, _exact("m s-1", "shear-wave velocity by cross-correlation", "reading", _POSITIVE)
     ] = None
-    coherence: Annotated[
-        float | None, Quantity("1", "stack of the section along the line of the S wave", "reading", is_exact=True)
-    ] = None
+    coherence: Annotated[_Real, _exact("1", "stack of the section along the line of the S wave", "reading")] = None
     reading_error: Annotated[
-        float | None,
-        Quantity("1", "relative standard error of the reading of vs", "reading", Bound.NOT_NEGATIVE, is_exact=True),
+        _Real, _exact("1", "relative standard error of the reading of vs", "reading", _NOT_NEGATIVE, is_brief=True)
     ] = None
     path_vs: Annotated[
-        float | None,
-        Quantity("m s-1", "shear-wave velocity from station to station", "reading", Bound.POSITIVE, is_exact=True),
+        _Real, _exact("m s-1", "shear-wave velocity from station to station", "reading", _POSITIVE, is_brief=True)
     ] = None
     path_error: Annotated[
-        float | None,
-        Quantity(
-            "1", "relative standard error of the reading of path_vs", "reading", Bound.NOT_NEGATIVE, is_exact=True
-        ),
+        _Real, _exact("1", "relative standard error of the reading of path_vs", "reading", _NOT_NEGATIVE, is_brief=True)
     ] = None
     frequency: Annotated[
-        float | None,
-        Quantity("Hz", "frequency of the transmitted pulse", "wave", Bound.POSITIVE, is_exact=True, is_needed=True),
+        _Real, _exact("Hz", "frequency of the transmitted pulse", "wave", _POSITIVE, is_needed=True)
     ] = None
-    distance: Annotated[
-        float | None, Quantity("m", "distance that the shear wave travelled", "wave", Bound.POSITIVE, is_exact=True)
-    ] = None
-    wavelengths_on_path: Annotated[
-        float | None, Quantity("1", "wavelengths on that distance", "reading", Bound.POSITIVE, is_exact=True)
-    ] = None
+    distance: Annotated[_Real, _exact("m", "distance that the shear wave travelled", "wave", _POSITIVE)] = None
+    wavelengths_on_path: Annotated[_Real, _exact("1", "wavelengths on that distance", "reading", _POSITIVE)] = None
     wavelength_over_d50: Annotated[
-        float | None, Quantity("1", "wavelength over median diameter by mass", "reading", Bound.POSITIVE, is_exact=True)
+        _Real, _exact("1", "wavelength over median diameter by mass", "reading", _POSITIVE)
     ] = None
-    time_step: Annotated[
-        float | None, Quantity("s", "time step", "wave", Bound.POSITIVE, is_exact=True, is_needed=True)
-    ] = None
-    stability_limit: Annotated[
-        float | None, Quantity("s", "largest stable time step", "wave", Bound.POSITIVE, is_exact=True, is_needed=True)
-    ] = None
-    steps: Annotated[
-        int | None, Quantity("1", "number of time steps", "wave", Bound.NOT_NEGATIVE, is_exact=True, is_needed=True)
-    ] = None
+    time_step: Annotated[_Real, _exact("s", "time step", "wave", _POSITIVE, is_needed=True)] = None
+    stability_limit: Annotated[_Real, _exact("s", "largest stable time step", "wave", _POSITIVE, is_needed=True)] = None
+    steps: Annotated[_Whole, _exact("1", "number of time steps", "wave", _NOT_NEGATIVE, is_needed=True)] = None
     expected_error: Annotated[
-        float | None, Quantity("1", "expected relative numerical error of vs", "error estimate", Bound.NOT_NEGATIVE)
+        _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE, is_brief=True)
     ] = None
-    error_bound: Annotated[
-        float | None, Quantity("1", "bound of the relative numerical error of vs", "error estimate")
-    ] = None
+    error_bound: Annotated[_Real, Quantity("1", "bound of the relative numerical error of vs", "error estimate")] = None
     static_speed: Annotated[
-        float | None, Quantity("m s-1", "velocity of long shear waves by statics", "statics", Bound.POSITIVE)
+        _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)
     ] = None
     content_reached: Annotated[
-        float | None,
-        Quantity(
-            "percent",
-            "calcite content of the cement placed, overlaps counted in full",
-            "cement",
-            Bound.NOT_NEGATIVE,
-            is_exact=True,
-        ),
+        _Real,
+        _exact("percent", "calcite content of the cement placed, overlaps counted in full", "cement", _NOT_NEGATIVE),
     ] = None
     content_of_contacts: Annotated[
-        float | None,
-        Quantity(
-            "percent", "calcite content of the cemented contacts by Eq. 2", "cement", Bound.NOT_NEGATIVE, is_exact=True
-        ),
+        _Real, _exact("percent", "calcite content of the cemented contacts by Eq. 2", "cement", _NOT_NEGATIVE)
     ] = None
-    p_contacts: Annotated[
-        int | None, Quantity("1", "number of P contacts", "cement", Bound.NOT_NEGATIVE, is_exact=True)
-    ] = None
-    c_contacts: Annotated[
-        int | None, Quantity("1", "number of contacts in C clusters", "cement", Bound.NOT_NEGATIVE, is_exact=True)
-    ] = None
-    clusters: Annotated[
-        int | None, Quantity("1", "number of C clusters", "cement", Bound.NOT_NEGATIVE, is_exact=True)
-    ] = None
-    bonded_contacts: Annotated[
-        int | None, Quantity("1", "number of bonded contacts", "cement", Bound.NOT_NEGATIVE, is_exact=True)
-    ] = None
-    broken_bonds: Annotated[
-        int | None, Quantity("1", "number of bonds that the pulse broke", "wave", Bound.NOT_NEGATIVE, is_exact=True)
-    ] = None
+    p_contacts: Annotated[_Whole, _exact("1", "number of P contacts", "cement", _NOT_NEGATIVE)] = None
+    c_contacts: Annotated[_Whole, _exact("1", "number of contacts in C clusters", "cement", _NOT_NEGATIVE)] = None
+    clusters: Annotated[_Whole, _exact("1", "number of C clusters", "cement", _NOT_NEGATIVE)] = None
+    bonded_contacts: Annotated[_Whole, _exact("1", "number of bonded contacts", "cement", _NOT_NEGATIVE)] = None
+    broken_bonds: Annotated[_Whole, _exact("1", "number of bonds that the pulse broke", "wave", _NOT_NEGATIVE)] = None
     retry: Annotated[str | None, Quantity("", "why the sample was computed again with half the step", "wave")] = None
-    seconds: Annotated[float | None, Quantity("s", "computing time", "run", Bound.NOT_NEGATIVE)] = None
-    rank: Annotated[int | None, Quantity("1", "MPI rank that computed it", "run", Bound.NOT_NEGATIVE)] = None
+    seconds: Annotated[_Real, Quantity("s", "computing time", "run", _NOT_NEGATIVE)] = None
+    rank: Annotated[_Whole, Quantity("1", "MPI rank that computed it", "run", _NOT_NEGATIVE)] = None
     host: Annotated[str | None, Quantity("", "host that computed it", "run")] = None
-    attempt: Annotated[int, Quantity("1", "number of the attempt", "run", Bound.POSITIVE)] = 1
-    packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", Bound.NOT_NEGATIVE)] = 0
+    attempt: Annotated[int, Quantity("1", "number of the attempt", "run", _POSITIVE)] = 1
+    packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", _NOT_NEGATIVE)] = 0
     features: PathFeatures | None = None
     graph: GraphSummary | None = None
     path: GrainPath | None = None
@@ -265,6 +229,34 @@ class CellResult:
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
         check_bounds(self)
         self._check_status()
+
+    @classmethod
+    def from_values(cls, key: CellKey, values: Mapping[str, Any]) -> Self:
+        """Build an outcome of its stored quantities and arrays by name; all others are left out.
+
+        Path features and graph summary are there as a whole or not at all; the first of their quantities is never
+        missing alone.
+        """
+        parts: dict[str, Any] = {name: values[name] for name in ARRAY_RECORDS if name in values}
+        for field, kind in (("features", PathFeatures), ("graph", GraphSummary)):
+            names = [quantity.name for quantity in quantities_of(kind)]
+            if values[names[0]] is not None:
+                parts[field] = kind(**{name: values[name] for name in names})
+        return cls(key, **parts, **{quantity.name: values[quantity.name] for quantity in quantities_of(cls)})
+
+    def values(self) -> dict[str, Any]:
+        """Return its stored quantities by name, those of the cell left out."""
+        parts = [part for part in (self, self.features, self.graph) if part is not None]
+        return {q.name: getattr(part, q.name) for part in parts for q in quantities_of(type(part))}
+
+    def packed(self) -> "PackedResult":
+        """Turn it into the columns of its rows, with its arrays compressed."""
+        records = {name: record for name in ARRAY_RECORDS if (record := getattr(self, name)) is not None}
+        arrays = {
+            name: pack_arrays({field.name: np.asarray(getattr(record, field.name)) for field in fields(record)})
+            for name, record in records.items()
+        }
+        return PackedResult(self.key, self.status, self.attempt, self.rank, self.host, self.values(), arrays)
 
     @property
     def numerical_error(self) -> float | None:
@@ -288,10 +280,10 @@ class CellResult:
 
     def _repr_html_(self) -> str:
         """What is known of the cell, with units and meanings, for notebooks."""
-        parts = [part for part in (self.key, self, self.features, self.graph) if part is not None]
+        known = {"seed": self.key.seed, "content": self.key.content} | self.values()
         rows = []
         for quantity in QUANTITY_BY_NAME.values():
-            value = next((found for part in parts if (found := getattr(part, quantity.name, None)) is not None), None)
+            value = known.get(quantity.name, getattr(self, quantity.name, None))
             if value is not None and value != "":
                 text = f"{value:.6g}" if quantity.kind == "real" else str(value)
                 unit = "" if quantity.unit == "1" else quantity.unit
@@ -333,7 +325,7 @@ class CellResult:
 
 @dataclass(frozen=True, slots=True)
 class PackedResult:
-    """Outcome of one cell as the columns of its rows, arrays compressed (`calcidem.storage.sql.rows.pack_result`).
+    """Outcome of one cell as the columns of its rows, arrays compressed (`CellResult.packed`).
 
     A worker makes it, so that the bytes that travel are those that are stored: the one process that stores the outcomes
     of all workers has no time to compress them.
@@ -361,6 +353,10 @@ class PackedResult:
     columns: dict[str, Any]
     arrays: dict[str, bytes]
     worker: WorkerRecord | None = None
+
+    def packed(self) -> Self:
+        """Return it as it is."""
+        return self
 
 
 ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
@@ -413,10 +409,7 @@ class AttemptRecord:
         Counted from 1.
     outcome : str
         A `CellStatus` value, or ``"lost"`` when the worker vanished.
-    reason : str
-    rank : int or None
-    host : str or None
-    seconds : float or None
+    reason, rank, host, seconds
     recorded : datetime
         When it was stored (UTC).
     run_id : int or None
@@ -426,14 +419,14 @@ class AttemptRecord:
     """
 
     key: CellKey
-    number: int
-    outcome: str
-    reason: str
-    rank: int | None
-    host: str | None
-    seconds: float | None
+    number: Annotated[int, Quantity("1", "number of the attempt")]
+    outcome: Annotated[str, Quantity("", "outcome")]
+    reason: Annotated[str, Quantity("", "why")]
+    rank: Annotated[_Whole, Quantity("1", "MPI rank")]
+    host: Annotated[str | None, Quantity("", "host")]
+    seconds: Annotated[_Real, Quantity("s", "computing time")]
     recorded: datetime
-    run_id: int | None = None
+    run_id: Annotated[_Whole, Quantity("1", "number of the run")] = None
     forgiven: bool = False
 
     def __post_init__(self) -> None:

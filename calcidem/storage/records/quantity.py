@@ -38,6 +38,8 @@ class Quantity:
         Whether it is equal, to the last bit, wherever the same campaign is computed.
     is_needed : bool
         Whether a done cell must have it.
+    is_brief : bool
+        Whether it is one of the few that status and velocities need: they have a checksum of their own.
     since : int
         Physics version that it is known from on.
     name, kind, is_optional
@@ -54,6 +56,7 @@ class Quantity:
     bound: Bound = Bound.NONE
     is_exact: bool = False
     is_needed: bool = False
+    is_brief: bool = False
     since: int = 1
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"

@@ -5,16 +5,16 @@ import os
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
-from sqlalchemy.orm import Session
 
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -176,8 +176,11 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the driver must not begin or commit: the listener below does
-        connection.text_factory = lambda content: content.decode("utf-8", "replace")  # a checksum finds the damage
-        connection.create_function("sqrt", 1, _root_or_none, deterministic=True)  # not every SQLite has it
+        connection.text_factory = partial(str, encoding="utf-8", errors="replace")  # a checksum finds the damage
+        # Not every SQLite has this function; of what is no number of 0 or more databases give NULL.
+        connection.create_function(
+            "sqrt", 1, lambda x: math.sqrt(x) if isinstance(x, int | float) and x >= 0.0 else None, deterministic=True
+        )
         connection.execute("PRAGMA foreign_keys=ON")
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
@@ -195,11 +198,6 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     return engine
 
 
-def _root_or_none(value: float | None) -> float | None:
-    """Square root as databases have it."""
-    return math.sqrt(value) if isinstance(value, int | float) and value >= 0.0 else None
-
-
 def may_be_damage(error: BaseException) -> bool:
     """Whether an error of reading is one of the rows that were read, and other rows may be good."""
     if not isinstance(error, DBAPIError):
@@ -207,15 +205,14 @@ def may_be_damage(error: BaseException) -> bool:
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
 
 
-def execute_on_connect(engine: Engine, statements: Sequence[str]) -> None:
-    """Have each reading connection of a SQLite engine execute statements before anything else; open ones are closed."""
+def execute_on_connect(engine: Engine, statement: str) -> None:
+    """Have each reading connection of a SQLite engine execute a statement before any other; open ones are closed."""
 
     @event.listens_for(engine, "connect")
     def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
         connection.execute("PRAGMA query_only=OFF")  # views for the time of the connection count as changes, too
-        for statement in statements:
-            connection.execute(statement)
+        connection.execute(statement)
         connection.execute("PRAGMA query_only=ON")
 
     engine.dispose()
@@ -231,8 +228,8 @@ def bring_log_into_file(engine: Engine) -> None:
 
 
 @contextmanager
-def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Session]:
-    """Open a session in one transaction: committed at the end, rolled back on any error.
+def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Connection]:
+    """Open a connection with one transaction: committed at the end, rolled back on any error.
 
     Parameters
     ----------
@@ -249,8 +246,8 @@ def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Se
     """
     bound = engine.execution_options(**{_WRITES: True}) if write else engine
     try:
-        with Session(bound, expire_on_commit=False) as session, session.begin():
-            yield session
+        with bound.begin() as connection:
+            yield connection
     except SQLAlchemyError as error:
         raise _translate_error(error, address) from error
     except UNREADABLE as error:
@@ -298,13 +295,13 @@ def measure_commits(path: Path, count: int) -> tuple[str, float]:
     address = parse_address(path)
     engine = make_engine(address, read_only=False)
     try:
-        with transaction(engine, address, write=True) as session:
-            journal = str(session.scalar(text("PRAGMA journal_mode")))
-            session.execute(text("CREATE TABLE trial (value BLOB)"))
+        with transaction(engine, address, write=True) as connection:
+            journal = str(connection.scalar(text("PRAGMA journal_mode")))
+            connection.execute(text("CREATE TABLE trial (value BLOB)"))
         begin = time.perf_counter()
         for _ in range(count):
-            with transaction(engine, address, write=True) as session:
-                session.execute(text("INSERT INTO trial VALUES (zeroblob(8000))"))
+            with transaction(engine, address, write=True) as connection:
+                connection.execute(text("INSERT INTO trial VALUES (zeroblob(8000))"))
         return journal, count / (time.perf_counter() - begin)
     finally:
         engine.dispose()

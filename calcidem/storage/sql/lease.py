@@ -12,16 +12,15 @@ import os
 import socket
 import uuid
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Self, cast
+from typing import Self
 
-from sqlalchemy import CursorResult, delete, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, delete, insert, select, update
 
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
-from calcidem.storage.sql.models import LeaseRow
+from calcidem.storage.sql.tables import LEASE
 from calcidem.storage.store import STALE_AFTER, LeaseGrant, LeaseHolder
 
 try:
@@ -37,13 +36,13 @@ class FileLock:
 
     Attributes
     ----------
-    path : Path
-        The lock file.
+    path : Path or None
+        The lock file; a database without a file has none, and its row alone decides.
     """
 
-    def __init__(self, database: Path) -> None:
+    def __init__(self, database: Path | None) -> None:
         """Take no lock yet; `database` is the SQLite file."""
-        self.path = Path(f"{database}.lock")
+        self.path = None if database is None else Path(f"{database}.lock")
         self._descriptor: int | None = None
 
     @property
@@ -57,7 +56,7 @@ class FileLock:
         A file system without locks (some cluster mounts), or a system without them (Windows), counts as success with
         `held` False: the row alone decides then.
         """
-        if not HAS_LOCKS:
+        if not HAS_LOCKS or self.path is None:
             return True
         while not self.held:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
@@ -70,17 +69,12 @@ class FileLock:
                 if error.errno in {errno.EWOULDBLOCK, errno.EACCES}:
                     return False
                 raise
-            if self._is_current(descriptor):
-                self._descriptor = descriptor
-            else:  # its former holder removed the file between our open and our lock
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), self.path.stat()):
+                    self._descriptor = descriptor
+            if not self.held:  # its former holder removed the file between our open and our lock
                 os.close(descriptor)
         return True
-
-    def _is_current(self, descriptor: int) -> bool:
-        try:
-            return os.path.samestat(os.fstat(descriptor), self.path.stat())
-        except FileNotFoundError:
-            return False
 
     def note(self, token: str, heartbeat: datetime) -> None:
         """Write that a transaction of this lease, with this heartbeat, is stored; does nothing without the lock."""
@@ -95,7 +89,7 @@ class FileLock:
 
     def release(self) -> None:
         """Unlock and remove the file; does nothing without the lock."""
-        if self._descriptor is not None:
+        if self._descriptor is not None and self.path is not None:
             self.path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = None
@@ -125,9 +119,9 @@ class Acknowledged:
         except (OSError, ValueError):
             return None
 
-    def describe_loss(self, session: Session) -> str | None:
+    def describe_loss(self, connection: Connection) -> str | None:
         """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
-        row = session.scalar(select(LeaseRow).where(LeaseRow.token == self.token))
+        row = connection.execute(select(LEASE).where(LEASE.c.token == self.token)).first()
         if row is not None and row.heartbeat >= self.heartbeat:
             return None
         since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
@@ -137,12 +131,12 @@ class Acknowledged:
         )
 
 
-def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> tuple[LeaseGrant, datetime]:
+def claim_lease(connection: Connection, campaign_id: int, *, former_is_dead: bool) -> tuple[LeaseGrant, datetime]:
     """Write the lease's row for this process.
 
     Parameters
     ----------
-    session : Session
+    connection : Connection
         In a writing transaction.
     campaign_id : int
     former_is_dead : bool
@@ -160,31 +154,33 @@ def claim_lease(session: Session, campaign_id: int, *, former_is_dead: bool) -> 
     """
     now = datetime.now(UTC)
     host, taken_over_from = socket.gethostname(), None
-    row = session.get(LeaseRow, campaign_id, with_for_update=True)
-    if row is not None:
-        former = holder_from_row(row)
+    former = lease_holder(connection, campaign_id, for_update=True)
+    if former is not None:
         if former.may_live() and not (former.host == host and former_is_dead):
             raise lease_held_error(former)
         taken_over_from = (
             f"{former.host}, process {former.pid}, last heard of at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
         )
-        session.delete(row)
-        session.flush()
-    token = uuid.uuid4().hex
-    session.add(LeaseRow(campaign_id=campaign_id, token=token, host=host, pid=os.getpid(), acquired=now, heartbeat=now))
+        connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
+    token, holder = uuid.uuid4().hex, LeaseHolder(host, os.getpid(), now, now)
+    connection.execute(insert(LEASE).values(campaign_id=campaign_id, token=token, **asdict(holder)))
     return LeaseGrant(token, taken_over_from), now
 
 
-def refuse_other_masters(session: Session, token: str | None) -> None:
+def refuse_other_masters(connection: Connection, token: str | None) -> None:
     """Raise `LeaseHeldError` if a living process other than the one with this token writes a campaign."""
-    for row in session.scalars(select(LeaseRow)):
-        if row.token != token and (holder := holder_from_row(row)).may_live():
+    for row in connection.execute(select(LEASE)).all():
+        if row.token != token and (holder := LeaseHolder(*row[2:])).may_live():
             raise lease_held_error(holder)
 
 
-def holder_from_row(row: LeaseRow) -> LeaseHolder:
-    """Build the holder of a lease from its row."""
-    return LeaseHolder(row.host, row.pid, row.acquired, row.heartbeat)
+def lease_holder(connection: Connection, campaign_id: int, *, for_update: bool = False) -> LeaseHolder | None:
+    """Return who holds the lease of a campaign, None if nobody does."""
+    statement = select(*(LEASE.c[field.name] for field in fields(LeaseHolder))).where(
+        LEASE.c.campaign_id == campaign_id
+    )
+    row = connection.execute(statement.with_for_update() if for_update else statement).first()
+    return None if row is None else LeaseHolder(*row)
 
 
 def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
@@ -198,7 +194,7 @@ def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
 
 
-def renew_lease(session: Session, token: str) -> datetime:
+def renew_lease(connection: Connection, token: str) -> datetime:
     """Move the heartbeat to now, and return it.
 
     Raises
@@ -206,10 +202,9 @@ def renew_lease(session: Session, token: str) -> datetime:
     LeaseLostError
         If the row is another process's by now.
     """
-    statement = update(LeaseRow).where(LeaseRow.token == token)
     heartbeat = datetime.now(UTC)
-    result = cast("CursorResult[object]", session.execute(statement.values(heartbeat=heartbeat)))
-    if result.rowcount == 0:
+    renewed = connection.execute(update(LEASE).where(LEASE.c.token == token).values(heartbeat=heartbeat))
+    if renewed.rowcount == 0:
         raise LeaseLostError(
             "Another process has taken this campaign over because this one was silent for too long.",
             "Nothing of this transaction was stored; end this process, the other one goes on.",
@@ -217,6 +212,6 @@ def renew_lease(session: Session, token: str) -> datetime:
     return heartbeat
 
 
-def drop_lease(session: Session, token: str) -> None:
+def drop_lease(connection: Connection, token: str) -> None:
     """Remove the row if it is still this master's."""
-    session.execute(delete(LeaseRow).where(LeaseRow.token == token))
+    connection.execute(delete(LEASE).where(LEASE.c.token == token))

@@ -1,7 +1,9 @@
-"""Queries of a campaign: from a `Selection` to records and columns."""
+"""Reading a campaign: from a `Selection` to records and columns, in which damaged rows are damaged cells."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from datetime import UTC, datetime
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -9,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import (
     ColumnElement,
+    Connection,
     Integer,
     Select,
     SQLColumnExpression,
+    Table,
     and_,
     case,
     cast,
     func,
+    or_,
     select,
     tuple_,
 )
-from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
@@ -27,65 +31,345 @@ from calcidem.storage.records import (
     QUANTITY_BY_NAME,
     AttemptCount,
     AttemptRecord,
-    CampaignRecord,
     CellKey,
     CellResult,
     CellStatus,
+    PackingRecord,
+    RunRecord,
+    WorkerRecord,
     canonical_content,
     checked_seed,
 )
-from calcidem.storage.sql import rows
+from calcidem.storage.records.arrays import unpack_arrays
+from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, row_checksums
+from calcidem.storage.sql.database import OpenDatabase, is_possible
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
-from calcidem.storage.sql.models import (
+from calcidem.storage.sql.lease import Acknowledged, lease_holder
+from calcidem.storage.sql.tables import (
     ARRAYS,
+    ATTEMPT,
+    BRIEF_QUANTITIES,
     CELL,
-    LOST,
+    EXPRESSIONS,
+    PACKING,
     RESULT,
+    RUN,
     STATUS,
-    AttemptRow,
-    CampaignRow,
-    CellRow,
-    expression_of,
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
-from calcidem.storage.store import Selection, StoreMark
+from calcidem.storage.store import ALL_CELLS, Integrity, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")
 
 _ROWS_READ_AT_ONCE = 10_000
-"""Rows that are in memory as Python objects at a time while columns are read."""
+"""Rows that are in memory as Python objects, some fifty times the memory of arrays, while columns are read."""
 
-_KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
-
-_TABLES_OF_CELLS = (CellRow, AttemptRow, RESULT)
-
-_LARGEST_LIMIT = 2**63 - 1
-"""Largest whole number that databases know."""
-
-_MOST_ATTEMPTS = 2**31 - 1
-"""Largest number of an attempt, that of a 32-bit column."""
-
-_BY_KEY = (CellRow.seed, CellRow.content)
-
-KEYS_PER_QUERY = 500
+_KEYS_PER_QUERY = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
 
+_LARGEST_LIMIT = 2**63 - 1  # the largest whole number that databases know
+_MOST_ATTEMPTS = 2**31 - 1  # the largest number of an attempt, that of a 32-bit column
 
-def chunks(items: Iterable[T], size: int = KEYS_PER_QUERY) -> Iterator[list[T]]:
+_BY_KEY = (CELL.c.seed, CELL.c.content)
+_OF_CELL = {name for name, column in EXPRESSIONS.items() if getattr(column, "table", None) is CELL}
+_OF_ATTEMPT = {name for name, column in EXPRESSIONS.items() if getattr(column, "table", None) is ATTEMPT}
+_KINDS = {"real": np.float64, "whole": np.float64, "text": np.object_}
+_DAMAGED_RUN = "damaged: what was stored of this run was changed"
+
+
+def chunks(items: Iterable[T], size: int = _KEYS_PER_QUERY) -> Iterator[list[T]]:
     """Cut what may be too much for the memory into pieces of at most `size`."""
     remaining = iter(items)
     while chunk := list(islice(remaining, size)):
         yield chunk
 
 
+class StoreReader(OpenDatabase):
+    """What a `Store` is asked, none of which changes it."""
+
+    # Provenance
+
+    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
+        """All runs of the campaign with their numbers, oldest first; of a damaged one nothing is given but that."""
+        with self._reading() as connection:
+            statement = select(RUN).where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.id)
+            return tuple((row["id"], _run_of(dict(row))) for row in connection.execute(statement).mappings())
+
+    def lease_holder(self) -> LeaseHolder | None:
+        """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
+        with self._reading() as connection:
+            return lease_holder(connection, self._campaign)
+
+    def packing(self, index: int = 0) -> PackingRecord:
+        """Return a packing of the campaign.
+
+        Raises
+        ------
+        UnknownCellError
+            If there is none of that index (yet).
+        DamagedStoreError
+            If it is not what was stored.
+        """
+        with self._reading() as connection:
+            statement = select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
+            if (row := connection.execute(statement).mappings().first()) is not None:
+                return packing_of(dict(row))
+        raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
+
+    def content_hashes(self) -> dict[int, str | None]:
+        """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
+        with self._reading() as connection:
+            statement = select(PACKING.c.number, PACKING.c.content_hash)
+            statement = statement.where(PACKING.c.campaign_id == self._campaign).order_by(PACKING.c.number)
+            return {row.number: row.content_hash for row in connection.execute(statement)}
+
+    def packing_indices(self) -> tuple[int, ...]:
+        """Return the indices of the stored packings, ascending."""
+        return tuple(self.content_hashes())
+
+    # Status
+
+    def pending(
+        self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
+    ) -> tuple[CellKey, ...]:
+        """Return the planned cells without an outcome, by seed, then content (percent); by default all."""
+        return tuple(self.statuses(Selection(seeds, contents, (CellStatus.PENDING,))))
+
+    def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
+        """Status of each selected cell, by seed, then content; pending where it has no outcome."""
+        columns = self.table(("seed", "content", "status"), selection)
+        keys = map(CellKey, columns["seed"].tolist(), columns["content"].tolist())
+        return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
+
+    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
+        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
+        columns = self.table(("content", "status"))
+        counted = Counter(zip(columns["content"].tolist(), columns["status"].tolist(), strict=True))
+        return {(content, CellStatus(status)): count for (content, status), count in sorted(counted.items())}
+
+    def mark(self) -> StoreMark:
+        """Return what shows whether anything has changed in the database: two equal marks, and no outcome is new."""
+        counts = [select(func.count()).select_from(table).scalar_subquery() for table in (CELL, ATTEMPT, RESULT)]
+        with self._reading() as connection:
+            recorded = select(func.max(ATTEMPT.c.recorded)).scalar_subquery()
+            found: list[Any] = list(connection.execute(select(*counts, recorded)).one())
+        return StoreMark(*found)
+
+    def settled(self) -> int:
+        """Count the planned cells that have an outcome."""
+        statement = select(func.count()).select_from(RESULT).join(CELL, RESULT.c.cell_id == CELL.c.id)
+        with self._reading() as connection:
+            return connection.scalar(statement.where(CELL.c.campaign_id == self._campaign)) or 0
+
+    def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
+        """Count the attempts of these cells (0 if never tried), or of all that were tried again or lost a worker."""
+        losses = func.sum(case((and_(ATTEMPT.c.outcome == "lost", ATTEMPT.c.forgiven.is_(False)), 1), else_=0))
+        # SQLite lets damage put a text, a fraction or a number beyond all attempts there; the next attempt counts on.
+        number = case((ATTEMPT.c.number.between(1, _MOST_ATTEMPTS), cast(ATTEMPT.c.number, Integer)), else_=0)
+        statement = (
+            select(CELL.c.seed, CELL.c.content, func.max(number), losses)
+            .join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id)
+            .where(CELL.c.campaign_id == self._campaign)
+            .group_by(CELL.c.id, CELL.c.seed, CELL.c.content)
+        )
+        listed = None if keys is None else list(keys)
+        counts = dict.fromkeys(listed or (), AttemptCount())
+        with self._reading() as connection:
+            repeated = statement.having(or_(func.max(number) > 1, losses > 0))
+            for part in [repeated] if listed is None else [statement.where(cell_in(c)) for c in chunks(listed)]:
+                for seed, content, attempts, lost in connection.execute(part):
+                    counts[CellKey(seed, content)] = AttemptCount(attempts, int(lost))
+        return counts
+
+    def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
+        """All attempts at the selected cells that are as they were stored, by seed, content and number."""
+        for chunk in self._chunks(selection):
+            with self._reading() as connection:
+                found = [attempt for _, attempt in attempts_or_damage(connection, chunk) if attempt is not None]
+            yield from found
+
+    # Outcomes
+
+    def cell(self, *, seed: int, content: float) -> CellResult:
+        """Return the whole outcome of one cell, with its arrays.
+
+        Raises
+        ------
+        UnknownCellError
+            If the cell has no outcome.
+        """
+        for found in self.results(Selection(seed, content), with_arrays=True):
+            return found
+        raise UnknownCellError(
+            f"The cell of seed {seed} and content {content} % has no outcome.",
+            "See 'pending' in the status, or extend the campaign.",
+        )
+
+    def results(
+        self, selection: Selection = ALL_CELLS, *, with_arrays: bool | Collection[str] = False
+    ) -> Iterator[CellResult]:
+        """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
+
+        Parameters
+        ----------
+        selection : Selection
+        with_arrays : bool or collection of str
+            Whether to load paths, sections and cement patterns, some 50 kB a cell, or which of them (`ARRAY_RECORDS`).
+            The others are None, and are neither read nor compared with their checksums.
+        """
+        wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
+        cells = self._chunks(selection)
+
+        def fetch() -> Iterator[CellResult]:
+            for chunk in cells:
+                with self._reading() as connection:
+                    found = list(_results_of(connection, chunk, wanted))
+                yield from (result for result in found if _is_selected(result.status, selection))
+
+        return fetch()
+
+    def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+        """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
+
+        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`.
+
+        Returns
+        -------
+        iterator of (CellKey, dict or str)
+            Records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
+        """
+        for chunk in self._chunks(selection, RESULT.c.arrays != ""):
+            statement = join_results(select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.cell_id.is_not(None))
+            with self._reading() as connection:
+                arrays = _arrays_of(connection, chunk, ARRAY_RECORDS)
+                rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, chunk)]
+            for row in filter(None, rows):
+                if not (is_possible(checked_seed, row[1]) and is_possible(canonical_content, row[2])):
+                    continue  # its numbers can't be told from those of another cell either
+                try:
+                    yield CellKey(row[1], row[2]), _array_records(row[3], arrays.get(row[0], {}), ARRAY_RECORDS)
+                except UNREADABLE as error:
+                    yield CellKey(row[1], row[2]), _problem_of(error)
+
+    def _chunks(self, selection: Selection, condition: ColumnElement[bool] | None = None) -> Iterator[Sequence[int]]:
+        """Choose the cells at once, by seed, then content; the caller fetches them piece by piece.
+
+        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
+        """
+        statement = join_results(select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
+        with self._reading() as connection:
+            _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
+            try:
+                chosen = statement if condition is None else statement.where(condition)
+                return chunks(connection.scalars(chosen).all())
+            except UNREADABLE as error:
+                if condition is None or not may_be_damage(error):
+                    raise
+            return chunks(connection.scalars(statement).all())
+
+    def table(
+        self,
+        names: Sequence[str],
+        selection: Selection = ALL_CELLS,
+        *,
+        sort: Sequence[str] = (),
+        limit: int | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Return columns of the selected planned cells in one query.
+
+        Rows are compared with the checksum of their brief quantities if neither others nor damaged cells are asked for.
+
+        Parameters
+        ----------
+        names : sequence of str
+            From `calcidem.storage.records.QUANTITY_BY_NAME`.
+        selection : Selection
+        sort : sequence of str
+            Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
+            in the order of seed, then content.
+        limit : int, optional
+            Give the first so many cells only.
+
+        Returns
+        -------
+        dict of str to (cells,) array
+            Object arrays for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where
+            missing), in the units of the quantities.
+
+        Raises
+        ------
+        QueryError
+            For an unknown quantity, a filter that can't be understood, or a negative limit.
+        """
+        if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
+            raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
+        if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
+            raise QueryError(
+                f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
+            )
+        fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
+        seeks_damage = CellStatus.DAMAGED in (selection.statuses or ())
+        outcomes = _Outcomes(None if seeks_damage else fetched)
+        statement = join_results(select(*outcomes.columns)).where(*_conditions(self._campaign, selection))
+        columns = [(EXPRESSIONS[name.removeprefix("-")], name.startswith("-")) for name in sort]
+        order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
+        with self._reading() as connection:
+            _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
+            try:
+                ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
+                rows = connection.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
+                return _with_derived(_listed(rows, outcomes, fetched, selection), names)
+            except UNREADABLE as error:
+                if sort or limit is not None or not may_be_damage(error):
+                    raise  # where a value can't be read there is no order
+            cells = select(CELL.c.id).where(CELL.c.campaign_id == self._campaign).order_by(*_BY_KEY)
+            found = (
+                row
+                for chunk in chunks(connection.scalars(cells).all())
+                for row in _rows_or_keys(connection, statement, chunk)
+            )
+            return _with_derived(_listed(found, outcomes, fetched, selection), names)
+
+    def integrity(self) -> Integrity:
+        """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
+        noted = None if self.address.path is None else Acknowledged.noted_beside(self.address.path)
+        outcomes = self.results(with_arrays=True)
+        damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
+        others = [f"Run {number}: {_DAMAGED_RUN}" for number, run in self.runs() if run.exit_state == _DAMAGED_RUN]
+        for index in self.packing_indices():
+            try:
+                self.packing(index)
+            except DamagedStoreError as error:
+                others.append(f"Packing {index}: {error.problem}")
+        with self._reading() as connection:
+            cells = connection.scalars(select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)).all()
+            for row, attempt in (found for chunk in chunks(cells) for found in attempts_or_damage(connection, chunk)):
+                if attempt is None:
+                    cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
+                    others.append(f"An attempt at {cell} is not what was stored.")
+            if connection.dialect.name == "sqlite":
+                lines = connection.exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
+                others += [f"The file: {line}." for line in lines if line != "ok"]
+            if noted is not None and (lost := noted.describe_loss(connection)) is not None:
+                others.append(lost)
+        return Integrity(damaged, tuple(others))
+
+
+# Conditions
+
+
 def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
-    found = [CellRow.campaign_id == campaign_id]
-    if selection.seeds is not None:
-        found.append(_is_one_of(selection.seeds))
+    found = [CELL.c.campaign_id == campaign_id]
+    if selection.seeds:
+        first, last = selection.seeds[0], selection.seeds[-1]  # a range without gaps, the usual case, needs two only
+        is_range = last - first == len(selection.seeds) - 1
+        found.append(CELL.c.seed.between(first, last) if is_range else CELL.c.seed.in_(selection.seeds))
+    elif selection.seeds is not None:
+        found.append(CELL.c.seed.in_(()))
     if selection.contents is not None:
-        found.append(CellRow.content.in_(selection.contents))
+        found.append(CELL.c.content.in_(selection.contents))
     if selection.statuses is not None and CellStatus.DAMAGED not in selection.statuses:
         # Without pending the plain column will do, which has an index.
         status = STATUS if CellStatus.PENDING in selection.statuses else RESULT.c.status
@@ -93,266 +377,8 @@ def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bo
     if selection.where is not None:
         found.append(parse_where(selection.where))
     if selection.since is not None:
-        found.append(CellRow.id.in_(select(AttemptRow.cell_id).where(AttemptRow.recorded >= selection.since)))
+        found.append(CELL.c.id.in_(select(ATTEMPT.c.cell_id).where(ATTEMPT.c.recorded >= selection.since)))
     return found
-
-
-def _is_one_of(seeds: Iterable[int]) -> ColumnElement[bool]:
-    """Condition on the seed; a range without gaps, the usual case, needs two parameters only."""
-    listed = list(seeds)
-    if listed and listed[-1] - listed[0] == len(listed) - 1:
-        return CellRow.seed.between(listed[0], listed[-1])
-    return CellRow.seed.in_(listed)
-
-
-def refuse_unknown_contents(session: Session, campaign_id: int, selection: Selection) -> None:
-    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
-    unknown = []
-    for content in selection.contents or ():
-        statement = select(CellRow.id).where(CellRow.campaign_id == campaign_id, CellRow.content == content)
-        if session.scalar(statement.limit(1)) is None:
-            unknown.append(f"{content:g} %")
-    if unknown:
-        contents = session.scalars(select(CellRow.content).where(CellRow.campaign_id == campaign_id).distinct())
-        there_are = ", ".join(f"{content:g}" for content in sorted(contents))
-        name = session.scalar(select(CampaignRow.name).where(CampaignRow.id == campaign_id))
-        raise UnknownCellError(
-            f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
-        )
-
-
-def select_cells(session: Session, campaign_id: int, selection: Selection) -> list[int]:
-    """Ids of the selected cells, by seed, then content."""
-    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
-    return list(session.scalars(statement.order_by(CellRow.seed, CellRow.content)))
-
-
-def table(
-    session: Session,
-    campaign_id: int,
-    names: Sequence[str],
-    selection: Selection,
-    sort: Sequence[str] = (),
-    limit: int | None = None,
-) -> dict[str, NDArray[Any]]:
-    """See `Store.table`."""
-    if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
-        raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
-    if not names or (limit is not None and not 0 <= limit <= _LARGEST_LIMIT):
-        raise QueryError(
-            f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."
-        )
-    fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
-    outcome = rows.OutcomeColumns(fetched)
-    statement = join_results(select(*outcome.columns)).where(*_conditions(campaign_id, selection))
-    columns = [(expression_of(name.removeprefix("-")), name.startswith("-")) for name in sort]
-    order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
-    ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
-    try:
-        # Rows as Python objects need some fifty times the memory of arrays, so there are never many of them.
-        found = session.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
-        return _with_derived(_listed_columns(found, outcome, fetched, selection), names)
-    except UNREADABLE as error:
-        if sort or limit is not None or not may_be_damage(error):
-            raise  # where a value can't be read there is no order
-    cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id).order_by(*_BY_KEY)).all()
-    one_by_one = (row for chunk in chunks(cells) for row in _outcome_rows(session, statement, chunk))
-    return _with_derived(_listed_columns(one_by_one, outcome, fetched, selection), names)
-
-
-def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Columns of these names, of which some are derived from those that were fetched."""
-    table = {}
-    for name in names:
-        quantity = QUANTITY_BY_NAME[name]
-        if quantity.formula is None:
-            table[name] = columns[name]
-        else:
-            table[name] = quantity.formula(np.sqrt, *(columns[needed] for needed in quantity.needs))
-    return table
-
-
-def _listed_columns(
-    found: Iterable[Sequence[Any]], outcome: rows.OutcomeColumns, names: Sequence[str], selection: Selection
-) -> dict[str, NDArray[Any]]:
-    """Columns of rows; a damaged cell meets no filter, has no status but that, and no values."""
-    types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
-    places = [outcome.place[name] for name in names]
-    blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
-    for block in chunks(found, _ROWS_READ_AT_ONCE):
-        listed: list[Sequence[Any]] = []
-        for row in filter(_has_key, block):
-            damage = outcome.find_damage(row)
-            status = CellStatus.DAMAGED if damage else row[outcome.place["status"]] or CellStatus.PENDING
-            if selection.statuses is not None and status not in selection.statuses:
-                continue
-            if not damage:
-                listed.append([row[place] for place in places])
-            elif selection.where is None:
-                known = {"seed": row[1], "content": row[2], "status": status.value, "reason": damage}
-                listed.append([known.get(name) for name in names])
-        columns = zip(*listed, strict=True) if listed else blocks[0]
-        blocks.append([np.array(column, dtype=kind) for column, kind in zip(columns, types, strict=True)])
-    table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
-    if "status" in table:
-        table["status"][table["status"] == None] = CellStatus.PENDING.value  # noqa: E711 - of each element
-    return table
-
-
-def _has_key(row: Sequence[Any]) -> bool:
-    """Whether it can be told which cell a row belongs to: damage may have made something else of seed and content."""
-    return _is_possible(checked_seed, row[1]) and _is_possible(canonical_content, row[2])
-
-
-def _is_possible(normalize: Callable[[Any], object], value: object) -> bool:
-    """Whether a value is one that a function gives back as it is."""
-    try:
-        return bool(normalize(value) == value)
-    except (TypeError, ValueError):
-        return False
-
-
-def _outcome_rows(
-    session: Session, statement: Select[*tuple[Any, ...]], cell_ids: Sequence[int]
-) -> Iterator[Sequence[Any]]:
-    """Give the rows of some cells; of one that can't be read its number, seed and content, unless these can't be."""
-    key = select(CellRow.id, CellRow.seed, CellRow.content)
-    for cell_id, row in _readable_rows(session, statement, CellRow.id, cell_ids):
-        if row is not None:
-            yield row
-        else:
-            yield from (key for _, key in _readable_rows(session, key, CellRow.id, [cell_id]) if key is not None)
-
-
-def _readable_rows(
-    session: Session, statement: Select[*tuple[Any, ...]], number: SQLColumnExpression[Any], cell_ids: Sequence[int]
-) -> Iterator[tuple[int, Sequence[Any] | None]]:
-    """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
-    try:
-        found: list[tuple[int, Sequence[Any] | None]] = [
-            (row[0], row) for row in session.execute(statement.where(number.in_(cell_ids)))
-        ]
-    except UNREADABLE as error:
-        if not may_be_damage(error):
-            raise
-        if len(cell_ids) == 1:
-            found = [(cell_ids[0], None)]
-        else:
-            half = len(cell_ids) // 2
-            for part in (cell_ids[:half], cell_ids[half:]):
-                yield from _readable_rows(session, statement, number, part)
-            return
-    yield from found
-
-
-def results_of(session: Session, cell_ids: Sequence[int], arrays_wanted: Collection[str]) -> Iterator[CellResult]:
-    """Outcomes of the cells (those that have one) with these of their arrays, by seed, then content."""
-    outcome = rows.OutcomeColumns()
-    statement = join_results(select(*outcome.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
-    arrays = _arrays_of(session, cell_ids, arrays_wanted) if arrays_wanted else None
-    for row in filter(_has_key, _outcome_rows(session, statement, cell_ids)):
-        try:
-            yield outcome.result(row, None if arrays is None else arrays.get(row[0], {}), arrays_wanted)
-        except UNREADABLE as error:
-            yield CellResult(CellKey(row[1], row[2]), CellStatus.DAMAGED, _problem_of(error))
-
-
-def select_cells_with_arrays(session: Session, campaign_id: int, selection: Selection) -> list[int]:
-    """Ids of the selected cells beside whose outcomes there are arrays, by seed, then content."""
-    statement = join_results(select(CellRow.id)).where(*_conditions(campaign_id, selection))
-    named = statement.where(RESULT.c.checksum.contains(" "))  # the checksums of arrays follow that of the row
-    try:
-        return list(session.scalars(named.order_by(*_BY_KEY)))
-    except UNREADABLE as error:
-        if not may_be_damage(error):
-            raise
-    return select_cells(session, campaign_id, selection)
-
-
-def array_records_of(session: Session, cell_ids: Sequence[int]) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
-    """Arrays beside the outcomes of the cells, or what is damaged of them; see `Store.arrays`."""
-    statement = join_results(select(CellRow.id, CellRow.seed, CellRow.content, RESULT.c.checksum))
-    statement = statement.where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
-    arrays = _arrays_of(session, cell_ids, ARRAY_RECORDS)
-    for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
-        if row is None or not _has_key(row):
-            continue  # its numbers can't be read either
-        try:
-            yield CellKey(row[1], row[2]), rows.array_records(str(row[3] or ""), arrays.get(row[0], {}))
-        except UNREADABLE as error:
-            yield CellKey(row[1], row[2]), _problem_of(error)
-
-
-def _problem_of(error: Exception) -> str:
-    """What is damaged of a cell, as a clause."""
-    return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
-
-
-def _arrays_of(session: Session, cell_ids: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
-    """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
-    number: SQLColumnExpression[Any] = ARRAYS.c.cell_id
-    statement = select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
-    found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
-    for _, row in _readable_rows(session, statement, number, cell_ids):
-        if row is not None and isinstance(row[2], bytes):
-            found[row[0]][row[1]] = row[2]
-    return found
-
-
-def attempts_of(session: Session, cell_ids: Sequence[int]) -> Iterator[AttemptRecord]:
-    """All attempts at the cells that are as they were stored, by seed, content and number."""
-    return (attempt for _, attempt in _attempts_or_damage(session, cell_ids) if attempt is not None)
-
-
-def _attempts_or_damage(
-    session: Session, cell_ids: Sequence[int]
-) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
-    """Rows of the attempts at some cells, None where one can't be read, and what they stand for, None if damaged."""
-    statement = select(CellRow.id, *rows.ATTEMPT_COLUMNS).join(AttemptRow, AttemptRow.cell_id == CellRow.id)
-    statement = statement.order_by(*_BY_KEY, AttemptRow.number)
-    for _, row in _readable_rows(session, statement, CellRow.id, cell_ids):
-        yield row, None if row is None else rows.attempt_from_row(row[1:])
-
-
-def other_damage(session: Session, campaign_id: int) -> list[str]:
-    """Sentences on damaged attempts of a campaign, and on what the database itself finds (PRAGMA integrity_check)."""
-    sentences = []
-    cells = session.scalars(select(CellRow.id).where(CellRow.campaign_id == campaign_id)).all()
-    for chunk in chunks(cells):
-        for row, attempt in _attempts_or_damage(session, chunk):
-            if attempt is None:
-                cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
-                sentences.append(f"An attempt at {cell} is not what was stored.")
-    if session.connection().dialect.name == "sqlite":
-        found = session.connection().exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
-        sentences += [f"The file: {line}." for line in found if line != "ok"]
-    return sentences
-
-
-def attempt_counts(session: Session, campaign_id: int, keys: Sequence[CellKey] | None) -> dict[CellKey, AttemptCount]:
-    """See `Store.attempt_counts`."""
-    losses = func.sum(case((and_(AttemptRow.outcome == LOST, AttemptRow.forgiven.is_(False)), 1), else_=0))
-    # SQLite lets damage put a text, a fraction or a number beyond all attempts there, and the next attempt counts on.
-    number = case((AttemptRow.number.between(1, _MOST_ATTEMPTS), cast(AttemptRow.number, Integer)), else_=0)
-    statement = (
-        select(CellRow.seed, CellRow.content, func.max(number), losses)
-        .join(AttemptRow, AttemptRow.cell_id == CellRow.id)
-        .where(CellRow.campaign_id == campaign_id)
-        .group_by(CellRow.id, CellRow.seed, CellRow.content)
-    )
-    if keys is None:
-        return _counts(session, statement)
-    counts = dict.fromkeys(keys, AttemptCount())
-    for chunk in chunks(keys):
-        counts |= _counts(session, statement.where(cell_in(chunk)))
-    return counts
-
-
-def _counts(session: Session, statement: Select[*tuple[Any, ...]]) -> dict[CellKey, AttemptCount]:
-    return {
-        CellKey(seed, content): AttemptCount(attempts, int(losses))
-        for seed, content, attempts, losses in session.execute(statement)
-    }
 
 
 def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
@@ -361,65 +387,254 @@ def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
     SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
     """
     seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
-    listed = tuple_(CellRow.seed, CellRow.content).in_([(key.seed, key.content) for key in keys])
-    return and_(CellRow.seed.in_(sorted(seeds)), CellRow.content.in_(sorted(contents)), listed)
+    listed = tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
+    return and_(CELL.c.seed.in_(sorted(seeds)), CELL.c.content.in_(sorted(contents)), listed)
 
 
-def status_counts(session: Session, campaign_id: int) -> dict[tuple[float, CellStatus], int]:
-    """See `Store.status_counts`."""
-    columns = table(session, campaign_id, ("content", "status"), Selection())
-    counted = Counter(zip(columns["content"].tolist(), map(CellStatus, columns["status"]), strict=True))
-    return dict(sorted(counted.items()))
+def _is_selected(status: str, selection: Selection) -> bool:
+    """Whether a row is given: a damaged one was chosen by what it is no longer, and meets no filter."""
+    if status == CellStatus.DAMAGED and selection.where is not None:
+        return False
+    return selection.statuses is None or status in selection.statuses
 
 
-def mark(session: Session) -> StoreMark:
-    """See `Store.mark`."""
-    cells, attempts, results = (select(func.count()).select_from(table).scalar_subquery() for table in _TABLES_OF_CELLS)
-    recorded = select(func.max(AttemptRow.recorded)).scalar_subquery()
-    return StoreMark(*session.execute(select(cells, attempts, results, recorded)).one())
-
-
-def count_settled(session: Session, campaign_id: int) -> int:
-    """See `Store.settled`."""
-    statement = select(func.count()).select_from(RESULT).join(CELL, RESULT.c.cell_id == CELL.c.id)
-    return session.scalar(statement.where(CELL.c.campaign_id == campaign_id)) or 0
-
-
-def unchecked_velocities(session: Session, campaign_id: int) -> dict[str, NDArray[Any]]:
-    """See `Store.velocities`."""
-    statement = (
-        select(CellRow.seed, CellRow.content, RESULT.c.status, RESULT.c.vs)
-        .outerjoin(RESULT, RESULT.c.cell_id == CellRow.id)
-        .where(CellRow.campaign_id == campaign_id)
-    )
-    names, kinds = ("seed", "content", "status", "vs"), (np.int64, np.float64, np.object_, np.float64)
-    columns: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in kinds]]
-    for block in session.execute(statement, execution_options={"yield_per": _ROWS_READ_AT_ONCE}).partitions():
-        found = zip(*block, strict=True)
-        columns.append([np.array(values, dtype=kind) for values, kind in zip(found, kinds, strict=True)])
-    return {name: np.concatenate(parts) for name, parts in zip(names, zip(*columns, strict=True), strict=True)}
-
-
-def campaign_record(session: Session, row: CampaignRow) -> CampaignRecord:
-    """Build a campaign with the seeds and contents of its planned cells."""
-
-    def planned(column: InstrumentedAttribute[Any], is_one: Callable[[Any], object]) -> tuple[Any, ...]:
-        """Values of a column; what damage has made of some others is left out."""
-        found = session.scalars(select(column).where(CellRow.campaign_id == row.id).distinct()).all()
-        return tuple(value for value in found if _is_possible(is_one, value))
-
-    record = CampaignRecord(
-        hash=row.hash,
-        name=row.name,
-        config=row.config,
-        contents=planned(CellRow.content, canonical_content),
-        seeds=planned(CellRow.seed, checked_seed),
-        created=row.created,
-    )
-    if record.checksum != row.checksum:
-        raise DamagedStoreError(
-            f"The configuration of campaign '{row.name}', or its hash {row.hash[:12]}, was changed after it had been "
-            "stored.",
-            "Its cells can't be told from those of another campaign: import an exported file into a new database.",
+def _refuse_unknown_contents(connection: Connection, name: str, campaign_id: int, selection: Selection) -> None:
+    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
+    of_campaign = select(CELL.c.content).where(CELL.c.campaign_id == campaign_id)
+    unknown = [
+        f"{content:g} %"
+        for content in selection.contents or ()
+        if connection.scalar(of_campaign.where(CELL.c.content == content).limit(1)) is None
+    ]
+    if unknown:
+        there_are = ", ".join(f"{content:g}" for content in sorted(connection.scalars(of_campaign.distinct())))
+        raise UnknownCellError(
+            f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
         )
-    return record
+
+
+# Rows that may be damaged
+
+
+def _readable_rows(
+    connection: Connection, statement: Select[*tuple[Any, ...]], number: SQLColumnExpression[Any], cells: Sequence[int]
+) -> Iterator[tuple[int, Sequence[Any] | None]]:
+    """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
+    try:
+        found: list[tuple[int, Sequence[Any] | None]] = [
+            (row[0], row) for row in connection.execute(statement.where(number.in_(cells)))
+        ]
+    except UNREADABLE as error:
+        if not may_be_damage(error):
+            raise
+        if len(cells) == 1:
+            found = [(cells[0], None)]
+        else:
+            half = len(cells) // 2
+            for part in (cells[:half], cells[half:]):
+                yield from _readable_rows(connection, statement, number, part)
+            return
+    yield from found
+
+
+def _rows_or_keys(
+    connection: Connection, statement: Select[*tuple[Any, ...]], cells: Sequence[int]
+) -> Iterator[Sequence[Any]]:
+    """Give the rows of some cells; of one that can't be read its number, seed and content, unless these can't be."""
+    key = select(CELL.c.id, *_BY_KEY)
+    for cell_id, row in _readable_rows(connection, statement, CELL.c.id, cells):
+        if row is not None:
+            yield row
+        else:
+            yield from (key for _, key in _readable_rows(connection, key, CELL.c.id, [cell_id]) if key is not None)
+
+
+def _problem_of(error: Exception) -> str:
+    """What is damaged of a cell, as a clause."""
+    return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
+
+
+class _Outcomes:
+    """What a query over outcomes fetches for each cell, and which of its rows are damaged.
+
+    A row begins with number, seed and content of the cell, and the number again if it has an outcome. For the outcome,
+    and for its attempt if that is wanted, there follow a checksum and the columns that it is of.
+
+    Attributes
+    ----------
+    columns : tuple of column
+        To select.
+    place : dict of str to int
+        Place of each quantity in a row.
+    """
+
+    def __init__(self, names: Collection[str] | None = None) -> None:
+        """Fetch what the checksums of these quantities are of; None for everything."""
+        is_brief = names is not None and {*BRIEF_QUANTITIES, *_OF_CELL, *_OF_ATTEMPT}.issuperset(names)
+        parts: list[tuple[Table, str, tuple[str, ...]]] = [
+            (RESULT, "brief_checksum", BRIEF_QUANTITIES) if is_brief else (RESULT, "checksum", covered_columns(RESULT))
+        ]
+        if names is None or not _OF_ATTEMPT.isdisjoint(names):
+            parts.append((ATTEMPT, "checksum", covered_columns(ATTEMPT)))
+        columns: list[Any] = [CELL.c.id, *_BY_KEY, RESULT.c.cell_id]
+        self._parts = []
+        for table, checksum, covered in parts:
+            self._parts.append((table, len(columns), covered))
+            columns += [table.c[checksum], *(table.c[name] for name in covered)]
+        self.columns = tuple(columns)
+        places = {column: place for place, column in enumerate(columns)}
+        self.arrays = places.get(RESULT.c.arrays, 0)
+        self.place = {"status": places[RESULT.c.status]} | {
+            name: places[column] for name, column in EXPRESSIONS.items() if column in places
+        }
+
+    def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
+        """Leave out rows without a key; a damaged one keeps nothing but that, and has as its reason what is damaged."""
+        found = list(rows)
+        contents = {content for content in {row[2] for row in found} if is_possible(canonical_content, content)}
+        if {type(row[1]) for row in found} != {int} or not all(row[1] >= 0 and row[2] in contents for row in found):
+            found = [row for row in found if row[2] in contents and is_possible(checked_seed, row[1])]
+        unread = [place for place, row in enumerate(found) if len(row) < len(self.columns)]
+        damage = dict.fromkeys(unread, "the database can't read it")
+        places = [place for place, row in enumerate(found) if place not in damage and row[3] is not None]
+        columns = list(zip(*(found if len(places) == len(found) else [found[place] for place in places]), strict=True))
+        for table, first, names in self._parts if places else ():
+            covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
+            checksums = row_checksums(table, covered | {"seed": columns[1], "content": columns[2]})
+            what = "its numbers were changed after they" if table is RESULT else "its attempt was changed after it"
+            for place, stored, now in zip(places, columns[first], checksums, strict=True):
+                if stored != now:
+                    damage.setdefault(place, f"{what} had been stored")
+        for place, clause in damage.items():
+            row = [*found[place][:3], *[None] * (len(self.columns) - 3)]
+            row[self.place["status"]] = CellStatus.DAMAGED.value
+            if "reason" in self.place:
+                row[self.place["reason"]] = clause
+            found[place] = row
+        return found
+
+
+def _listed(
+    rows: Iterable[Sequence[Any]], outcomes: _Outcomes, names: Sequence[str], selection: Selection
+) -> dict[str, NDArray[Any]]:
+    """Columns of the rows that are selected."""
+    types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
+    status = outcomes.place["status"]
+    blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
+    for block in chunks(rows, _ROWS_READ_AT_ONCE):
+        judged = outcomes.judge(block)
+        if selection.statuses is not None or selection.where is not None:
+            judged = [row for row in judged if _is_selected(row[status] or CellStatus.PENDING, selection)]
+        if judged:
+            columns = list(zip(*judged, strict=True))
+            listed = [columns[outcomes.place[name]] for name in names]
+            blocks.append([np.array(column, dtype=kind) for column, kind in zip(listed, types, strict=True)])
+    table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
+    if "status" in table:
+        table["status"][table["status"] == None] = CellStatus.PENDING.value  # noqa: E711 - of each element
+    return table
+
+
+def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Columns of these names, of which some are derived from those that were fetched."""
+    return {
+        name: columns[name]
+        if (formula := QUANTITY_BY_NAME[name].formula) is None
+        else formula(np.sqrt, *(columns[needed] for needed in QUANTITY_BY_NAME[name].needs))
+        for name in names
+    }
+
+
+# Records
+
+
+def _results_of(connection: Connection, cells: Sequence[int], wanted: Collection[str]) -> Iterator[CellResult]:
+    """Outcomes of the cells (those that have one) with these of their arrays, by seed, then content."""
+    outcomes = _Outcomes()
+    statement = join_results(select(*outcomes.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+    arrays = _arrays_of(connection, cells, wanted) if wanted else {}
+    for row in outcomes.judge(_rows_or_keys(connection, statement, cells)):
+        key = CellKey(row[1], row[2])
+        values = {name: row[place] for name, place in outcomes.place.items()}
+        try:
+            if values["status"] == CellStatus.DAMAGED:
+                raise DamagedStoreError(values["reason"], "")
+            records = _array_records(row[outcomes.arrays], arrays.get(row[0], {}), wanted) if wanted else {}
+            yield CellResult.from_values(key, values | records)
+        except UNREADABLE as error:
+            yield CellResult(key, CellStatus.DAMAGED, _problem_of(error))
+
+
+def _arrays_of(connection: Connection, cells: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
+    """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
+    number: SQLColumnExpression[Any] = ARRAYS.c.cell_id
+    statement = select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
+    found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
+    for _, row in _readable_rows(connection, statement, number, cells):
+        if row is not None and isinstance(row[2], bytes):
+            found[row[0]][row[1]] = row[2]
+    return found
+
+
+def _array_records(text: str | None, arrays: Mapping[str, bytes], wanted: Collection[str]) -> dict[str, Any]:
+    """Build records of the arrays of a cell, by name, from their bytes and the names and checksums of all of them.
+
+    Raises
+    ------
+    DamagedStoreError
+        If one is not what was stored, or is missing.
+    """
+    stored = {word for word in (text or "").split() if word.partition(":")[0] in wanted}
+    if changed := stored ^ set(arrays_text(arrays).split()):
+        names = ", ".join(sorted({word.partition(":")[0] for word in changed}))
+        raise DamagedStoreError(f"its {names} was changed after it had been stored, or is missing", "")
+    records: dict[str, Any] = {}
+    for name, content in arrays.items():
+        kind: type[Any] = ARRAY_RECORDS[name]
+        unpacked = unpack_arrays(content).items()
+        records[name] = kind(**{field: array if array.ndim else array.item() for field, array in unpacked})
+    return records
+
+
+def attempts_or_damage(
+    connection: Connection, cells: Sequence[int]
+) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
+    """Rows of the attempts at some cells, None where one can't be read, and what they stand for, None if damaged."""
+    names = covered_columns(ATTEMPT)
+    statement = select(CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names))
+    statement = statement.join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id).order_by(*_BY_KEY, ATTEMPT.c.number)
+    rows = [row for _, row in _readable_rows(connection, statement, CELL.c.id, cells)]
+    readable = [row for row in rows if row is not None]
+    columns = list(zip(*readable, strict=True))
+    named = {"seed": columns[1], "content": columns[2]} | dict(zip(names, columns[5:], strict=True)) if readable else {}
+    checksums = iter(row_checksums(ATTEMPT, named) if readable else ())
+    for row in rows:
+        if row is None or row[3] != next(checksums):
+            yield row, None
+        else:
+            values = dict(zip(names, row[5:], strict=True))
+            yield row, AttemptRecord(CellKey(row[1], row[2]), forgiven=bool(row[4]), **values)
+
+
+def packing_of(row: Mapping[str, Any]) -> PackingRecord:
+    """Build a packing from its row.
+
+    Raises
+    ------
+    DamagedStoreError
+        If the row was changed after it had been stored.
+    """
+    if not is_intact(PACKING, row):
+        raise DamagedStoreError(
+            f"The stored packing {row['number']} was changed after it had been stored.",
+            "The results of its cells can be read as before; 'calcidem run' replaces it by the same one of the cache.",
+        )
+    values = {field.name: row[field.name] for field in fields(PackingRecord) if field.name in row}
+    return PackingRecord(index=row["number"], **(values | unpack_arrays(row["grains"])))
+
+
+def _run_of(row: Mapping[str, Any]) -> RunRecord:
+    if not is_intact(RUN, row):
+        return RunRecord({}, "", "", 1, "", datetime.fromtimestamp(0, UTC), exit_state=_DAMAGED_RUN)
+    workers = tuple(WorkerRecord(**worker) for worker in row["workers"] or ())
+    return RunRecord(**({field.name: row[field.name] for field in fields(RunRecord)} | {"workers": workers}))

@@ -1,32 +1,24 @@
 """The store on a SQL database: SQLite by default, PostgreSQL by URL."""
 
-import errno
 import os
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import asdict, replace
-from datetime import datetime
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields, replace
+from datetime import UTC, datetime
 from itertools import product, starmap
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from numpy.typing import NDArray
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
 
 from calcidem.storage.errors import (
-    DamagedStoreError,
-    ForeignDatabaseError,
     ReadOnlyStoreError,
     ReplacedStoreError,
     StoreError,
-    StoreUnavailableError,
     UnknownCampaignError,
     UnknownCellError,
 )
 from calcidem.storage.records import (
-    ARRAY_RECORDS,
     AttemptCount,
     AttemptRecord,
     CampaignRecord,
@@ -38,29 +30,16 @@ from calcidem.storage.records import (
     RunRecord,
     WorkerRecord,
 )
+from calcidem.storage.records.arrays import pack_arrays
+from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.records.run import as_utc
-from calcidem.storage.sql import lease, reading, rows, writing
-from calcidem.storage.sql.checksums import checksum_of
-from calcidem.storage.sql.engine import (
-    Address,
-    bring_log_into_file,
-    execute_on_connect,
-    make_engine,
-    parse_address,
-    transaction,
-)
-from calcidem.storage.sql.models import RUN, CampaignRow, LeaseRow, PackingRow, RunRow
-from calcidem.storage.sql.schema import is_empty, prepare_schema
-from calcidem.storage.store import (
-    ALL_CELLS,
-    RETRIED_BY_DEFAULT,
-    Closable,
-    Integrity,
-    LeaseGrant,
-    LeaseHolder,
-    Selection,
-    StoreMark,
-)
+from calcidem.storage.sql import lease
+from calcidem.storage.sql.checksums import arrays_text, covered_columns, seal
+from calcidem.storage.sql.database import campaign_record
+from calcidem.storage.sql.engine import Address, bring_log_into_file, parse_address, transaction
+from calcidem.storage.sql.reading import StoreReader, attempts_or_damage, cell_in, chunks, packing_of
+from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, PACKING, RESULT, RUN
+from calcidem.storage.store import RETRIED_BY_DEFAULT, LeaseGrant
 
 _CHECKPOINT_INTERVAL = 10.0
 """Seconds after which a writer's next transaction brings the write-ahead log into the file, for whoever copies that."""
@@ -105,7 +84,7 @@ def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     return store
 
 
-class Store(Closable):
+class Store(StoreReader):
     """Campaigns, their cells and their outcomes, kept for good.
 
     On SQLAlchemy; see `open_store`. Its rules:
@@ -137,37 +116,14 @@ class Store(Closable):
         `UnknownCellError`.
 
     A store is a context manager that closes itself. It may be used by one thread at a time.
-
-    Attributes
-    ----------
-    address : Address
-    read_only : bool
     """
 
     def __init__(self, address: Address, *, read_only: bool = False) -> None:
-        self.address = address
-        self.read_only = read_only
-        self._campaign_id: int | None = None
-        self._record: CampaignRecord | None = None
         self._run_id: int | None = None
         self._token: str | None = None
-        self._session: Session | None = None
-        self._closed = False
         self._next_checkpoint = 0.0
-        self._lock = lease.FileLock(address.path) if address.path and not read_only else None
-        _check_file(address, read_only=read_only)
-        if not read_only:
-            _look_before_writing(address)
-        self._engine = make_engine(address, read_only=read_only)
-        try:
-            with transaction(self._engine, address, write=not read_only) as session:
-                statements = prepare_schema(session.connection(), address, read_only=read_only)
-            if statements:
-                execute_on_connect(self._engine, statements)
-            self._file = None if address.path is None else address.path.stat()
-        except BaseException:
-            self._engine.dispose()
-            raise
+        super().__init__(address, read_only=read_only)
+        self._lock = lease.FileLock(None if read_only else address.path)
 
     # Transactions
 
@@ -184,52 +140,39 @@ class Store(Closable):
         """
         chosen = self._campaign_id, self._record, self._run_id
         try:
-            with self._writing() as session:
-                lease.refuse_other_masters(session, self._token)
-                self._session = session
+            with self._writing() as connection:
+                lease.refuse_other_masters(connection, self._token)
                 yield
         except BaseException:
             self._campaign_id, self._record, self._run_id = chosen
             raise
-        finally:
-            self._session = None
-
-    def _reading(self) -> AbstractContextManager[Session]:
-        self._refuse_closed()
-        if self._session is not None:
-            return nullcontext(self._session)
-        return transaction(self._engine, self.address, write=False)
 
     @contextmanager
-    def _writing(self) -> Iterator[Session]:
-        """Open a writing transaction that fails if the lease was lost."""
+    def _writing(self) -> Iterator[Connection]:
+        """Open a writing transaction that fails if the lease was lost, or go on in the one that is open."""
         self._refuse_closed()
-        if self._session is not None:
-            yield self._session
+        if self._shared is not None:
+            yield self._shared
             return
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
-        with transaction(self._engine, self.address, write=True) as session:
-            heartbeat = None if self._token is None else lease.renew_lease(session, self._token)
-            yield session
-        if self._lock is not None and self._token is not None and heartbeat is not None:
+        with transaction(self._engine, self.address, write=True) as connection:
+            heartbeat = None if self._token is None else lease.renew_lease(connection, self._token)
+            self._shared = connection
+            try:
+                yield connection
+            finally:
+                self._shared = None
+        if self._token is not None and heartbeat is not None:
             self._lock.note(self._token, heartbeat)
         if time.monotonic() > self._next_checkpoint:
             self._bring_log_into_file()
-
-    def _refuse_closed(self) -> None:
-        if self._closed:
-            raise StoreUnavailableError(f"{self.address} was closed.", "Open it again to go on with it.")
 
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
             bring_log_into_file(self._engine)
             self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
-
-    def _acknowledged(self) -> lease.Acknowledged | None:
-        """What the last master was told to be stored, unless it has ended in order."""
-        return None if self.address.path is None else lease.Acknowledged.noted_beside(self.address.path)
 
     def _refuse_replaced(self) -> None:
         """Raise `ReplacedStoreError` if what is written would be in no file, or not in that of the name."""
@@ -249,19 +192,16 @@ class Store(Closable):
                 "Put the database back if you can, and run the same command again: it computes what is not in it.",
             )
 
-    @property
-    def _campaign(self) -> int:
-        if self._campaign_id is None:
-            raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
-        return self._campaign_id
+    def close(self) -> None:
+        """Release the lease and all connections; a closed store may be closed again."""
+        try:
+            with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
+                self.release_lease()
+        finally:
+            self._bring_log_into_file()
+            super().close()
 
     # Campaigns and runs
-
-    def campaigns(self) -> tuple[CampaignRecord, ...]:
-        """All campaigns, oldest first."""
-        with self._reading() as session:
-            found = session.scalars(select(CampaignRow).order_by(CampaignRow.id))
-            return tuple(reading.campaign_record(session, row) for row in found)
 
     def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
         """Create the campaign, or continue the one with the same hash and extend its plan by what is new.
@@ -274,40 +214,22 @@ class Store(Closable):
         Raises
         ------
         CampaignMismatchError
-            If the name is taken by a campaign with another hash; the message lists the differences, one
-            nested key a line.
+            If the name is taken by a campaign with another hash, or the hash belongs to other values; the message lists
+            the differences, one nested key a line.
         """
-        with self._writing() as session:
-            row = writing.begin_campaign(session, campaign)
-            writing.plan_cells(session, row.id, starmap(CellKey, product(campaign.seeds, campaign.contents)))
-            record = reading.campaign_record(session, row)
+        with self._writing() as connection:
+            is_it = or_(CAMPAIGN.c.hash == campaign.hash, CAMPAIGN.c.name == campaign.name)
+            found = connection.execute(select(CAMPAIGN).where(is_it)).all()
+            for row in sorted(found, key=lambda row: bool(row.hash != campaign.hash)):
+                refuse_other_campaign(campaign_record(connection, row), campaign)
+            if not found:
+                own = {name: getattr(campaign, name) for name in ("hash", "name", "config", "created", "checksum")}
+                connection.execute(insert(CAMPAIGN).values(own))
+            (row,) = connection.execute(select(CAMPAIGN).where(CAMPAIGN.c.hash == campaign.hash))
+            _plan_cells(connection, row.id, starmap(CellKey, product(campaign.seeds, campaign.contents)))
+            record = campaign_record(connection, row)
         self._campaign_id, self._record = row.id, record
         return record
-
-    def use_campaign(self, name: str | None = None) -> CampaignRecord:
-        """Choose an existing campaign; without a name the only one there is.
-
-        Raises
-        ------
-        UnknownCampaignError
-            If there is none of that name, or several and no name was given.
-        """
-        with self._reading() as session:
-            found = list(session.scalars(select(CampaignRow).order_by(CampaignRow.id)))
-            chosen = [row for row in found if name is None or row.name == name]
-            if len(chosen) != 1:
-                names = ", ".join(f"'{row.name}'" for row in found) or "none"
-                wanted = f"no campaign '{name}'" if name is not None else f"{len(found)} campaigns"
-                raise UnknownCampaignError(f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}.")
-            self._campaign_id, self._record = chosen[0].id, reading.campaign_record(session, chosen[0])
-        return self._record
-
-    @property
-    def record(self) -> CampaignRecord:
-        """The campaign that was chosen, as it was then."""
-        if self._record is None:
-            raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
-        return self._record
 
     def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
         """Plan all cells of seeds x contents (percent) that are not planned yet; return how many were added."""
@@ -315,20 +237,23 @@ class Store(Closable):
 
     def plan(self, keys: Iterable[CellKey]) -> int:
         """Plan cells that are not planned yet; return how many were added."""
-        with self._writing() as session:
-            return writing.plan_cells(session, self._campaign, keys)
+        with self._writing() as connection:
+            return _plan_cells(connection, self._campaign, keys)
 
     def begin_run(self, run: RunRecord) -> int:
         """Store the provenance of a run and return its number.
 
         Attempts recorded from here on belong to it.
         """
-        with self._writing() as session:
-            row = rows.row_from_run(self._campaign, run)
-            session.add(row)
-            session.flush()
-        self._run_id = row.id
-        return row.id
+        row = {field.name: getattr(run, field.name) for field in fields(RunRecord)}
+        row |= {"versions": dict(run.versions), "workers": [asdict(worker) for worker in run.workers]}
+        seal(RUN, [row])
+        with self._writing() as connection:
+            key: Any = connection.execute(
+                insert(RUN).values(row | {"campaign_id": self._campaign})
+            ).inserted_primary_key
+        self._run_id = int(key[0])
+        return self._run_id
 
     def end_run(self, exit_state: str, ended: datetime) -> None:
         """Store how and when the run of `begin_run` ended.
@@ -346,19 +271,12 @@ class Store(Closable):
         self._change_run(workers=list(map(asdict, workers)))
 
     def _change_run(self, **values: object) -> None:
-        with self._writing() as session:
-            row = session.get(RunRow, self._run_id)
-            if row is None:
+        with self._writing() as connection:
+            found = connection.execute(select(RUN).where(RUN.c.id == self._run_id)).mappings().first()
+            if found is None:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
-            for name, value in values.items():
-                setattr(row, name, value)
-            row.checksum = checksum_of(RUN, (), rows.run_columns(row))
-
-    def runs(self) -> tuple[tuple[int, RunRecord], ...]:
-        """All runs of the campaign with their numbers, oldest first."""
-        with self._reading() as session:
-            found = session.scalars(select(RunRow).where(RunRow.campaign_id == self._campaign).order_by(RunRow.id))
-            return tuple((row.id, rows.run_from_row(row)) for row in found)
+            row = dict(found) | values
+            connection.execute(update(RUN).where(RUN.c.id == self._run_id).values(seal(RUN, [row])[0]))
 
     # Lease
 
@@ -373,30 +291,20 @@ class Store(Closable):
         if self._token is not None:
             self.renew_lease()
             return LeaseGrant(self._token, None)
-        if self._lock is not None and not self._lock.acquire():
+        if not self._lock.acquire():
             raise lease.lease_held_error(self.lease_holder())
-        locked = self._lock is not None and self._lock.held
-        noted = self._acknowledged() if locked else None
+        noted = lease.Acknowledged.noted_beside(self.address.path) if self._lock.held and self.address.path else None
         try:
-            with self._writing() as session:
-                lost = None if noted is None else noted.describe_loss(session)
-                grant, heartbeat = lease.claim_lease(session, self._campaign, former_is_dead=locked)
-                if self._lock is not None:
-                    self._lock.forget()
+            with self._writing() as connection:
+                lost = None if noted is None else noted.describe_loss(connection)
+                grant, heartbeat = lease.claim_lease(connection, self._campaign, former_is_dead=self._lock.held)
+                self._lock.forget()
         except BaseException:
-            if self._lock is not None:
-                self._lock.release()
+            self._lock.release()
             raise
         self._token = grant.token
-        if self._lock is not None:
-            self._lock.note(grant.token, heartbeat)
+        self._lock.note(grant.token, heartbeat)
         return replace(grant, lost=lost)
-
-    def lease_holder(self) -> LeaseHolder | None:
-        """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
-        with self._reading() as session:
-            row = session.get(LeaseRow, self._campaign)
-            return None if row is None else lease.holder_from_row(row)
 
     def renew_lease(self) -> None:
         """Say that this master is alive; recording does it too. Call it at least every minute.
@@ -415,15 +323,13 @@ class Store(Closable):
             token, self._token = self._token, None
             try:
                 self._refuse_replaced()
-                if self._lock is not None:
-                    self._lock.forget()
-                with transaction(self._engine, self.address, write=True) as session:
-                    lease.drop_lease(session, token)
+                self._lock.forget()
+                with transaction(self._engine, self.address, write=True) as connection:
+                    lease.drop_lease(connection, token)
             finally:
-                if self._lock is not None:
-                    self._lock.release()
+                self._lock.release()
 
-    # Writing
+    # Outcomes
 
     def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
         """Store a packing under its index; the same one is left as it is, but gets a content hash that it lacks.
@@ -439,8 +345,23 @@ class Store(Closable):
         CampaignMismatchError
             If the index has another packing; the message names the content hashes of both.
         """
-        with self._writing() as session:
-            writing.save_packing(session, self._campaign, packing, replace_state=replace_state)
+        row = {name: getattr(packing, name) for name in covered_columns(PACKING) if name not in {"number", "grains"}}
+        grains = pack_arrays({name: getattr(packing, name) for name in ("x", "y", "radius")})
+        row |= {"number": packing.index, "grains": grains, "wall_stress": dict(packing.wall_stress)}
+        with self._writing() as connection:
+            is_it = and_(PACKING.c.campaign_id == self._campaign, PACKING.c.number == packing.index)
+            known = connection.scalar(select(PACKING.c.content_hash).where(is_it))
+            if replace_state and known is not None and known == packing.content_hash:
+                connection.execute(delete(PACKING).where(is_it))  # whatever else of it is damaged, this one is the same
+            found = connection.execute(select(PACKING).where(is_it)).mappings().first()
+            if found is None:
+                seal(PACKING, [row])
+                connection.execute(insert(PACKING).values(row | {"campaign_id": self._campaign}))
+                return
+            refuse_other_packing(packing_of(dict(found)), packing)
+            kept = dict(found) | {"content_hash": found["content_hash"] or packing.content_hash}
+            kept["state"] = packing.state if replace_state else found["state"]
+            connection.execute(update(PACKING).where(is_it).values(seal(PACKING, [kept])[0]))
 
     def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
         """Store outcomes in one transaction (rules 4 and 5).
@@ -455,8 +376,55 @@ class Store(Closable):
         UnknownCellError
             If a cell is not planned.
         """
-        with self._writing() as session:
-            return writing.record_results(session, self._campaign, self._run_id, results, replace_done=replace_done)
+        stored, recorded = 0, datetime.now(UTC)
+        with self._writing() as connection:
+            for batch in _distinct_batches(result.packed() for result in results):
+                known = _known_cells(connection, self._campaign, [result.key for result in batch])
+                accepted = [
+                    (known[result.key].id, result)
+                    for result in batch
+                    if _gives_way(known[result.key], result, replace_done=replace_done)
+                ]
+                self._replace(connection, accepted, recorded)
+                stored += len(accepted)
+        return stored
+
+    def _replace(
+        self, connection: Connection, accepted: Sequence[tuple[int, PackedResult]], recorded: datetime
+    ) -> None:
+        """Store outcomes in place of what there was.
+
+        An attempt that is there with the same outcome keeps its row: an import has restored it.
+        """
+        ids = [cell_id for cell_id, _ in accepted]
+        for table in (ARRAYS, RESULT):  # arrays without an outcome, which damage leaves, would be in the way
+            connection.execute(delete(table).where(table.c.cell_id.in_(ids)))
+        listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
+        statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
+        existing = {(row.cell_id, row.number): row.outcome for row in connection.execute(statement)}
+        new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
+        outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
+        if outdated:
+            connection.execute(delete(ATTEMPT).where(_attempt_in(outdated)))
+        attempts = []
+        for cell_id, result in new:
+            row: dict[str, Any] = {
+                "cell_id": cell_id,
+                "number": result.attempt,
+                "run_id": self._run_id,
+                "outcome": result.status.value,
+            }
+            row |= {"reason": result.columns["reason"], "seconds": result.columns["seconds"], "rank": result.rank}
+            attempts.append(row | {"host": result.host, "recorded": recorded, "forgiven": False})
+        outcomes = [
+            {name: result.columns.get(name) for name in covered_columns(RESULT)}
+            | {"cell_id": cell_id, "attempt": result.attempt, "arrays": arrays_text(result.arrays)}
+            for cell_id, result in accepted
+        ]
+        _insert(connection, ATTEMPT, seal(ATTEMPT, attempts, [result.key for _, result in new]))
+        _insert(connection, RESULT, seal(RESULT, outcomes, [result.key for _, result in accepted]))
+        arrays = [(i, name, content) for i, result in accepted for name, content in result.arrays.items()]
+        _insert(connection, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
 
     def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
         """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
@@ -468,8 +436,39 @@ class Store(Closable):
         UnknownCellError
             If a cell is not planned.
         """
-        with self._writing() as session:
-            return writing.record_lost(session, self._campaign, self._run_id, list(keys), reason)
+        with self._writing():
+            counts = {
+                key: AttemptCount(count.attempts + 1, count.losses + 1)
+                for key, count in self.attempt_counts(keys).items()
+            }
+            now, run = datetime.now(UTC), self._run_id
+            self.restore_attempts(
+                AttemptRecord(key, count.attempts, "lost", reason, None, None, None, now, run)
+                for key, count in counts.items()
+            )
+        return counts
+
+    def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
+        """Store a history as another store kept it (for imports); attempts that are there already stay.
+
+        Raises
+        ------
+        UnknownCellError
+            If a cell is not planned.
+        """
+        with self._writing() as connection:
+            for chunk in chunks(attempts):
+                known = _known_cells(connection, self._campaign, [attempt.key for attempt in chunk])
+                ids = {attempt.key: known[attempt.key].id for attempt in chunk}
+                listed = _attempt_in([(ids[attempt.key], attempt.number) for attempt in chunk])
+                statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(listed)
+                existing = {(cell_id, number) for cell_id, number in connection.execute(statement)}
+                new = [attempt for attempt in chunk if (ids[attempt.key], attempt.number) not in existing]
+                names = (*covered_columns(ATTEMPT), "forgiven")
+                rows = [
+                    {name: getattr(attempt, name) for name in names} | {"cell_id": ids[attempt.key]} for attempt in new
+                ]
+                _insert(connection, ATTEMPT, seal(ATTEMPT, rows, [attempt.key for attempt in new]))
 
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
@@ -496,272 +495,103 @@ class Store(Closable):
         wrong = _NEVER_RETRIED & set(statuses)
         if wrong:
             raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
-        with self._writing() as session:
-            return writing.make_pending(session, self._campaign, statuses, None if keys is None else list(keys))
+        wanted = None if keys is None else set(keys)
+        is_it = and_(CELL.c.campaign_id == self._campaign, RESULT.c.status.in_([status.value for status in statuses]))
+        statement = select(CELL.c.id, CELL.c.seed, CELL.c.content).join(RESULT, RESULT.c.cell_id == CELL.c.id)
+        with self._writing() as connection:
+            found = connection.execute(statement.where(is_it).order_by(CELL.c.seed, CELL.c.content))
+            ids = {CellKey(seed, content): cell_id for cell_id, seed, content in found}
+            chosen = {key: cell_id for key, cell_id in ids.items() if wanted is None or key in wanted}
+            _drop_outcomes(connection, chosen.values())
+        return tuple(chosen)
 
     def retry_damaged(self, keys: Collection[CellKey]) -> None:
         """Make damaged cells (of `integrity`) pending again, and drop their attempts that are damaged."""
-        with self._writing() as session:
-            writing.drop_damaged(session, self._campaign, keys)
-
-    def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
-        """Store a history as another store kept it (for imports); attempts that are there already stay.
-
-        Raises
-        ------
-        UnknownCellError
-            If a cell is not planned.
-        """
-        with self._writing() as session:
-            writing.restore_attempts(session, self._campaign, attempts)
-
-    # Reading
-
-    def packing(self, index: int = 0) -> PackingRecord:
-        """Return a packing of the campaign.
-
-        Raises
-        ------
-        UnknownCellError
-            If there is none of that index (yet).
-        DamagedStoreError
-            If it is not what was stored.
-        """
-        with self._reading() as session:
-            statement = select(PackingRow).where(PackingRow.campaign_id == self._campaign, PackingRow.number == index)
-            if (row := session.scalar(statement)) is not None:
-                return rows.packing_from_row(row)
-        raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
-
-    def content_hashes(self) -> dict[int, str | None]:
-        """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
-        with self._reading() as session:
-            statement = select(PackingRow.number, PackingRow.content_hash)
-            statement = statement.where(PackingRow.campaign_id == self._campaign).order_by(PackingRow.number)
-            return {row.number: row.content_hash for row in session.execute(statement)}
-
-    def packing_indices(self) -> tuple[int, ...]:
-        """Return the indices of the stored packings, ascending."""
-        return tuple(self.content_hashes())
-
-    def pending(
-        self, seeds: Collection[int] | None = None, contents: Collection[float] | None = None
-    ) -> tuple[CellKey, ...]:
-        """Return the planned cells without an outcome, by seed, then content (percent); by default all."""
-        return tuple(self.statuses(Selection(seeds, contents, (CellStatus.PENDING,))))
-
-    def statuses(self, selection: Selection = ALL_CELLS) -> dict[CellKey, CellStatus]:
-        """Status of each selected cell, by seed, then content; pending where it has no outcome."""
-        columns = self.table(("seed", "content", "status"), selection)
-        keys = map(CellKey, columns["seed"].tolist(), columns["content"].tolist())
-        return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
-
-    def status_counts(self) -> dict[tuple[float, CellStatus], int]:
-        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
-        with self._reading() as session:
-            return reading.status_counts(session, self._campaign)
-
-    def mark(self) -> StoreMark:
-        """Return what shows whether anything has changed in the database: two equal marks, and no outcome is new."""
-        with self._reading() as session:
-            return reading.mark(session)
-
-    def settled(self) -> int:
-        """Count the planned cells that have an outcome."""
-        with self._reading() as session:
-            return reading.count_settled(session, self._campaign)
-
-    def velocities(self) -> dict[str, NDArray[Any]]:
-        """Return seed, content, status and vs of all planned cells as they stand there, not compared with checksums.
-
-        That takes a tenth of the time of `table`, and is good for a first look that `table` will mend. Status is None
-        of pending cells, vs (m/s) is NaN where there is none.
-        """
-        with self._reading() as session:
-            return reading.unchecked_velocities(session, self._campaign)
-
-    def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
-        """Count the attempts of these cells, or of all that were tried; a cell never tried counts 0."""
-        with self._reading() as session:
-            return reading.attempt_counts(session, self._campaign, None if keys is None else list(keys))
-
-    def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
-        """All attempts at the selected cells, by seed, content and number."""
-        for chunk in self._chunks(selection):
-            with self._reading() as session:
-                found = list(reading.attempts_of(session, chunk))
-            yield from found
-
-    def cell(self, *, seed: int, content: float) -> CellResult:
-        """Return the whole outcome of one cell, with its arrays.
-
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome.
-        """
-        for found in self.results(Selection(seed, content), with_arrays=True):
-            return found
-        raise UnknownCellError(
-            f"The cell of seed {seed} and content {content} % has no outcome.",
-            "See 'pending' in the status, or extend the campaign.",
-        )
-
-    def results(
-        self, selection: Selection = ALL_CELLS, *, with_arrays: bool | Collection[str] = False
-    ) -> Iterator[CellResult]:
-        """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
-
-        Parameters
-        ----------
-        selection : Selection
-        with_arrays : bool or collection of str
-            Whether to load paths, sections and cement patterns, some 50 kB a cell, or which of them (`ARRAY_RECORDS`).
-            The others are None, and are neither read nor compared with their checksums.
-        """
-        arrays = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
-        chunks = self._chunks(selection)
-
-        def fetch() -> Iterator[CellResult]:
-            for chunk in chunks:
-                with self._reading() as session:
-                    found = list(reading.results_of(session, chunk, arrays))
-                for result in found:
-                    # A damaged one was chosen by what it is no longer.
-                    is_filtered = result.status is CellStatus.DAMAGED and selection.where is not None
-                    if not is_filtered and (selection.statuses is None or result.status in selection.statuses):
-                        yield result
-
-        return fetch()
-
-    def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
-        """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
-
-        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`.
-
-        Returns
-        -------
-        iterator of (CellKey, dict or str)
-            Records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
-        """
-        with self._reading() as session:
-            cells = reading.select_cells_with_arrays(session, self._campaign, selection)
-        for chunk in reading.chunks(cells):
-            with self._reading() as session:
-                found = list(reading.array_records_of(session, chunk))
-            yield from found
-
-    def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
-        """Choose the cells at once, then let the caller fetch them piece by piece.
-
-        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
-        """
-        with self._reading() as session:
-            reading.refuse_unknown_contents(session, self._campaign, selection)
-            return reading.chunks(reading.select_cells(session, self._campaign, selection))
-
-    def integrity(self) -> Integrity:
-        """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
-        noted = self._acknowledged()
-        outcomes = self.results(with_arrays=True)
-        damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
-        others = [
-            f"Run {number}: {run.exit_state}" for number, run in self.runs() if run.exit_state == rows.DAMAGED_RUN
-        ]
-        for index in self.packing_indices():
-            try:
-                self.packing(index)
-            except DamagedStoreError as error:
-                others.append(f"Packing {index}: {error.problem}")
-        with self._reading() as session:
-            others += reading.other_damage(session, self._campaign)
-            lost = None if noted is None else noted.describe_loss(session)
-            others += [] if lost is None else [lost]
-        return Integrity(damaged, tuple(others))
-
-    def table(
-        self,
-        names: Sequence[str],
-        selection: Selection = ALL_CELLS,
-        *,
-        sort: Sequence[str] = (),
-        limit: int | None = None,
-    ) -> dict[str, NDArray[Any]]:
-        """Return columns of the selected planned cells in one query.
-
-        Parameters
-        ----------
-        names : sequence of str
-            From `calcidem.storage.records.QUANTITY_BY_NAME`.
-        selection : Selection
-        sort : sequence of str
-            Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
-            in the order of seed, then content.
-        limit : int, optional
-            Give the first so many cells only.
-
-        Returns
-        -------
-        dict of str to (cells,) array
-            Object arrays for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where
-            missing), in the units of the quantities.
-
-        Raises
-        ------
-        QueryError
-            For an unknown quantity, a filter that can't be understood, or a negative limit.
-        """
-        with self._reading() as session:
-            reading.refuse_unknown_contents(session, self._campaign, selection)
-            return reading.table(session, self._campaign, names, selection, sort, limit)
-
-    # Life
-
-    def close(self) -> None:
-        """Release the lease and all connections; a closed store may be closed again."""
-        try:
-            with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
-                self.release_lease()
-        finally:
-            self._closed = True
-            self._bring_log_into_file()
-            self._engine.dispose()
+        with self._writing() as connection:
+            for chunk in chunks(keys):
+                ids = {row.id: key for key, row in _known_cells(connection, self._campaign, chunk).items()}
+                _drop_outcomes(connection, ids)
+                found = attempts_or_damage(connection, list(ids))
+                good = {(attempt.key, attempt.number) for _, attempt in found if attempt is not None}
+                statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(ATTEMPT.c.cell_id.in_(ids))
+                stored = connection.execute(statement).all()
+                if bad := [(cell_id, number) for cell_id, number in stored if (ids[cell_id], number) not in good]:
+                    connection.execute(delete(ATTEMPT).where(_attempt_in(bad)))
 
 
-def _check_file(address: Address, *, read_only: bool) -> None:
-    """Say in plain words what is wrong with a path, where SQLite only says "unable to open database file"."""
-    path = address.path
-    if path is None:
-        return
-    if path.is_dir():
-        raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
-    if path.exists() and not _can_be_read_from_its_beginning(path):
-        raise ForeignDatabaseError(f"{path} is not a database file.", "Give a file name, not that of a device.")
-    if read_only and not path.exists():
-        raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
-    if not path.parent.is_dir():
-        raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
+def _plan_cells(connection: Connection, campaign_id: int, keys: Iterable[CellKey]) -> int:
+    """Plan the cells that are not planned yet, by seed, then content; return how many."""
+    statement = select(CELL.c.seed, CELL.c.content).where(CELL.c.campaign_id == campaign_id)
+    planned = {(seed, content) for seed, content in connection.execute(statement)}
+    new = [key for key in sorted(set(keys)) if (key.seed, key.content) not in planned]
+    _insert(connection, CELL, [{"campaign_id": campaign_id, "seed": key.seed, "content": key.content} for key in new])
+    return len(new)
 
 
-def _can_be_read_from_its_beginning(path: Path) -> bool:
-    """Whether this is a file, and not one of the kernel's that only look like one."""
-    if not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            file.read(1)
-    except OSError as error:
-        return error.errno != errno.EIO  # what else is wrong SQLite says
-    return True
+def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedResult]]:
+    """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
+    for chunk in chunks(results):
+        batch: dict[CellKey, PackedResult] = {}
+        for result in chunk:
+            if result.key in batch:
+                yield list(batch.values())
+                batch = {}
+            batch[result.key] = result
+        yield list(batch.values())
 
 
-def _look_before_writing(address: Address) -> None:
-    """Refuse a file of another program before a writing connection changes it by setting the journal mode."""
-    if address.path is None or not address.path.exists() or address.path.stat().st_size == 0:
-        return
-    engine = make_engine(address, read_only=True)
-    try:
-        with transaction(engine, address, write=False) as session:
-            is_empty(session.connection(), address)
-    finally:
-        engine.dispose()
+class _Known(NamedTuple):
+    """A planned cell, and its outcome if it has one."""
+
+    id: int
+    status: str | None
+    attempt: int | None
+
+
+def _known_cells(connection: Connection, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
+    """What is known of planned cells.
+
+    Raises
+    ------
+    UnknownCellError
+        If one is not planned.
+    """
+    statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
+    statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
+    statement = statement.where(CELL.c.campaign_id == campaign_id, cell_in(keys))
+    known = {CellKey(seed, content): _Known(*row) for seed, content, *row in connection.execute(statement)}
+    for key in keys:
+        if key not in known:
+            raise UnknownCellError(
+                f"Seed {key.seed} with content {key.content} % is not part of the campaign's plan.",
+                "Extend the plan (begin_campaign or extend) before storing its outcome.",
+            )
+    return known
+
+
+def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bool:
+    """Rule 5 of the contract: whether the stored outcome gives way to the new one."""
+    if known.status is None or known.attempt is None:
+        return True
+    if known.status == CellStatus.DONE:
+        return replace_done
+    return result.status is CellStatus.DONE or result.attempt >= known.attempt
+
+
+def _insert(connection: Connection, table: Table, rows: Sequence[dict[str, Any]]) -> None:
+    if rows:
+        connection.execute(insert(table), rows)
+
+
+def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
+    """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
+    listed = tuple_(ATTEMPT.c.cell_id, ATTEMPT.c.number).in_(numbered)
+    return and_(ATTEMPT.c.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
+
+
+def _drop_outcomes(connection: Connection, cell_ids: Iterable[int]) -> None:
+    """Make cells pending, and forgive the losses counted for them."""
+    for chunk in chunks(cell_ids):
+        for table in (ARRAYS, RESULT):
+            connection.execute(delete(table).where(table.c.cell_id.in_(chunk)))
+        connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(chunk)).values(forgiven=True))

@@ -18,7 +18,7 @@ from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, 
 
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME
-from calcidem.storage.sql.models import expression_of
+from calcidem.storage.sql.tables import EXPRESSIONS
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
@@ -154,7 +154,7 @@ def _storable(word: str) -> bool:
 
 def _quantity(name: str, text: str) -> SQLColumnExpression[Any]:
     if name in QUANTITY_BY_NAME:
-        return expression_of(name)
+        return EXPRESSIONS[name]
     close = difflib.get_close_matches(name, list(QUANTITY_BY_NAME), n=1)
     hint = f"Did you mean '{close[0]}'?" if close else f"Known are: {', '.join(QUANTITY_BY_NAME)}."
     raise QueryError(f"The filter '{text}' names the unknown quantity '{name}'.", hint)

@@ -73,9 +73,10 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
 
 
 def test_damaged_cells_are_shown_and_can_be_selected(complete: Path, invoke: Invoke) -> None:
-    """Status counts them, and a query by status lists them without any number."""
-    change(complete, "UPDATE result SET vs_peak = 1.0")
+    """Status counts those without a true velocity, and a query by status lists all of them without any number."""
+    change(complete, "UPDATE result SET vs = 1.0")
     assert "1 damaged" in invoke("status", complete)
+    change(complete, "UPDATE result SET vs = 1.0, vs_peak = 1.0")
     found = invoke("query", complete, "--status", "damaged", "--columns", "seed,content,vs,reason", "--format", "csv")
     assert found.splitlines()[1:] == ["1,5.0,,its numbers were changed after they had been stored"]
 

