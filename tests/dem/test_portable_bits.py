@@ -55,8 +55,12 @@ def test_two_processors_give_the_bits_that_are_kept() -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("processor", playable())
 def test_every_processor_gives_the_bits_that_are_kept(processor: str) -> None:
-    """The same for every processor that this computer can play, one and eight lanes, with and without cement."""
-    assert hashes_on([processor])[processor] == expected()
+    """The same for every processor that this computer can play, one and eight lanes, with and without cement.
+
+    Then as the preset `paper` computes, in single precision: there a double may make a whole array double, or may not.
+    """
+    found = hashes_on([processor])[processor] | hashes_on([processor], "--single")[processor]
+    assert found == expected()
 
 
 def in_last_places(values: np.ndarray, exact: np.ndarray) -> float:
