@@ -1,11 +1,9 @@
 """Prints a hash of everything whose bits must not depend on the processor: a line ``hash name`` for each.
 
     python program.py small|paper [--packing FILE] [--regimes linear finite] [--lanes 1 8] [--contents 0 2.55]
-    python program.py small --single [--lanes 16] ...
 
 ``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper-small-pulse`. With ``--packing`` the
-waves run through a packing of that file, which is written if it is not there. ``--single`` is as the preset `paper`
-computes: single precision, driven grains and a louder pulse in the finite regime, by default in 16 lanes.
+waves run through a packing of that file, which is written if it is not there.
 """
 
 import argparse
@@ -56,7 +54,7 @@ def packed(scene: str) -> Packing:
     return make_packing(PAPER.packing, PAPER.sand, generator)
 
 
-def experiment_on(scene: str, packing: Packing, regime: str, *, single: bool = False) -> Experiment:
+def experiment_on(scene: str, packing: Packing, regime: str) -> Experiment:
     """Experiment of a scene."""
     if scene == "small":
         wave = replace(SMALL_WAVE, amplitude=1e-4 if regime == "linear" else 1e-3)
@@ -66,12 +64,7 @@ def experiment_on(scene: str, packing: Packing, regime: str, *, single: bool = F
         )
     else:
         experiment = PAPER.experiment(packing)
-    wave = replace(experiment.wave, regime=regime)
-    if single:
-        wave = replace(wave, precision="float32")
-        if regime == "finite":
-            wave = replace(wave, transmitter="driven", amplitude=1e-2)
-    return replace(experiment, wave=wave)
+    return replace(experiment, wave=replace(experiment.wave, regime=regime))
 
 
 def hash_of_packing(packing: Packing) -> str:
@@ -117,8 +110,7 @@ def main() -> None:
     parser.add_argument("scene", choices=("small", "paper"))
     parser.add_argument("--packing", type=Path)
     parser.add_argument("--regimes", nargs="*", default=["linear", "finite"])
-    parser.add_argument("--lanes", nargs="*", type=int)
-    parser.add_argument("--single", action="store_true")
+    parser.add_argument("--lanes", nargs="*", type=int, default=[1, 8])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
     options = parser.parse_args()
     file = options.packing
@@ -127,12 +119,10 @@ def main() -> None:
         file.write_bytes(packing_to_bytes(packing))
     tell(hash_of_packing(packing), "packing")
     tell(hash_of_cement(experiment_on(options.scene, packing, "linear")), "cement")
-    widths = options.lanes or ([16] if options.single else [1, 8])
-    for regime, lanes, content in product(options.regimes, widths, options.contents):
-        experiment = experiment_on(options.scene, packing, regime, single=options.single)
-        cells = measure(experiment, content, SEEDS[:lanes], lanes=lanes)
+    for regime, lanes, content in product(options.regimes, options.lanes, options.contents):
+        cells = measure(experiment_on(options.scene, packing, regime), content, SEEDS[:lanes], lanes=lanes)
         for name, value in hashes_of_cells(cells):
-            tell(value, f"{name}, {regime}{', single' * options.single}, lanes={lanes}, {content:g} %")
+            tell(value, f"{name}, {regime}, lanes={lanes}, {content:g} %")
 
 
 if __name__ == "__main__":
