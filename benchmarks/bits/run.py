@@ -7,6 +7,7 @@
 The scene is the paper's packing of 4,663 disks, made anew on every processor, then cemented and crossed by waves in the
 linear and the finite regime, in one lane and in eight. ``--verify`` lets `calcidem verify` compute cells of databases
 again, and of files that `calcidem import` makes databases of, on every processor. ``--on`` runs a command.
+`on_aarch64.sh` beside this file runs a program on an emulated aarch64.
 """
 
 import argparse
@@ -24,7 +25,7 @@ sys.path.insert(0, str(PROGRAM.parent))
 
 from processors import PROCESSORS, environment, playable
 
-KINDS = ("packing", "step", "cement", "signal", "Vs")
+KINDS = ("packing", "step", "cement", "section", "Vs")
 COMMAND = [sys.executable, "-c", "from calcidem.app.cli.main import main; main()"]
 
 

@@ -2,6 +2,9 @@
 
 import json
 import math
+import os
+import platform
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -57,6 +60,31 @@ def test_two_processors_give_the_bits_that_are_kept() -> None:
 def test_every_processor_gives_the_bits_that_are_kept(processor: str) -> None:
     """The same for every processor that this computer can play, one and eight lanes, with and without cement."""
     assert hashes_on([processor])[processor] == expected()
+
+
+@pytest.mark.full
+def test_an_emulated_aarch64_gives_the_bits_that_are_kept(tmp_path: Path) -> None:
+    """One case in the finite regime, from the packing to the velocity; numba compiles for aarch64.
+
+    The variable AARCH64_FOLDER names the folder of a former call, which saves making it.
+    """
+    if shutil.which("apt-get") is None or platform.freedesktop_os_release().get("VERSION_CODENAME") != "bookworm":
+        pytest.skip("QEMU and Python for aarch64 are taken from Debian 12, and this is another system")
+    script = FOLDER.parents[2] / "benchmarks" / "bits" / "on_aarch64.sh"
+    run = [str(script), os.environ.get("AARCH64_FOLDER", str(tmp_path))]
+    asked = [*run, "-c", "import platform; print(platform.machine())"]
+    made = subprocess.run(asked, check=False, capture_output=True, text=True)
+    if made.returncode != 0:
+        pytest.skip(f"no emulated aarch64: {made.stderr.strip().splitlines()[-1]}")
+    assert made.stdout.strip() == "aarch64"
+    case = ("--regimes", "finite", "--lanes", "8", "--contents", "2.55")
+    done = subprocess.run(
+        [*run, str(FOLDER / "program.py"), "small", *case], check=True, capture_output=True, text=True
+    )
+    found = {line.split(" ", 1)[1]: line.split(" ", 1)[0] for line in done.stdout.splitlines()}
+    kept = expected()
+    assert found == {key: kept[key] for key in found}
+    assert len(found) == 5
 
 
 def in_last_places(values: np.ndarray, exact: np.ndarray) -> float:

@@ -91,7 +91,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
         )
     if drawn < len(shown):
         remarks.append(
-            f"Space-time sections of the first {drawn} seeds are in this page; "
+            f"Space-time sections of {f'the first {drawn}' if drawn else 'no'} seeds are in this page; "
             "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
         )
     return _CellData(blocks, tuple(remarks))

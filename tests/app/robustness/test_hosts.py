@@ -141,6 +141,35 @@ def test_hosts_need_no_shared_folder(trial: HostTrial, undisturbed: Cells) -> No
     assert trial.cells() == undisturbed
 
 
+def test_dask_workers_on_other_hosts_compute(trial: HostTrial, undisturbed: Cells) -> None:
+    """Scheduler and command on one host, a worker on each of the others: the bits are those of one host."""
+    pytest.importorskip("distributed")
+    address, environment = "tcp://nodeA:8786", os.environ | trial.variables | {"OMP_NUM_THREADS": "1"}
+    worker = ("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60")
+    programs = [("nodeA", ("scheduler", "--host", "nodeA", "--port", "8786", "--no-dashboard"))]
+    programs += [(host, worker) for host in ("nodeB", "nodeC")]
+    running = [
+        subprocess.Popen(
+            [*trial.on(host), sys.executable, "-m", f"distributed.cli.dask_{name}", *options],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for host, (name, *options) in programs
+    ]
+    command = [*trial.on("nodeA"), sys.executable, "-m", "calcidem", "run", "c.toml", "--dask", address]
+    with (trial.folder / "output").open("w") as output:
+        process = subprocess.Popen(command, env=environment, stdout=output, stderr=output, text=True)
+    try:
+        ended = trial.finish(process)
+    finally:
+        for program in running:
+            program.kill()
+            program.wait()
+    assert ended.code == 0, ended.output
+    assert trial.cells() == undisturbed
+
+
 @pytest.mark.parametrize("limit", [None, LIMIT], ids=["no limit", "time limit"])
 def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: Cells, limit: float | None) -> None:
     """The run notices it by the host's silence, or earlier by a time limit, completes on the others and ends with 0."""

