@@ -202,6 +202,35 @@ def test_a_fit_without_readable_seeds_ends_with_its_start() -> None:
     assert "at 0.5 % 0 of 20 seeds" in found.doubts[1]
 
 
+def test_a_parameter_without_effect_is_doubted_and_the_others_are_fitted() -> None:
+    """Its value stays, nothing is said of its deviation, and the fit is that without it."""
+    measure = synthetic(20, 5)
+
+    def blind(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        return measure([{"a": values["a"]} for values in tried])
+
+    found = fit_to_targets(blind, FitPlan([Target(0.5, 300.0), Target(5.0, 150.0)], SYNTHETIC, range(20)), [2.0, 1.5])
+    assert found.values == pytest.approx({"a": 3.0, "b": 1.5}, rel=0.05)
+    assert np.isfinite(found.deviations["a"])
+    assert np.isnan(found.deviations["b"])
+    assert "b changes no Vs at these contents: leave it out" in found.doubts
+
+
+def test_steps_that_no_seed_survives_are_a_doubt() -> None:
+    """A fit whose every step leads to samples without velocity ends where it is, and says so."""
+    measure = synthetic(20, 5, contents=1)
+
+    def fragile(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        return [
+            vs if values["a"] < 2.13 else np.full_like(vs, np.nan)
+            for values, vs in zip(tried, measure(tried), strict=True)
+        ]
+
+    found = fit_to_targets(fragile, FitPlan([Target(0.5, 600.0)], SYNTHETIC[:1], range(20)), [2.0])
+    assert found.values["a"] == pytest.approx(2.0)
+    assert any(text.startswith("it ended before it converged: a trial left 0 of 20 seeds") for text in found.doubts)
+
+
 def test_trials_that_a_stop_cut_off_are_measured_again(
     configuration: Configuration, small_packing: Packing, tmp_path: Path
 ) -> None:

@@ -100,6 +100,18 @@ WRONG = {
         "[packing]\nwidth = 0.008\n",
         ("packing.diameter", "at least 4 disks have to fit across the box"),
     ),
+    "receiver narrower than a grain": (
+        "[wave]\nreceiver_half_width = 1e-4\n",
+        ("wave.receiver_half_width = 0.0001", "give at least the smallest radius, 0.00106 m"),
+    ),
+    "pulse too loud for its regime": (
+        '[wave]\nregime = "linear"\namplitude = 50.0\n',
+        ("wave.amplitude = 50.0", "which the regime linear cannot stand for", 'choose regime = "finite" or'),
+    ),
+    "pulse too loud for a fixed geometry": (
+        '[wave]\nregime = "small"\namplitude = 50.0\n',
+        ("wave.amplitude = 50.0", "0.05 radii of the smallest disk"),
+    ),
     "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.5")),
     "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give a whole number of 0 or more")),
     "text for a number": ('[sand]\nfriction = "high"\n', ('sand.friction = "high"', "is not a number")),
@@ -302,7 +314,7 @@ def test_a_class_refuses_in_the_words_of_the_reference() -> None:
 @given(st.floats(min_value=1e-30, max_value=1e30))
 def test_numbers_are_read_to_the_last_bit(amplitude: float) -> None:
     """No digit of a number is lost on its way into the class that uses it."""
-    assert read_configuration({"wave": {"amplitude": amplitude}}).wave.amplitude == amplitude
+    assert read_configuration({"wave": {"regime": "finite", "amplitude": amplitude}}).wave.amplitude == amplitude
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -396,7 +408,10 @@ def test_a_number_of_seeds_stands_for_its_list(count: int) -> None:
 @given(st.integers(min_value=1, max_value=10**6))
 def test_whole_numbers_are_the_same_as_their_decimals(amplitude: int) -> None:
     """`5` and `5.0` in a file give the same hash."""
-    hashes = {read_configuration({"wave": {"amplitude": value}}).hash for value in (amplitude, float(amplitude))}
+    hashes = {
+        read_configuration({"wave": {"regime": "finite", "amplitude": value}}).hash
+        for value in (amplitude, float(amplitude))
+    }
     assert len(hashes) == 1
 
 

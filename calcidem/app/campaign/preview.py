@@ -81,8 +81,8 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
     if packing is None:
         yield (
-            "Packing: not made yet: make it with 'calcidem run --packing-only', and check again whether it holds\n"
-            "  these contents, and which of them are hard to read."
+            "Packing: not made yet: make it with 'calcidem run CONFIG --packing-only', and check again whether it holds"
+            "\n  these contents, and which of them are hard to read."
         )
         return
     for warning in packing_warnings(configuration, packing):

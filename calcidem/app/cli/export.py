@@ -1,4 +1,4 @@
-"""``calcidem export``: a campaign as a NetCDF file, or one of its samples for other programs."""
+"""``calcidem export``: a campaign as a NetCDF file or a crate, or one of its samples for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,10 +7,14 @@ import typer
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 
+_LICENCE = "CC-BY-4.0"
+
 
 def export_command(
     database: Database,
-    out: Annotated[Path, typer.Argument(metavar="OUT.nc|.vtu|.csv", help="File to write or replace.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT.nc|.zip|.vtu|.csv", help="File to write or replace; a crate is a zip file.")
+    ],
     seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the sample.")] = None,
     content: Annotated[
         float | None, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Its calcite content.")
@@ -23,12 +27,40 @@ def export_command(
             help="Leave these arrays of single cells, nearly all of the NetCDF file, out; may be repeated.",
         ),
     ] = None,
+    crate: Annotated[
+        bool,
+        typer.Option(
+            "--crate", help="Write an RO-Crate: NetCDF file, configuration, packing, report, versions, licence."
+        ),
+    ] = False,
+    licence: Annotated[
+        str, typer.Option(metavar="SPDX", help="Of the data in the crate, such as CC0-1.0, or an address.")
+    ] = _LICENCE,
+    author: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Author of the data in the crate; may be repeated.")
+    ] = None,
 ) -> None:
     """Write a campaign to a NetCDF file, or one sample of it to a file of another program.
+
+    With --crate: all that others need to read the campaign, cite it and compute it again.
 
     With --seed and --content: the sample with its contacts and cement for ParaView (.vtu), or the disks of its packing
     as CSV (x, y, radius in m).
     """
+    if crate:
+        if without or seed is not None or content is not None:
+            raise typer.BadParameter(
+                "give no --without, --seed and --content: a crate is complete", param_hint="--crate"
+            )
+        from calcidem.app.cli.terminal import progress_bar
+        from calcidem.app.report.crate import write_crate
+
+        with progress_bar("Report") as watch:
+            out = write_crate(database, out, campaign_name=campaign, licence=licence, authors=author or (), watch=watch)
+        typer.echo(f"Wrote {out}, licence {licence}")
+        return
+    if author or licence != _LICENCE:
+        raise typer.BadParameter("give --crate, too: other files have neither", param_hint="--licence, --author")
     if seed is None and content is None:
         from calcidem.storage.netcdf.export import export_netcdf
         from calcidem.storage.records import ARRAY_RECORDS

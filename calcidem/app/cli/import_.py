@@ -78,7 +78,7 @@ def _import_campaign(file: Path, database: str) -> None:
     from calcidem.storage.sql.store import open_store
 
     path = parse_address(database).path
-    with _told_as_damage(file):
+    with told_as_damage(file):
         if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
             with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, identify_packing)
@@ -91,7 +91,7 @@ def _import_campaign(file: Path, database: str) -> None:
 
 
 @contextmanager
-def _told_as_damage(file: Path) -> Iterator[None]:
+def told_as_damage(file: Path) -> Iterator[None]:
     """Tell whatever is raised by bytes that are not those that were exported."""
     from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
 

@@ -2,22 +2,26 @@
 
 import math
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database
+from calcidem.app.cli.arguments import CampaignName
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.campaign.opened import Campaign
     from calcidem.app.studies.verify import Verification
 
 
 def verify_command(
-    database: Database,
+    database: Annotated[str, typer.Argument(metavar="DB|CRATE", help="SQLite file, database URL, or RO-Crate.")],
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
@@ -31,20 +35,20 @@ def verify_command(
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
 
-    Compared are status, readings, step, cement and (where stored) signals. With --integrity nothing is computed: all
-    cells that are no longer what was stored are named; exit code 0 if there is no damage, 1 if there is.
+    Compared are status, readings, step, cement and (where stored) signals. Of a crate ('calcidem export --crate') the
+    configuration and the packing are compared with the results, too. With --integrity nothing is computed: all cells
+    that are no longer what was stored are named; exit code 0 if there is no damage, 1 if there is.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 cells that
     can't be compared, such as those of another physics version.
     """
-    from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
     from calcidem.app.studies.verify import Agreement, random_cells, verify, worst_agreement
 
-    if integrity:
-        _verify_integrity(database, campaign, layout)
-        return
-    with open_campaign(database, campaign) as opened:
+    with _open_any(database, campaign) as opened:
+        if integrity:
+            _verify_integrity(database, opened, layout)
+            return
         keys = random_cells(opened.store, cells, choice)
         found = []
         for verification in verify(opened.store, keys, opened.experiment):
@@ -62,13 +66,29 @@ def verify_command(
         raise typer.Exit(code)
 
 
-def _verify_integrity(database: str, campaign_name: str | None, layout: Format) -> None:
-    """Name all that is no longer what was stored; exit code 1 if there is any."""
+@contextmanager
+def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
+    """Open a campaign of a database or of a crate."""
     from calcidem.app.campaign.opened import open_campaign
+    from calcidem.app.cli.import_ import told_as_damage
+    from calcidem.app.report.crate import is_crate, open_crate
 
-    with open_campaign(database, campaign_name) as opened:
-        found = opened.store.integrity()
-        cells = len(opened.store.statuses())
+    if not is_crate(path):
+        with open_campaign(path, campaign_name) as opened:
+            yield opened
+        return
+    if campaign_name is not None:
+        raise typer.BadParameter("leave it out: a crate has one campaign", param_hint="--campaign")
+    with ExitStack() as stack:
+        with told_as_damage(Path(path)):
+            campaign = stack.enter_context(open_crate(path))
+        yield campaign
+
+
+def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None:
+    """Name all that is no longer what was stored; exit code 1 if there is any."""
+    found = opened.store.integrity()
+    cells = len(opened.store.statuses())
     if layout is not Format.TABLE:
         rows = [{"seed": key.seed, "content": key.content, "damage": text} for key, text in found.cells.items()]
         tell_rows([*rows, *({"seed": None, "content": None, "damage": text} for text in found.others)], layout)

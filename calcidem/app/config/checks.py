@@ -16,7 +16,7 @@ from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
 from calcidem.dem.wave.pulse import cutoff_frequency
-from calcidem.dem.wave.rule import FEWEST_SAMPLES
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, refuse_long_stroke
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
@@ -33,6 +33,9 @@ _SHORT_WAVE = 0.5
 _BARE_STEP, _CEMENTED_STEP = 1.2, 1.7
 """Longest limit of the step over that of mean disks: up to 1.08 without cement and 1.61 with it, in 24 packings."""
 
+_OVERLAPS_VARY = 1.5
+"""Above the mean overlap of packings over the expected one, 0.7 to 1.2: what is refused here is refused later, too."""
+
 _SAFE_PART = 0.8
 """Part of the largest content of these seeds that every other seed surely holds."""
 
@@ -47,6 +50,7 @@ def cross_check(configuration: Configuration) -> list[Problem]:
         _check_installation,
         _check_friction,
         _check_frequencies,
+        _check_amplitude,
         _check_files,
         _check_part,
     )
@@ -138,6 +142,14 @@ def _check_bands(configuration: Configuration) -> Iterator[Problem]:
                 f"wave.{name} = {value}: does not fit into the sample; give less than half of packing.height, {half} m",
                 (f"wave.{name}", "packing.height"),
             )
+    smallest = 0.5 * configuration.packing.diameter[0]
+    for name in ("transmitter_half_width", "receiver_half_width"):
+        value = getattr(configuration.wave, name)
+        if value < smallest:
+            yield Problem(
+                f"wave.{name} = {value}: narrower than a grain; give at least the smallest radius, {smallest:.4g} m",
+                (f"wave.{name}", "packing.diameter"),
+            )
     depth, width = configuration.wave.listening_depth, configuration.packing.width
     largest = configuration.packing.diameter[1]
     deepest = DEEPEST_LISTENING * width
@@ -207,6 +219,20 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
                 ("wave.frequency", "campaign.contents", "wave.step_fraction", "sand.shear_modulus"),
             )
             return
+
+
+def _check_amplitude(configuration: Configuration) -> Iterator[Problem]:
+    """The regime stands for the pulse, as far as this can be told without a packing."""
+    rule, table = configuration.packing, configuration.excitation.table
+    if table is None:
+        return
+    diameter = float(np.mean(rule.diameter))
+    overlap = 0.5 * diameter * expected_overlap(rule.stress, diameter, configuration.sand)
+    lowest = min(table.at(content) for content in configuration.campaign.contents)
+    try:
+        refuse_long_stroke(configuration.wave, lowest, _OVERLAPS_VARY * overlap, 0.5 * diameter)
+    except ValueError as error:
+        yield Problem(f"wave.{error}", ("wave.amplitude", "wave.regime", "wave.frequency", "packing.stress"))
 
 
 def _longest_step(configuration: Configuration, content: float) -> float:

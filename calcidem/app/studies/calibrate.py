@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -308,20 +309,32 @@ def calibrate(
     trials = KeptTrials(kept, packing)
     check_ranges(configuration, plan.free, "calibration")
     check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
-    start = [start_value(configuration, packing, chosen) for chosen in plan.free]
-
-    def changed(tried: Sequence[ParameterValues]) -> list[Configuration]:
-        return [with_values(configuration, values) for values in tried]
+    try:
+        start = [start_value(configuration, packing, chosen) for chosen in plan.free]
+    except ValueError as error:
+        raise ConfigurationError("calibration", [Problem(str(error))]) from error
 
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
         measure = trials.remembered(measure_trials, contents, plan.seeds)
-        fitted = fit_to_targets(lambda tried: list(measure(changed(tried))), plan, start, tell)
+
+        def velocities(tried: Sequence[ParameterValues]) -> list[Floats]:
+            possible: dict[int, Configuration] = {}
+            for place, values in enumerate(tried):
+                with suppress(ValueError):  # values that their class refuses give no velocity
+                    possible[place] = with_values(configuration, values)
+            found = measure(list(possible.values()))
+            none = np.full((len(plan.seeds), len(contents)), np.nan)
+            return [next(found) if place in possible else none for place in range(len(tried))]
+
+        fitted = fit_to_targets(velocities, plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
     with trial_workers(packing, plan.predict, plan.seeds, cores) as measure_trials:
-        (found,) = trials.remembered(measure_trials, plan.predict, plan.seeds)(changed([fitted.values]))
+        (found,) = trials.remembered(measure_trials, plan.predict, plan.seeds)(
+            [with_values(configuration, fitted.values)]
+        )
     predictions = (
         _summary(content, known.get(content), vs, np.isfinite(vs), "predicted")
         for content, vs in zip(plan.predict, found.T, strict=True)
@@ -392,7 +405,9 @@ def fit_to_targets(
     errors = fit.errors(point)
     inverse = np.linalg.pinv(slopes / errors[:, None]) / errors
     covariance = inverse @ fit.covariance(point) @ inverse.T
-    deviation = np.sqrt(np.diag(covariance))
+    moves = slopes.any(axis=0)
+    deviation = np.where(moves, np.sqrt(np.diag(covariance)), np.nan)
+    doubts += [f"{names[i]} changes no Vs at these contents: leave it out" for i in np.flatnonzero(~moves)]
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
     chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
     doubts += [f"{names[i]} ended at a limit of its range: widen it, or leave it out" for i in np.flatnonzero(at_limit)]
@@ -469,7 +484,7 @@ def _descend(
 
     Without slopes nothing could be fitted.
     """
-    point, slopes, converged = start, np.empty((0, 0)), False
+    point, slopes, converged, nearer, unread = start, np.empty((0, 0)), False, None, ""
     for number in range(_MOST_ROUNDS):
         steps = np.where(point + _STEP > limits[:, 1], -_STEP, _STEP)
         beside = [point + step * unit for step, unit in zip(steps, np.eye(len(point)), strict=True)]
@@ -486,33 +501,38 @@ def _descend(
         own, errors = fit.deviation(point), fit.errors(point)
         tell(_told(names, point, own, errors))
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
-        for name, column in zip(names, slopes.T, strict=True):
-            if not column.any():
-                problem = f"{name}: changes no Vs at these contents; leave it out"
-                raise ConfigurationError("calibration", [Problem(problem)])
         low, high = np.maximum(limits.T[0] - point, -_LARGEST_CHANGE), np.minimum(limits.T[1] - point, _LARGEST_CHANGE)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
-        nearer = _nearer(fit, point, step, errors)
+        step[~slopes.any(axis=0)] = 0.0  # nothing says where to
+        nearer, unread = _nearer(fit, point, step, errors)
         converged = nearer is None or bool(np.abs(nearer - point).max() < _CONVERGED)
         point = point if nearer is None else nearer
         if converged:
             break
     tell(_told(names, point, fit.deviation(point), fit.errors(point)))
-    return point, slopes, [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: begin from its result"]
+    doubts = [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: begin from its result"]
+    if nearer is None and unread:
+        doubts.append(f"it ended before it converged: {unread}")
+    return point, slopes, doubts
 
 
-def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> Floats | None:
-    """First of the step, its half, its quarter and so on that comes nearer to the targets; None if none does."""
+def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Floats | None, str]:
+    """First of the step, its half, its quarter and so on that comes nearer to the targets; None if none does.
+
+    And why a trial among them could not be compared; empty if all could.
+    """
+    unread = ""
     for halvings in range(_MOST_HALVINGS + 1):
         other = np.asarray(point + step / 2**halvings)
         try:
             fit.try_points([other])
-        except _UnreadTrialError:
+        except _UnreadTrialError as error:
+            unread = str(error)
             continue
         squares = [float(np.sum((fit.deviation(tried) / errors) ** 2)) for tried in (other, point)]
         if squares[0] < squares[1]:
-            return other
-    return None
+            return other, unread
+    return None, unread
 
 
 def _told(names: Sequence[str], point: Floats, deviation: Floats, errors: Floats) -> str:

@@ -15,7 +15,6 @@ from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.launch.starter import die_with_parent
@@ -83,7 +82,7 @@ def _velocities(
     def column(content: float) -> list[float]:
         try:
             cells = measure(experiment, content, seeds, lanes=configuration.run.lanes, ordering=ordering)
-        except CementCapacityError:  # other values of the same plan leave more room
+        except ValueError:  # what other values of the same plan allow: more cement, a pulse that the steps resolve
             return [np.nan] * len(seeds)
         return [np.nan if cell.vs is None else cell.vs for cell in cells]
 

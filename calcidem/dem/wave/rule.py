@@ -98,10 +98,15 @@ def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> Non
 
     Constant stiffnesses need a stroke of the order of the mean overlap, a fixed geometry one small against a disk.
     """
-    stroke, overlap = Pulse(rule.amplitude, frequency).stroke, packing.report.mean_overlap
+    refuse_long_stroke(rule, frequency, packing.report.mean_overlap, float(packing.radius.min()))
+
+
+def refuse_long_stroke(rule: WaveRule, frequency: float, overlap: float, radius: float) -> None:
+    """Raise as `refuse_loud_pulse` does, for a mean overlap and a radius of the smallest disk, m."""
+    stroke = Pulse(rule.amplitude, frequency).stroke
     bounds = {
         "linear": (_LOUDEST_LINEAR * overlap, f"{_LOUDEST_LINEAR:g} mean overlaps"),
-        "small": (_LOUDEST_SMALL * float(packing.radius.min()), f"{_LOUDEST_SMALL:g} radii of the smallest disk"),
+        "small": (_LOUDEST_SMALL * radius, f"{_LOUDEST_SMALL:g} radii of the smallest disk"),
     }
     if rule.regime in bounds:
         bound, meaning = bounds[rule.regime]
