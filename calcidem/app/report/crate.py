@@ -32,7 +32,7 @@ from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import Store, open_store, read_campaign
 from calcidem.version import __version__
 
-_METADATA = "ro-crate-metadata.json"
+_DESCRIPTOR = "ro-crate-metadata.json"
 _NETCDF, _CONFIGURATION, _DISKS, _REPORT = "campaign.nc", "campaign.toml", "packing.csv", "report.html"
 _FILES: Mapping[str, tuple[str, str]] = {
     _NETCDF: (
@@ -240,21 +240,21 @@ def _copy_files(crate: Path, folder: Path) -> None:
     described = _described_files(crate)
     for name in _FILES:
         if name not in described:
-            raise DamagedStoreError(f"{crate}: {_METADATA} does not describe {name}.", _GET_IT_AGAIN)
+            raise DamagedStoreError(f"{crate}: {_DESCRIPTOR} does not describe {name}.", _GET_IT_AGAIN)
         content = _content_of_file(crate, name)
         if sha256(content).hexdigest() != described[name].get("sha256"):
-            raise DamagedStoreError(f"{crate}: {name} is not the file that {_METADATA} describes.", _GET_IT_AGAIN)
+            raise DamagedStoreError(f"{crate}: {name} is not the file that {_DESCRIPTOR} describes.", _GET_IT_AGAIN)
         (folder / name).write_bytes(content)
 
 
 def _described_files(crate: Path) -> dict[str, dict[str, Any]]:
     """Entities of a crate's description by their names."""
     try:
-        entities = json.loads(_content_of_file(crate, _METADATA))["@graph"]
+        entities = json.loads(_content_of_file(crate, _DESCRIPTOR))["@graph"]
         return {str(entity["@id"]): dict(entity) for entity in entities}
     except (ValueError, KeyError, TypeError) as error:
         raise DamagedStoreError(
-            f"{crate}: {_METADATA} is no description of a crate ({error}).", _GET_IT_AGAIN
+            f"{crate}: {_DESCRIPTOR} is no description of a crate ({error}).", _GET_IT_AGAIN
         ) from error
 
 
