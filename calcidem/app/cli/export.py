@@ -50,7 +50,7 @@ def export_command(
     if crate:
         if without or seed is not None or content is not None:
             raise typer.BadParameter(
-                "give no --without, --seed and --content: a crate is complete", param_hint="--crate"
+                "a crate is complete: leave out --without, --seed and --content", param_hint="--crate"
             )
         from calcidem.app.cli.terminal import progress_bar
         from calcidem.app.report.crate import write_crate
