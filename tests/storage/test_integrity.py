@@ -94,7 +94,7 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         found = campaign.store.integrity()
         assert set(found.cells) == {BAD}
         assert ("An attempt at a cell is not what was stored." in found.others) == (statement == UNREADABLE_ATTEMPT)
-        with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*retry DB --damaged"):
+        with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*--retry damaged"):
             campaign.section(seed=1, content=5.0)
         if statement in BRIEF + NUMBERS:
             assert (
