@@ -390,6 +390,7 @@ def test_each_part_of_the_error_has_its_closed_form() -> None:
     assert error_of(tie=0.1) == pytest.approx(np.hypot(LEAST, 0.1), rel=1e-6)
     assert error_of(length=1.0) == pytest.approx(np.hypot(LEAST, NEAR_FIELD), rel=1e-9)
     assert error_of(length=4.0) == pytest.approx(np.hypot(LEAST, NEAR_FIELD / 32.0), rel=1e-9)
+    assert error_of(length=0.1) == 1.0
     parts = [LEAST, P_LEFT * 0.02, 0.1, 0.03, NEAR_FIELD / 2.0**2.5]
     assert error_of(length=2.0, shifted=0.02, early=0.1, tie=0.03) == pytest.approx(np.linalg.norm(parts), rel=1e-9)
 

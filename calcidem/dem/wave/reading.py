@@ -552,9 +552,10 @@ def reading_error(arrival: ShearArrival, frequency: float) -> float:
     What was taken off as P wave may leave a part of it. On a path of few wavelengths P and S wave are one (Arroyo et
     al. 2003, Geotechnique 53:337): their peak runs ahead, so that the crest between the stations seems to leave before
     the transmitted peak, which counts in full. Where another peak continues the section nearly as well, either may be
-    the S wave's. The factors were fitted to sections with a known delay (docs/reading.md).
+    the S wave's. At 1 nothing is known, and it is no larger. The factors were fitted to sections with a known delay
+    (docs/reading.md).
     """
-    return float(np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency))))
+    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency)))))
 
 
 def reading_error_parts(arrival: ShearArrival, frequency: float) -> ReadingErrorParts:
