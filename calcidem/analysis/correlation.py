@@ -183,7 +183,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
     known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
     standard = np.zeros(values.shape)
-    for column in range(values.shape[1]):
+    for column in np.flatnonzero(known.any(axis=0)).tolist():  # a content without a velocity says nothing
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
     scale = np.linalg.norm(standard, axis=(0, 1))
     scaled = standard / np.where(scale > 0, scale, np.nan)
