@@ -20,7 +20,7 @@ from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
-from calcidem.app.cli.query import Format, _as_text
+from calcidem.app.cli.formats import Format, tell_rows
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
@@ -132,11 +132,12 @@ def test_an_error_that_no_memory_is_left_to_log_is_a_lack_of_memory(
 
 
 @pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "@SUM(1)", "+1+1", "-2+3", "\t=1", "\uff1d1"])
-def test_a_spreadsheet_evaluates_no_stored_text(text: str) -> None:
+def test_a_spreadsheet_evaluates_no_stored_text(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     """In CSV a text that would be a formula begins with an apostrophe; numbers and other texts are as they were."""
     assert spreadsheet_value(text) == f"'{text}"
-    rows = _as_text({"reason": np.array([text, "no top"], dtype=object), "vs": np.array([-1.5, np.nan])}, Format.CSV)
-    assert list(csv.reader(io.StringIO(rows, newline="")))[1:] == [[f"'{text}", "-1.5"], ["no top", ""]]
+    tell_rows([{"reason": text, "vs": -1.5}, {"reason": "no top", "vs": np.nan}], Format.CSV)
+    rows = io.StringIO(capsys.readouterr().out, newline="")
+    assert list(csv.reader(rows))[1:] == [[f"'{text}", "-1.5"], ["no top", ""]]
     assert [spreadsheet_value(value) for value in ("-1.5", "no = sign", None, -2)] == ["-1.5", "no = sign", None, -2]
 
 
