@@ -410,8 +410,8 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
     if horizon > len(early):
         return Verdict.TOO_SHORT
     clean = early[:horizon]
-    coherence = _coherence(prepared, clean, _largest(clean), travel)
-    rivals = _rivals(prepared, clean, index)
+    largest = _largest(clean)
+    coherence, rivals = _coherence(prepared, clean, largest, travel), _rivals(prepared, clean, largest, index)
     if coherence < LEAST_COHERENCE or any(other.coherence > coherence for other in rivals):
         return None
     whole = prepared.across[:horizon, -1]
@@ -445,8 +445,9 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         travel = time - prepared.peak
         horizon = _horizon(prepared, travel)
         seen = clean[:horizon]
-        coherence = _coherence(prepared, seen, _largest(seen), travel)
-        rival = max((other.coherence for other in _rivals(prepared, seen, index)), default=0.0)
+        largest = _largest(seen)
+        coherence = _coherence(prepared, seen, largest, travel)
+        rival = max((other.coherence for other in _rivals(prepared, seen, largest, index)), default=0.0)
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
@@ -489,9 +490,9 @@ class _Rival(NamedTuple):
     coherence: float
 
 
-def _rivals(prepared: _Prepared, clean: Floats, index: int) -> list[_Rival]:
+def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> list[_Rival]:
     """All peaks of the receiver but one."""
-    largest, rivals = _largest(clean), []
+    rivals = []
     for other in find_maxima(clean[:, -1]).tolist():
         if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
             travel = other + parabola_vertex(clean[:, -1], other) - prepared.peak
