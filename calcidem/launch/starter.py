@@ -54,8 +54,10 @@ _LAST_LINE = 300
 _PR_SET_PDEATHSIG = 1
 
 
-def die_with_parent() -> None:
+def die_with_parent(parent: int | None = None) -> None:
     """Let the kernel kill this process as soon as its parent ends.
+
+    Whoever knows the parent's process number says it: the parent may have ended before this call.
 
     A rank whose mpirun was killed would otherwise go on for ever: it is a descendant of mpirun itself or,
     on other nodes, of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
@@ -66,12 +68,12 @@ def die_with_parent() -> None:
     OSError
         If the kernel refuses.
     """
-    parent = os.getppid()
+    parent = parent or os.getppid()
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         number = ctypes.get_errno()
         raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
-    if os.getppid() != parent:  # it ended between the two calls, so its death will not be signalled
+    if os.getppid() != parent:  # it ended before the kernel was asked, so its death will not be signalled
         os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -1,6 +1,7 @@
 """Velocities of many configurations on the same packing, contents and seeds, spread over cores."""
 
 import multiprocessing
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -62,7 +63,7 @@ def trial_workers(
         yield measure_trials
         return
     # Fresh processes: a fork would share what libraries hold open. They would outlive a command that is killed.
-    ending = die_with_parent if sys.platform == "linux" else None
+    ending = partial(die_with_parent, os.getpid()) if sys.platform == "linux" else None
     with ProcessPoolExecutor(cores, multiprocessing.get_context("spawn"), ending) as pool:
         yield partial(measure_trials, spread=pool.map)
 
