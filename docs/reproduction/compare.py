@@ -7,7 +7,6 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-import xarray as xr
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
@@ -16,8 +15,6 @@ from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.app.campaign.opened import open_campaign
 
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
-DISAGREE = 0.05  # of the peak's velocity; so does a correlation that was refused
-NORMAL_QUARTILES = 1.349  # standard deviations of a normal distribution between its quartiles
 
 
 def main() -> None:
@@ -29,8 +26,7 @@ def main() -> None:
         here = {round(row.content, 6): row.vs for row in analysis.distributions}
         printed = [row for row in published_study().velocities if round(row[0], 6) in here]
         rows = [(content, here[round(content, 6)], row) for content, row in printed]
-        print_means(rows)
-        print_scatter(rows, campaign.to_xarray(("vs", "vs_cross_correlation")))
+        print_means(rows, campaign.vs().sizes["seed"])
         print_baseline(rows)
         print_rates(analysis)
 
@@ -38,47 +34,32 @@ def main() -> None:
 Row = tuple[float, Distribution, PublishedVelocity]
 
 
-def print_means(rows: list[Row]) -> None:
-    """Print means and standard deviations, calibrated contents apart."""
+def print_means(rows: list[Row], seeds: int) -> None:
+    """Print means and standard deviations, and scatter (sd / mean) over the published one; calibrated in italics."""
+    print(
+        f"\n| % | read of {seeds} | mean, m/s (95 %) | published | difference "
+        "| sd, m/s (95 %) | published | scatter (95 %) |\n|---|---|---|---|---|---|---|---|"
+    )
+    for content, vs, printed in rows:
+        mean, deviation = vs.mean_interval, vs.standard_deviation_interval
+        target = vs.mean * printed.standard_deviation / printed.mean
+        print(
+            f"| {f'*{content:g}*' if content in CALIBRATED else f'{content:g}'} | {vs.n} "
+            f"| {vs.mean:.0f} ({mean.low:.0f} to {mean.high:.0f}) | {printed.mean:.0f} "
+            f"| {100 * (vs.mean / printed.mean - 1):+.1f} % "
+            f"| {vs.standard_deviation:.0f} ({deviation.low:.0f} to {deviation.high:.0f}) "
+            f"| {printed.standard_deviation:.0f} "
+            f"| {vs.standard_deviation / target:.2f} ({deviation.low / target:.2f} to {deviation.high / target:.2f}) |"
+        )
     for title, chosen in (
+        ("all", rows),
         ("calibrated", [row for row in rows if row[0] in CALIBRATED]),
         ("predicted", [row for row in rows if row[0] not in CALIBRATED]),
     ):
-        print(f"\n| {title}, % | mean, m/s (95 %) | published | difference | sd, m/s (95 %) | published | ratio |")
-        print("|---|---|---|---|---|---|---|")
-        for content, vs, printed in chosen:
-            mean, scatter = vs.mean_interval, vs.standard_deviation_interval
-            print(
-                f"| {content:g} | {vs.mean:.0f} ({mean.low:.0f} to {mean.high:.0f}) | {printed.mean:.0f} "
-                f"| {100 * (vs.mean / printed.mean - 1):+.1f} % "
-                f"| {vs.standard_deviation:.0f} ({scatter.low:.0f} to {scatter.high:.0f}) "
-                f"| {printed.standard_deviation:.0f} | {vs.standard_deviation / printed.standard_deviation:.2f} |"
-            )
         differences = np.array([vs.mean / printed.mean - 1 for _, vs, printed in chosen])
         print(
             f"\n{title}: largest difference {100 * np.abs(differences).max():.1f} %, "
             f"rms {100 * np.sqrt(np.mean(differences**2)):.1f} %"
-        )
-
-
-def print_scatter(rows: list[Row], cells: xr.Dataset) -> None:
-    """Print sd / mean, the same from quartiles, the share that was read, and where two readings disagree."""
-    print(
-        "\n| % | read | sd / mean | published | over published (95 %) | by quartiles | readings disagree |",
-        "|---|---|---|---|---|---|---|",
-        sep="\n",
-    )
-    for content, here, printed in rows:
-        peaks, others = (cells[name].sel(content=content).to_numpy() for name in ("vs", "vs_cross_correlation"))
-        found = np.isfinite(peaks)
-        lower, median, upper = np.percentile(peaks[found], [25, 50, 75])
-        target = printed.standard_deviation / printed.mean
-        scatter, interval = here.standard_deviation / here.mean, here.standard_deviation_interval
-        apart = ~(np.abs(others[found] / peaks[found] - 1.0) <= DISAGREE)
-        print(
-            f"| {content:g} | {found.sum()} of {found.size} | {scatter:.3f} | {target:.3f} | {scatter / target:.2f} "
-            f"({interval.low / here.mean / target:.2f} to {interval.high / here.mean / target:.2f}) "
-            f"| {(upper - lower) / NORMAL_QUARTILES / median / target:.2f} | {100 * apart.mean():.0f} % |"
         )
 
 

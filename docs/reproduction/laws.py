@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.features import FEATURES
@@ -31,14 +30,14 @@ def print_features(analysis: CampaignAnalysis) -> None:
     matrices, tests, by_content = analysis.correlations, analysis.feature_tests, analysis.content_correlations
     logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
     of_all = "Pearson", "with log Vs", "Spearman"
-    show_header("feature", *of_all, "within: Pearson", "within: Spearman", "p, corrected", "contents")
+    show_header("feature", *of_all, "within: Spearman", "p, corrected", "contents")
     for feature in FEATURES:
         overall, within = (part.sel(variable=feature.name, other="vs") for part in (matrices.overall, matrices.within))
         values = logarithm[[feature.name, "log_vs"]].to_array("name").stack(sample=("seed", "content")).dropna("sample")
         found = by_content.sel(variable=feature.name)["p_corrected"]
         print(
             f"| {feature.symbol} | {float(overall['pearson']):+.2f} | {np.corrcoef(values)[0, 1]:+.2f} "
-            f"| {float(overall['spearman']):+.2f} | {float(within['pearson']):+.2f} | {float(within['spearman']):+.2f} "
+            f"| {float(overall['spearman']):+.2f} | {float(within['spearman']):+.2f} "
             f"| {float(tests['p_corrected'].sel(variable=feature.name)):.2g} "
             f"| {int((found < SIGNIFICANCE).sum())} of {int(found.notnull().sum())} |"
         )
@@ -65,7 +64,7 @@ def print_contents(analysis: CampaignAnalysis) -> None:
 
 
 def print_laws(analysis: CampaignAnalysis) -> None:
-    """Print laws of Table 4, powers without an offset, and the content alone, with their errors on unseen seeds."""
+    """Print laws of Table 4 and the content alone, with their errors on unseen seeds."""
     ratio = next(law.weights.ratio for law in published_study().laws if law.name == "Monte-Carlo")
     laws = (
         analysis.physical_law,
@@ -85,15 +84,6 @@ def print_laws(analysis: CampaignAnalysis) -> None:
         print(
             f"| {printed.name}, paper | {printed.weights.hertz:g}, {printed.weights.bond:g} | {low:g} to {high:g} "
             f"| {printed.a:.0f} C^{printed.conclusions_b:g} {printed.c:+.0f} | | |"
-        )
-    for law in laws:
-        x = np.log(law.connectivity[known])
-        name = f"{law.name}, power alone"
-        power = stats.linregress(x, np.log(vs))
-        errors[name] = vs - without_seed(seeds, lambda rows, x=x: power_of(x, vs, rows))
-        print(
-            f"| {name} | | | {np.exp(power.intercept):.0f} C^{power.slope:.2f} | {power.rvalue:.3f} (of logarithms) "
-            f"| {rms(errors[name]):.0f} |"
         )
     print(f"| content alone | | | mean of the content | | {rms(errors['content alone']):.0f} |")
     show_header("bias by content, m/s", *errors)
@@ -125,12 +115,6 @@ def mean_of_content(contents: np.ndarray, vs: np.ndarray, rows: np.ndarray) -> n
     _, place = np.unique(contents, return_inverse=True)
     sums, counts = (np.bincount(place, weights=rows * weight) for weight in (vs, np.ones_like(vs)))
     return (sums / counts)[place]
-
-
-def power_of(x: np.ndarray, vs: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Straight line of log Vs (m/s) in x through the rows, as velocities."""
-    line = stats.linregress(x[rows], np.log(vs[rows]))
-    return np.exp(line.intercept + line.slope * x)
 
 
 def rms(errors: np.ndarray) -> float:

@@ -1,8 +1,6 @@
 """Which features predict Vs best, each sample from other seeds: `python docs/reproduction/predictors.py CAMPAIGN.db`.
 
-The same features are used at every content. The last rows choose among those of the cement, one set for all contents or
-one for each, by the errors of left-out samples among the other seeds (nested cross-validation). A negative difference
-to the content alone is a gain.
+The same features are used at every content. A negative difference to the content alone is a gain.
 """
 
 import argparse
@@ -41,16 +39,11 @@ def main() -> None:
     parser.add_argument("database")
     cells = read_cells(parser.parse_args().database)
     candidates = CANDIDATES | {name: columns for name, columns in MEASURED.items() if cells[columns[1]].notnull().any()}
-    fits = {name: fit_without_each(cells, columns) for name, columns in candidates.items()}
-    print("| features | score, m/s | less that of content alone (standard error) | in interval, % | by content, % |")
-    print("|---|---|---|---|---|")
-    reference, _ = judge(cells, fits["content alone"], dict.fromkeys(fits["content alone"], ()))
+    print("| features | score, m/s | less that of content alone (standard error) | in interval, % |")
+    print("|---|---|---|---|")
+    reference, _ = judge(cells, ())
     for name, columns in candidates.items():
-        show(name, *judge(cells, fits[name], dict.fromkeys(fits[name], columns)), reference)
-    for title, together in (("one set of features, chosen", True), ("a set for each content, chosen", False)):
-        chosen = choose(fits, together=together)
-        predictors = {place: fits[name][place] for place, name in chosen.items()}
-        show(title, *judge(cells, predictors, {place: CANDIDATES[name] for place, name in chosen.items()}), reference)
+        show(name, *judge(cells, columns), reference)
 
 
 def read_cells(database: str) -> xr.Dataset:
@@ -83,43 +76,22 @@ def fit_without_each(cells: xr.Dataset, columns: tuple[str, ...]) -> Fits:
     return fits
 
 
-def judge(
-    cells: xr.Dataset, fits: Fits, columns: dict[tuple[int, int], tuple[str, ...]]
-) -> tuple[np.ndarray, np.ndarray]:
+def judge(cells: xr.Dataset, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Give interval score (m/s) and hit of each sample, (seed, content), NaN where there is none."""
     scores, hits = (np.full(cells["vs"].shape, np.nan) for _ in range(2))
-    for (content, out), predictor in fits.items():
+    for (content, out), predictor in fit_without_each(cells, columns).items():
         vs = float(cells["vs"].to_numpy()[out, content])
-        interval = predictor.predict(features_of(cells, content, columns[content, out])[out]).interval
+        interval = predictor.predict(features_of(cells, content, columns)[out]).interval
         scores[out, content], hits[out, content] = interval_score(interval, vs, 0.95), interval.contains(vs)
     return scores, hits
-
-
-def choose(fits: dict[str, Fits], *, together: bool) -> dict[tuple[int, int], str]:
-    """Give the features whose left-out samples have the least errors over those of the content alone."""
-    errors = {
-        name: {place: float(np.mean(fit.errors**2) / np.mean(fits["content alone"][place].errors ** 2))
-               for place, fit in fits[name].items()}
-        for name in CANDIDATES
-    }  # fmt: skip
-    places = [place for place in fits["content alone"] if all(place in errors[name] for name in CANDIDATES)]
-    if together:
-        # Of a seed that is left out, what all contents together say.
-        seeds = {out: [place for place in places if place[1] == out] for _, out in places}
-        errors = {
-            name: {place: float(np.mean([errors[name][one] for one in seeds[place[1]]])) for place in places}
-            for name in CANDIDATES
-        }
-    return {place: min(CANDIDATES, key=lambda name: errors[name][place]) for place in places}
 
 
 def show(name: str, scores: np.ndarray, hits: np.ndarray, reference: np.ndarray) -> None:
     """Print a row; samples of a seed share their cement, so that the standard error is that of the mean over seeds."""
     gains = np.nanmean(scores - reference, axis=1)
-    by_content = 100.0 * np.nanmean(hits, axis=0)
     print(
         f"| {name} | {np.nanmean(scores):.1f} | {gains.mean():+.1f} ({gains.std(ddof=1) / gains.size**0.5:.1f}) "
-        f"| {100.0 * np.nanmean(hits):.1f} | {by_content.min():.1f} to {by_content.max():.1f} |"
+        f"| {100.0 * np.nanmean(hits):.1f} |"
     )
 
 
