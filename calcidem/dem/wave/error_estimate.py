@@ -50,8 +50,8 @@ class ErrorParts(NamedTuple):
         of an interval. The factor is half as large again as the largest shift found.
     regime
         See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. Small and linear displacement also keep gaps open
-        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md, "Regime
-        over the amplitude of the pulse").
+        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md,
+        "Amplitude of the pulse").
     slip
         See `_slip_error`.
     precision
@@ -66,7 +66,7 @@ class ErrorParts(NamedTuple):
         See `_chatter_error`.
     unbalanced
         Local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced, in
-        proportion to its size over that of the wave (docs/accuracy.md, "Regime over the amplitude of the pulse").
+        proportion to its size over that of the wave (docs/accuracy.md, "Amplitude of the pulse").
     breaking
         See `_breaking_error`.
     """
