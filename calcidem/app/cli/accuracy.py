@@ -20,28 +20,22 @@ from calcidem.app.cli.terminal import tell
 def accuracy_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
-    seeds: Annotated[
-        int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds of the campaign to measure.")
-    ] = 4,
+    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds to measure.")] = 4,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SETTING",
-            help="Only the default and this setting, such as 'step_fraction 0.4'; may be repeated.",
+            help="Only this setting beside the default, such as 'step_fraction 0.4'; may be repeated.",
         ),
     ] = None,
     target: Annotated[
-        str | None, typer.Option(help="Error of Vs, such as 0.5%: also name the cheapest setting that meets it.")
+        str | None, typer.Option(help="Also name the cheapest setting with this error of Vs, such as 0.5%.")
     ] = None,
     db: JudgedDatabase = None,
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Measure error against run time of every numerical setting, on cells of the campaign.
-
-    With --db these are cells of the campaign in the database, on its own packing, and the scatter of the samples is
-    that of its velocities. A campaign of another configuration is refused.
-    """
+    """Measure error against run time of every numerical setting, on cells of the campaign."""
     from calcidem.app.config.checks import plan_contents
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task

@@ -42,14 +42,14 @@ parse_timeout = number_parser(1.0, 1e6, "is no number of seconds from 1 to 1,000
 ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[
-    str | None, typer.Option("--campaign", metavar="NAME", help="Which campaign, if the database has several.")
+    str | None, typer.Option("--campaign", metavar="NAME", help="Campaign of a database that has several.")
 ]
 MeasuredFile = Annotated[
     Path | None,
     typer.Option(
         "--measured",
         metavar="FILE.csv",
-        help="Laboratory velocities to lay over figures of Vs and to compare: columns content, vs, and sd, samples.",
+        help="Laboratory velocities to compare: columns content, vs, and sd, samples.",
     ),
 ]
 JudgedDatabase = Annotated[
@@ -57,7 +57,7 @@ JudgedDatabase = Annotated[
     typer.Option(
         "--db",
         metavar="DB",
-        help="SQLite file or database URL of this campaign: its own packing is taken; otherwise one is made.",
+        help="Take the packing of this campaign's database.",
     ),
 ]
 OnlyContents = Annotated[

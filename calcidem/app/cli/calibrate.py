@@ -27,9 +27,7 @@ def calibrate_command(
     configuration: ConfigurationFile,
     target: Annotated[
         Path,
-        typer.Option(
-            help="CSV file with the columns content (percent), vs (m/s) and, if wanted, sd (m/s) and samples."
-        ),
+        typer.Option(help="CSV file: content (percent), vs (m/s), and optionally sd (m/s) and samples."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
     free: Annotated[
@@ -38,20 +36,18 @@ def calibrate_command(
             "--free",
             "--parameter",
             metavar="SECTION.KEY[=LOW:HIGH]",
-            help="Number to fit, in its range; may be repeated. By default what paper-small-pulse is calibrated by: "
-            "sand.wave_stiffness_factor, pattern.p_share, pattern.cluster_area.",
+            help="Number to fit, in its range; may be repeated. Default: sand.wave_stiffness_factor, "
+            "pattern.p_share, pattern.cluster_area.",
         ),
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=3, max=SEEDS_AT_ONCE, help="Number of seeds at each content, the same in every trial.")
-    ] = 16,
+    seeds: Annotated[int, typer.Option(min=3, max=SEEDS_AT_ONCE, help="Seeds at each content.")] = 16,
     first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First of them.")] = 1,
     predict: Annotated[
         list[float] | None,
         typer.Option(
             parser=parse_percentage,
             metavar="PERCENT",
-            help="Content to predict and not to fit, even if it has a target; may be repeated.",
+            help="Content to predict and not to fit; may be repeated.",
         ),
     ] = None,
     tolerance: Annotated[
@@ -59,12 +55,12 @@ def calibrate_command(
         typer.Option(
             parser=number_parser(0.0, 1.0, "is no part from 0 to 1"),
             metavar="PART",
-            help="Relative error that the model may have, added to every target's own.",
+            help="Relative error of the model, added to that of the targets.",
         ),
     ] = 0.02,
     cores: StudyCores = 0,
 ) -> None:
-    """Fit parameters so that mean, and standard deviation, of Vs match measured values; write a configuration."""
+    """Fit parameters to measured means, and standard deviations, of Vs; write a configuration."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration

@@ -22,9 +22,7 @@ _FIGURE_FORMATS = (".png", ".svg", ".pdf")
 
 def compare_command(
     databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Figure to write, with the ending .png, .svg or .pdf.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Figure to write: .png, .svg or .pdf.")] = None,
     layout: FormatOption = Format.TABLE,
     level: Annotated[
         float,
@@ -35,13 +33,13 @@ def compare_command(
     ] = 0.95,
     campaign: Annotated[
         list[str] | None,
-        typer.Option("--campaign", metavar="NAME", help="Campaigns of one database that has several; repeat it."),
+        typer.Option("--campaign", metavar="NAME", help="Campaigns of one database; repeat it."),
     ] = None,
 ) -> None:
     """Compare campaigns with the first of them, content by content: mean and scatter of Vs, and their differences.
 
-    The difference of means takes all samples as independent (Welch). The paired difference takes the seeds that both
-    campaigns have. Where the same seed places the cement alike, it is the sharper of the two.
+    The difference of means takes all samples as independent (Welch). The paired difference takes the shared seeds. It
+    has the narrower interval where a seed places the cement alike in both campaigns.
     """
     from calcidem.app.campaign.comparison import compare
     from calcidem.app.campaign.opened import open_campaign

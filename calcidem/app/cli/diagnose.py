@@ -33,7 +33,7 @@ def diagnose_command(
     seed: OnlySeeds = None,
     content: OnlyContents = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for a picture of each cell's section.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for a figure of each cell's section.")
     ] = None,
     trials: Annotated[
         int, typer.Option("--try", min=0, metavar="N", help="Compute N of these cells again with each remedy.")
@@ -41,11 +41,10 @@ def diagnose_command(
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Say of every cell without a velocity why it has none, and which values may give it one.
+    """Explain why cells have no velocity, and propose values of the configuration that may give one.
 
-    Another computation of such a cell gives the same result, so 'calcidem run --retry' does not help. Its
-    configuration has to change, which makes another campaign. --try tests the remedies on some of the cells, beside
-    readable ones of the same content. Nothing is written to the database.
+    Computing such a cell again gives the same result; another configuration is another campaign. --try tests the
+    remedies on some of the cells, beside readable ones of the same content. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
     from calcidem.app.cli.tables import make_console

@@ -16,14 +16,12 @@ _STYLES = {OK: "green", WARNING: "yellow", PROBLEM: "bold red"}
 
 
 def doctor_command(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder for the database; the current one by default.")
-    ] = Path(),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the database.")] = Path(),
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; say what to do about what is wrong.
+    """Check what a campaign needs here: MPI, cores, disk, caches and Slurm; propose remedies.
 
-    Ends with 1 if there is a problem. Takes a few seconds, since it starts two ranks and writes a small database.
+    It starts two ranks and writes a small database. Exit code 1 if there is a problem.
     """
     from calcidem.app.doctor.checkup import findings
 

@@ -24,15 +24,14 @@ def explain_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
     accuracy: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out' for this campaign.")
+        Path | None, typer.Option(metavar="FILE.json", help="Result of 'calcidem accuracy --out'.")
     ] = None,
     db: JudgedDatabase = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Show which parts of the computation each content needs, and why leaving out the others is safe and what it saves.
+    """Show which parts of the computation each content needs, and why omitting the others is safe and what it saves.
 
-    Times and differences are measured now, on cells of the campaign, with --db on the packing in the database; errors
-    are those that 'calcidem accuracy' measured against a converged reference. By default three contents are shown.
+    Times and differences are measured now, errors by 'calcidem accuracy'. By default three contents are shown.
     """
     from calcidem.app.campaign.opened import open_campaign_of
     from calcidem.app.campaign.packing import provide_packing

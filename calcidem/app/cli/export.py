@@ -24,7 +24,7 @@ def export_command(
         list[str] | None,
         typer.Option(
             metavar="path|signal|cement",
-            help="Leave these arrays of single cells, nearly all of the NetCDF file, out; may be repeated.",
+            help="Leave out these arrays, most of the NetCDF file; may be repeated.",
         ),
     ] = None,
     crate: Annotated[
@@ -34,15 +34,13 @@ def export_command(
         ),
     ] = False,
     licence: Annotated[
-        str, typer.Option(metavar="SPDX", help="Of the data in the crate, such as CC0-1.0, or an address.")
+        str, typer.Option(metavar="SPDX", help="Licence of the data in the crate, or an address.")
     ] = _LICENCE,
     author: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Author of the data in the crate; may be repeated.")
     ] = None,
 ) -> None:
-    """Write a campaign to a NetCDF file, or one sample of it to a file of another program.
-
-    With --crate: all that others need to read the campaign, cite it and compute it again.
+    """Write a campaign to a NetCDF file or an RO-Crate, or one sample of it to a file.
 
     With --seed and --content: the sample with its contacts and cement for ParaView (.vtu), or the disks of its packing
     as CSV (x, y, radius in m).

@@ -16,9 +16,7 @@ from calcidem.app.cli.terminal import printable
 
 Format = StrEnum("Format", ["TABLE", "JSON", "CSV", "PARQUET"])
 
-FormatOption = Annotated[
-    Format, typer.Option("--format", help="A table for people, or rows for programs; parquet needs a file or a pipe.")
-]
+FormatOption = Annotated[Format, typer.Option("--format", help="Output: a table for people, or rows for programs.")]
 
 RecordRows = Sequence[Mapping[Any, Any]]
 """RecordRows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""

@@ -19,18 +19,15 @@ def import_command(
     file: Annotated[
         Path,
         typer.Argument(
-            help="NetCDF file that 'calcidem export' wrote; or disks: LAMMPS data or dump, YADE text export, PFC ball "
-            "list, or a table."
+            help="NetCDF file of 'calcidem export', or disks: LAMMPS data or dump, YADE export, PFC ball list, table."
         ),
     ],
     database: Annotated[
         str | None,
-        typer.Option("--db", metavar="DB", help="SQLite file or database URL for the campaign; made if missing."),
+        typer.Option("--db", metavar="DB", help="Database for the campaign; made if missing."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write for [packing].")] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Disks: unit of length, m, cm, mm, um or nm; by default the file's.")
-    ] = None,
+    unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
     types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type; may be repeated.")] = None,
     plane: Annotated[str, typer.Option(help="Disks: axes of the file that become x and y.")] = "xy",
@@ -39,8 +36,7 @@ def import_command(
         typer.Option(
             parser=number_parser(-1e12, 1e12, "is no coordinate from -1e12 to 1e12"),
             metavar="LEFT RIGHT FLOOR LID",
-            help="Disks: walls in the file's unit and frame; disks beyond are left out. By default the outermost disks "
-            "touch.",
+            help="Disks: walls in the file's frame; by default the outermost disks touch them.",
         ),
     ] = None,
     timestep: Annotated[
@@ -49,10 +45,8 @@ def import_command(
 ) -> None:
     """Read an exported campaign into a database (--db), or disks of another program into a packing's file (--out).
 
-    What a database already has is kept. A file that was changed, and one whose cells are on another packing than the
-    database's, are refused.
-
-    The content of a file of disks says which program wrote it. Left wall and floor become x = 0 and y = 0.
+    Cells that the database already has are kept. Changed files and other packings are refused. The format of disks is
+    recognised by content. Left wall and floor become x = 0 and y = 0.
     """
     if (database is None) is (out is None):
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")

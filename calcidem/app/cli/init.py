@@ -18,24 +18,21 @@ def init_command(
     preset: Annotated[
         Preset | None,
         typer.Option(
-            help="quick (taken if nothing is said): 6 contents x 4 seeds; paper: all 17 x 116, the printed pulse of "
-            "5 m/s; paper-small-pulse: the same with 1 mm/s, linear and faster; paper-literal: Table 1 as printed; "
-            "paper-locked: stress of preparation locked in, nothing calibrated."
+            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116, pulse of 5 m/s; paper-small-pulse: 1 mm/s, "
+            "linear; paper-literal: Table 1 as printed; paper-locked: locked-in stress."
         ),
     ] = None,
-    full: Annotated[
-        bool, typer.Option("--full", help="Include every key, with its meaning and the values it takes.")
-    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="Include every key with its meaning.")] = False,
     grain_size: Annotated[
         str | None,
-        typer.Option(metavar="SIZE", help="A sand of your own with this mean diameter, such as 0.3mm."),
+        typer.Option(metavar="SIZE", help="Mean diameter of your own sand, such as 0.3mm."),
     ] = None,
     stress: Annotated[
         str | None,
-        typer.Option(metavar="STRESS", help="Confining stress of your own sand, such as 20kPa; 100kPa if not given."),
+        typer.Option(metavar="STRESS", help="Its confining stress; 100kPa if not given."),
     ] = None,
     mineral: Annotated[
-        str | None, typer.Option(metavar="MINERAL", help="Of its grains: quartz (if not given) or carbonate.")
+        str | None, typer.Option(metavar="MINERAL", help="Its grains: quartz (if not given) or carbonate.")
     ] = None,
     contents: Annotated[
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")

@@ -17,14 +17,13 @@ def merge_command(
     out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; must not exist yet.")],
     prefer: Annotated[
         str | None,
-        typer.Option(metavar="A.db", help="Database whose value to take where several disagree on a done cell."),
+        typer.Option(metavar="A.db", help="Database to take where values differ."),
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
     """Merge databases of one campaign, such as those of `calcidem run --part`, into a new one.
 
-    Done cells win over all others. Where two databases have different values for the same done cell, nothing is written
-    unless --prefer says which to take.
+    A done cell replaces any other. Different values of a done cell are refused unless --prefer chooses.
     """
     from calcidem.app.campaign.merge import merge_databases
 

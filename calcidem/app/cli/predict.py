@@ -26,13 +26,13 @@ def predict_command(
         typer.Option(
             parser=parse_percentage,
             metavar="PERCENT",
-            help="Content of the sample, one of the campaign's; without it all are checked.",
+            help="Content of the sample; without it all are checked.",
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed whose cement is drawn.")] = None,
     pattern: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two grain numbers per line, counted from 0."),
+        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two grain numbers (from 0) per line."),
     ] = None,
     feature: Annotated[
         list[str] | None,
@@ -52,9 +52,8 @@ def predict_command(
 ) -> None:
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
 
-    It uses the shares of the contacts that are cemented, at the height of the receiver (column_share) and of all
-    (cemented_share), or the features given with --feature. Every prediction comes with a check on samples left out one
-    by one: how many fall into their interval, and how narrow it is beside that of the content alone.
+    Features are the cemented shares of the contacts at the height of the receiver (column_share) and of all
+    (cemented_share), or those of --feature. Leaving out each sample in turn checks the intervals.
     """
     from calcidem.analysis.campaign_analysis import CampaignAnalysis
     from calcidem.app.campaign.patterns import with_patterns

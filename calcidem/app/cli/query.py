@@ -34,19 +34,19 @@ def query_command(
     where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
     columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
-    limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Show at most this many rows.")] = None,
+    limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
     layout: FormatOption = Format.TABLE,
-    out: Annotated[Path | None, typer.Option(help="File to write instead of showing the rows.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
     features: Annotated[
         bool,
-        typer.Option("--features", help="Not the cells but how their path features go with Vs, with corrected p."),
+        typer.Option("--features", help="Show correlations of path features with Vs instead."),
     ] = False,
     campaign: CampaignName = None,
 ) -> None:
     """Show the cells of a campaign that meet all given conditions.
 
-    With --features: Pearson's correlation of each path feature with Vs within one content, its 95 % interval, p by
-    exchanging seeds at random, and p corrected for the number of features.
+    --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
+    corrected for the number of features.
     """
     from calcidem.storage.records import QUANTITY_BY_NAME
 

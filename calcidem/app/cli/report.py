@@ -22,7 +22,7 @@ def report_command(
     measured: MeasuredFile = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Write one self-contained page: what was run, tables, figures, what failed, errors and run time."""
+    """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""
     from calcidem.app.config.measured import read_targets
     from calcidem.app.report.page import write_report
     from calcidem.storage.files import refuse_to_replace

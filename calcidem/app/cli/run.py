@@ -27,16 +27,12 @@ def run_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     database: Annotated[
         str | None,
-        typer.Option("--db", metavar="DB", help="SQLite file or database URL, instead of the configuration's."),
+        typer.Option("--db", metavar="DB", help="SQLite file or database URL."),
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the results, instead of the configuration's.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
     part: Annotated[
         str | None,
-        typer.Option(
-            metavar="K/N", help="Compute only part K of N of about equal effort, into a database to merge with theirs."
-        ),
+        typer.Option(metavar="K/N", help="Compute only part K of N of about equal effort."),
     ] = None,
     ranks: Annotated[
         int | None,
@@ -49,15 +45,11 @@ def run_command(
     ] = None,
     restarts: Annotated[
         int | None,
-        typer.Option(
-            min=0, metavar="K", help="With --ranks: restart up to K times (3) if ranks die and the others cannot go on."
-        ),
+        typer.Option(min=0, metavar="K", help="With --ranks: restart up to K times (3) if ranks die."),
     ] = None,
     start_timeout: Annotated[
         float,
-        typer.Option(
-            parser=parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to find one another."
-        ),
+        typer.Option(parser=parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to connect."),
     ] = 120.0,
     silence_timeout: Annotated[
         float,
@@ -65,30 +57,24 @@ def run_command(
             parser=parse_timeout, metavar="SECONDS", help="With --ranks: silence after which a host is given up."
         ),
     ] = 60.0,
-    with_report: Annotated[
-        bool, typer.Option("--report", help="Also write the report, next to the NetCDF file.")
-    ] = False,
+    with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,
     retry: Annotated[
         list[_Retried] | None,
-        typer.Option(help="Also compute the cells that went wrong in this way again; may be repeated."),
+        typer.Option(help="Also compute cells of this status again; may be repeated."),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Compute nothing: check the configuration and say what would be computed.")
+        bool, typer.Option("--check", help="Compute nothing: check the configuration and estimate time and memory.")
     ] = False,
-    serve: Annotated[
-        bool, typer.Option("--serve", help="Show the run in the browser while it lasts; the address is printed.")
-    ] = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Show the run in the browser.")] = False,
     packing_only: Annotated[
         bool,
-        typer.Option(
-            "--packing-only", help="Compute no cell: make the packing, keep it in the cache and report on it."
-        ),
+        typer.Option("--packing-only", help="Only make the packing, cache it and report on it."),
     ] = False,
 ) -> None:
-    """Compute a campaign, or what is left of it: after a stop, the same command continues.
+    """Compute a campaign, or its missing cells: after a stop, the same command continues.
 
-    Cells that failed, ran out of time or were given up (quarantined: three workers were lost while computing them) stay
-    as they are until --retry says so. Damaged cells, which are no longer what was stored, do so, too.
+    Cells that failed, timed out, were quarantined (three workers were lost while computing them) or are damaged are
+    computed again only with --retry.
     """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:

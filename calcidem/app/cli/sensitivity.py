@@ -17,7 +17,8 @@ def sensitivity_command(
     plan: Annotated[
         Path,
         typer.Argument(
-            metavar="PLAN.toml|frequency|damping", help="Variants or ranges of a configuration; or what is varied."
+            metavar="PLAN.toml|frequency|damping",
+            help="Variants or ranges of a configuration, or the quantity to vary.",
         ),
     ],
     database: Annotated[
@@ -25,13 +26,12 @@ def sensitivity_command(
         typer.Option(
             "--db",
             metavar="DB",
-            help="Database for all variants; with --sobol a NetCDF file of points; for frequency and damping that of "
-            "the campaign.",
+            help="Database for all variants; --sobol: NetCDF file of points; frequency, damping: the campaign's.",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="TABLE.md", help="File for the table; figures, and numbers as NetCDF, go beside it."),
+        typer.Option(metavar="TABLE.md", help="File for the table; figures and NetCDF beside it."),
     ] = None,
     content: OnlyContents = None,
     campaign: CampaignName = None,
@@ -42,18 +42,15 @@ def sensitivity_command(
             min=2,
             max=2**20,
             metavar="N",
-            help="Vary all \\[ranges] of the plan together: first and total Sobol indices of mean, sd / mean and "
-            "readable share, from N base points (a power of two), which are N (parameters + 2) campaigns.",
+            help="Sobol indices of all \\[ranges] from N base points, a power of two: N (parameters + 2) campaigns.",
         ),
     ] = None,
     cores: StudyCores = 0,
 ) -> None:
     r"""Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
 
-    With --sobol the numbers in the plan's \[ranges] are varied all together, and shares of the variance are shown.
-
-    With 'frequency' or 'damping' instead of a plan some samples of a stored campaign are computed with other
-    frequencies or other damping; --content and --campaign choose which. Nothing is written to its database.
+    --sobol varies all \[ranges] of the plan together and shows shares of the variance. 'frequency' or 'damping' instead
+    of a plan computes samples of a stored campaign with other values; its database is not written.
     """
     from calcidem.app.studies.sensitivity.plan import load_plan
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan

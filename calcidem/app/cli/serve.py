@@ -13,21 +13,17 @@ def serve_command(
     databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
     campaign: Annotated[
         list[str] | None,
-        typer.Option(
-            "--campaign", metavar="NAME", help="Which campaigns of a database that has several; may be repeated."
-        ),
+        typer.Option("--campaign", metavar="NAME", help="Campaigns of a database that has several; may be repeated."),
     ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 0,
-    host: Annotated[
-        str, typer.Option(metavar="HOST", help="Address to listen on; this machine alone can reach the default.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address to listen on.")] = "127.0.0.1",
     wait: Annotated[
         bool, typer.Option("--wait", help="Wait for databases and campaigns that do not exist yet.")
     ] = False,
 ) -> None:
-    """Show campaigns side by side in the browser, also while they run: map, mean and scatter, queue, cells, failures.
+    """Show campaigns side by side in the browser, also while they run.
 
-    Open the address that is printed; it has a secret token. Ctrl-C ends the server. Databases are only read.
+    The printed address has a secret token. Ctrl-C ends the server. Databases are only read.
     """
     from calcidem.app.serve.address import take_address
 

@@ -18,17 +18,12 @@ def show_command(
     seed: OneSeed,
     content: OneContent,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
-    movie: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Compute the wave again as moving pictures, .gif or .mp4.")
-    ] = None,
-    frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie; 15 are shown in a second.")] = 90,
+    movie: Annotated[Path | None, typer.Option(metavar="FILE", help="Movie of the wave, .gif or .mp4.")] = None,
+    frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie, at 15 a second.")] = 90,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Show one cell: what was measured and, with --out, its packing, cement, path and signals as figures.
-
-    With --movie its wave goes through the sample: colour is the velocity of the disks, lines are cemented contacts.
-    """
+    """Show one cell: its quantities and, with --out, its packing, cement, path and signals as figures."""
     if layout is Format.TABLE:
         from calcidem.app.cli.tables import make_console
         from calcidem.app.report.one_cell import describe_cell

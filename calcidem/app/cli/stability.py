@@ -11,9 +11,7 @@ from calcidem.app.cli.terminal import tell
 
 
 def stability_command(
-    scenes: Annotated[
-        int, typer.Option(min=0, help="Judge this many random scenes of each box instead of the maps.")
-    ] = 0,
+    scenes: Annotated[int, typer.Option(min=0, help="Random scenes of each box, instead of the maps.")] = 0,
     draw: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the random scenes.")] = 1,
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,

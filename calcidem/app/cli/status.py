@@ -19,9 +19,7 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 def status_command(
     database: Database,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Refresh until every cell has finished; Ctrl-C ends it.")
-    ] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Refresh until every cell has finished.")] = False,
     interval: Annotated[
         float,
         typer.Option(
@@ -35,13 +33,13 @@ def status_command(
             "--halfwidth",
             parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
             metavar="M/S",
-            help="Also say how many more seeds make the 95 % interval of the means so narrow, and how long they take.",
+            help="Also estimate seeds and time until the 95 % interval of the means is so narrow.",
         ),
     ] = None,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Show the progress of a campaign, even while it is running: every cell, Vs so far, time left, what went wrong."""
+    """Show the progress of a campaign, also while it runs: cells, Vs so far, time left, failures."""
     from calcidem.app.campaign.status import read_status
 
     read = partial(read_status, database, campaign)

@@ -25,22 +25,21 @@ def verify_command(
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
-        typer.Option(min=0, metavar="SEED", help="Seed of their random choice; by default a new one each time."),
+        typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
     ] = None,
     integrity: Annotated[
-        bool, typer.Option("--integrity", help="Compute nothing: compare everything stored with its checksums.")
+        bool, typer.Option("--integrity", help="Compute nothing: compare all stored data with their checksums.")
     ] = False,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
 
-    Compared are status, readings, step, cement and (where stored) signals. Of a crate ('calcidem export --crate') the
-    configuration and the packing are compared with the results, too. With --integrity nothing is computed: all cells
-    that are no longer what was stored are named; exit code 0 if there is no damage, 1 if there is.
+    Status, readings, step, cement and stored sections are compared; of a crate also configuration and packing.
+    --integrity names all damaged cells; exit code 1 if there are any.
 
-    Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 cells that
-    can't be compared, such as those of another physics version.
+    Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
+    such as cells of another physics version.
     """
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
     from calcidem.app.studies.verify import Agreement, random_cells, verify, worst_agreement

@@ -100,10 +100,10 @@ class CampaignPlan:
     root_seed
         Root of all random numbers.
     until
-        How well mean and standard deviation of each content are to be known: each content begins with `seeds` seeds,
-        a number, and gets more until its intervals are as narrow. Without it there are no more.
+        Relative half-widths of the 95 % intervals of mean and standard deviation: each content begins with `seeds`
+        seeds and gets more until its intervals are as narrow.
     most_seeds
-        Seeds that a content then gets at most.
+        Most seeds of a content then.
     """
 
     name: Annotated[
