@@ -21,15 +21,14 @@ and solved elsewhere, a law of conservation, a slow twin, another program.
 
     python benchmarks/verification/run.py --out docs/verification.md
 
-writes this page in two minutes on one core. Radii, materials, directions and speeds differ from those of the paper and
-the tests; `benchmarks/verification` has the scenes and the reason of each tolerance. Errors are relative unless stated
-otherwise. `tests/dem/test_verification.py` repeats the quick rows in every run of the tests, all with `--full`. Without
-LAMMPS or YADE ([how to install them](performance.md#a-lammps-built-for-the-processor)) their rows keep their numbers.
-Rows of other programs are against calcidem's finite regime unless stated otherwise. The source of the expected values
-is in italics above its rows.
+writes this page. `benchmarks/verification` has the scenes, and the tolerance of each row with its reason; every error is
+within it. Errors are relative unless stated otherwise. `tests/dem/test_verification.py` repeats the quick rows in every
+run of the tests, all with `--full`. Without LAMMPS or YADE ([how to install
+them](performance.md#a-lammps-built-for-the-processor)) their rows keep their numbers. These rows are against calcidem's
+finite regime unless stated otherwise. The source of the expected values is in italics above its rows.
 
-| what is checked | measured error | tolerance |
-|---|---|---|
+| what is checked | measured error |
+|---|---|
 """
 _OPEN = "not measured yet"
 _TAIL = """
@@ -37,8 +36,7 @@ _TAIL = """
 
 ## What this does not show
 
-* Rows verify the equations of the model, not that sand obeys them: a disk is no sphere, and Hertz's law of spheres is
-  used for disks because PFC does so.
+* Rows verify the equations of the model, not that sand obeys them: a disk is no sphere.
 * Where contacts change from slip to stick the error is of first order in the step. [Accuracy](accuracy.md) gives the
   error of a campaign's velocities.
 * Friction, damping and impacts together are chaotic over long times: no two programs agree disk by disk
@@ -69,7 +67,7 @@ def table_of(lines: dict[str, str], checks: list[Check]) -> str:
     """Rows below their sources, each source once, in the order of its first row."""
     sources = dict.fromkeys(one.source for one in checks)
     return "".join(
-        f"| *{source}* | | |\n" + "".join(f"{lines[one.name]}\n" for one in checks if one.source == source)
+        f"| *{source}* | |\n" + "".join(f"{lines[one.name]}\n" for one in checks if one.source == source)
         for source in sources
     )
 
