@@ -103,7 +103,7 @@ def commands_page() -> str:
     tables = {name: _parameters(command_function(name)) for commands in PANELS.values() for name in commands}
     counts = Counter(row for rows in tables.values() for row in rows)
     shared = [row for row, count in counts.items() if count >= _OFTEN]
-    lines = [_COMMANDS, *_table(shared)]
+    lines = [_COMMANDS, *_listed(shared)]
     for panel, commands in PANELS.items():
         lines += [f"## {panel}", ""]
         for name in commands:
@@ -111,7 +111,7 @@ def commands_page() -> str:
                 " ".join(part.split()) for part in inspect.getdoc(command_function(name)).split("\n\n")
             )
             lines += [f"### calcidem {name}", "", *_filled(_plain(help_text))]
-            lines += _table([row for row in tables[name] if row not in shared])
+            lines += _listed([row for row in tables[name] if row not in shared])
             if above := [f"`{names.split()[0]}`" for names, words in tables[name] if (names, words) in shared]:
                 lines += [f"Also {', '.join(above)}.", ""]
     return "\n".join(lines)
@@ -148,13 +148,17 @@ def _parameters(function: Callable[..., None]) -> list[tuple[str, str]]:
         default = getattr(parameter.default, "value", parameter.default)
         if not required and default not in {None, False, ""} and not isinstance(default, list):
             words += f" Default: `{default}`."
-        rows.append((_cell(names), _cell(words)))
+        rows.append((names, words))
     return rows
 
 
-def _table(rows: list[tuple[str, str]]) -> list[str]:
-    """Table of arguments and options, and an empty line."""
-    return ["| | |", "|---|---|", *(f"| `{names}` | {words} |" for names, words in rows), ""] if rows else []
+def _listed(rows: list[tuple[str, str]]) -> list[str]:
+    """List of arguments and options, and an empty line."""
+    items = [
+        textwrap.wrap(f"`{names}`: {words}", _LINE, initial_indent="* ", subsequent_indent="  ", break_on_hyphens=False)
+        for names, words in rows
+    ]
+    return [*(line for item in items for line in item), ""] if rows else []
 
 
 def _filled(text: str) -> list[str]:

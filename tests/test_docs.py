@@ -56,7 +56,7 @@ def test_the_command_reference_has_every_option() -> None:
         for parameter in command.params:
             if parameter.param_type_name == "option" and parameter.name not in {"help", *_COMMON_OPTIONS}:
                 words = f"`{', '.join(parameter.opts)}"
-                row = f"| {words}"
+                row = f"* {words}"
                 assert row in section or (row in shared and f"{words}`" in section), (name, parameter.opts)
 
 
