@@ -1,12 +1,14 @@
 """Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
 
+import fcntl
+import json
 import os
 import pwd
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -101,12 +103,39 @@ def small_configuration() -> Configuration:
     )
 
 
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+"""Takes the name of a folder and what fills it; gives the folder."""
+
+
 @pytest.fixture(scope="session")
-def small_database(
-    tmp_path_factory: pytest.TempPathFactory, small_configuration: Configuration, small_packing: Packing
-) -> Path:
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+    """Give a function that fills a folder in the first process of pytest-xdist that needs it."""
+    place = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = place.parent
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        finished, begun = place / name, place / f"{name}-begun"
+        with (place / f"{name}-lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not finished.exists():
+                shutil.rmtree(begun, ignore_errors=True)
+                begun.mkdir()
+                fill(begun)
+                begun.rename(finished)
+        return finished
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def small_database(make_once: MakeOnce, small_configuration: Configuration, small_packing: Packing) -> Path:
     """Give the database of a small campaign in which one cell was not computed and one failed."""
-    path = tmp_path_factory.mktemp("campaign") / "small.db"
+    folder = make_once("campaign", lambda path: _fill_database(path / "small.db", small_configuration, small_packing))
+    return folder / "small.db"
+
+
+def _fill_database(path: Path, small_configuration: Configuration, small_packing: Packing) -> None:
     experiment = small_configuration.experiment(small_packing)
     now = datetime.now(UTC)
     with open_store(path) as store:
@@ -132,21 +161,25 @@ def small_database(
             )
         store.record_results([CellResult(CellKey(*FAILED), CellStatus.FAILED, "the worker ran out of memory")])
         store.end_run("complete", datetime.now(UTC))
-    return path
 
 
 @pytest.fixture(scope="session")
-def small_report(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_report(small_database: Path, make_once: MakeOnce) -> Path:
     """Give the report of the small campaign."""
-    return write_report(small_database, tmp_path_factory.mktemp("report") / "report.html")
+    return make_once("report", lambda path: write_report(small_database, path / "report.html")) / "report.html"
 
 
 @pytest.fixture(scope="session")
-def small_folder(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+def small_folder(small_database: Path, make_once: MakeOnce) -> tuple[Path, dict[str, str]]:
     """Give the folder of figures, tables and numbers of the small campaign, and what could not be made."""
-    folder = tmp_path_factory.mktemp("analysis") / "out"
-    with open_campaign(small_database) as campaign:
-        return folder, write_files(campaign.analyse(), folder)
+
+    def fill(path: Path) -> None:
+        with open_campaign(small_database) as campaign:
+            missing = write_files(campaign.analyse(), path / "out")
+        (path / "missing.json").write_text(json.dumps(missing), encoding="utf-8")
+
+    folder = make_once("analysis", fill)
+    return folder / "out", json.loads((folder / "missing.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="session")

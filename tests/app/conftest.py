@@ -53,6 +53,9 @@ CONTENTS = (0.0, 0.66, 5.0)
 
 Cells = dict[tuple[int, float], tuple[object, ...]]
 
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+"""Takes the name of a folder and what fills it; gives the folder."""
+
 
 @dataclass(frozen=True)
 class Finished:
@@ -186,13 +189,16 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def expected(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Cells:
+def expected(make_once: MakeOnce, cache: Path) -> Cells:
     """Give what one process computes of the small campaign without a break."""
-    reference = Workshop(tmp_path_factory.mktemp("reference"), cache)
-    reference.configure()
-    done = reference.run("run", "c.toml")
-    assert done.code == 0, done.errors
-    cells = reference.cells()
+
+    def fill(path: Path) -> None:
+        reference = Workshop(path, cache)
+        reference.configure()
+        done = reference.run("run", "c.toml")
+        assert done.code == 0, done.errors
+
+    cells = Workshop(make_once("reference", fill), cache).cells()
     assert len(cells) == SEEDS * len(CONTENTS)
     return cells
 

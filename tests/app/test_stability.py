@@ -160,6 +160,7 @@ def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
     assert "amplitude of at most" in judgement.reason
 
 
+@pytest.mark.full
 def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
     """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear regime's velocity all the same."""
     finite, linear = (judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime=each)) for each in ("finite", "linear"))
@@ -167,6 +168,7 @@ def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
     assert finite.vs == pytest.approx(linear.vs, rel=5e-3)
 
 
+@pytest.mark.full
 def test_bonds_that_break_are_reported_after_one_retry() -> None:
     """A pulse that breaks its sample gives no velocity but the number of broken bonds, and says it was tried twice."""
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)

@@ -129,7 +129,7 @@ def change_from_the_start(scene: Scene, features: Features, preload: Preload) ->
     return found / (first.elastic + first.contact_loss)
 
 
-@pytest.mark.parametrize("midpoint", [False, True])
+@pytest.mark.parametrize("midpoint", [False, pytest.param(True, marks=pytest.mark.full)])
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 def test_energy_balances_from_time_zero_where_friction_cuts_the_forces_at_the_start(
     friction: float, midpoint: bool

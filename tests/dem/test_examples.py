@@ -7,6 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.full
 def test_the_beam_of_the_example_bends_as_its_closed_form_says() -> None:
     """The tip of the cantilever comes to rest within 1e-6 of the closed form: what is left of the damped motion."""
     spec = importlib.util.spec_from_file_location("cantilever", ROOT / "examples" / "cantilever.py")

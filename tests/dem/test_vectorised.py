@@ -57,7 +57,7 @@ kernels = pytest.mark.parametrize(
     ("regime", "bonded"),
     [
         pytest.param("finite", False, marks=pytest.mark.full),
-        ("finite", True),
+        pytest.param("finite", True, marks=pytest.mark.full),
         pytest.param("linear", False, marks=pytest.mark.full),
     ],
 )

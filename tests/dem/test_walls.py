@@ -90,6 +90,7 @@ def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> 
     return state, samples
 
 
+@pytest.mark.full
 def test_a_record_does_not_depend_on_how_a_run_is_cut_into_calls() -> None:
     """Drive and samples go on where the call before ended, also in the middle of a stride and after a new pair list."""
     floor = Wall((0.0, 0.0), (0.0, 1.0), friction=0.5)

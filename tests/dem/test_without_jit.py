@@ -44,6 +44,7 @@ def results(jit: bool) -> list[list[list[float]]]:
     return json.loads(done.stdout)  # type: ignore[no-any-return]
 
 
+@pytest.mark.full
 def test_the_kernel_without_the_compiler_computes_the_same() -> None:
     """With NUMBA_DISABLE_JIT=1 the kernel is plain Python on NumPy arrays and gives the same bits."""
     assert results(jit=True) == results(jit=False)
