@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from calcidem.app.disks.packing_import import import_packing
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
-    from calcidem.sweep import LaunchError, WorkersLostError
+    from calcidem.sweep.sweep_end import LaunchError, WorkersLostError
 
 __all__ = [
     "PRESETS",
@@ -61,12 +61,12 @@ _HOMES = {
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.errors",
-    "LaunchError": "calcidem.sweep",
+    "LaunchError": "calcidem.sweep.sweep_end",
     "PackingError": "calcidem.dem.sample.packing",
     "RunProgress": "calcidem.app.campaign.progress",
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
-    "WorkersLostError": "calcidem.sweep",
+    "WorkersLostError": "calcidem.sweep.sweep_end",
     "compare": "calcidem.app.campaign.comparison",
     "import_packing": "calcidem.app.disks.packing_import",
     "load_configuration": "calcidem.app.config.reader",

@@ -18,7 +18,10 @@ from simulation import durations
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
 from calcidem.storage.sql.store import Store, open_store
-from calcidem.sweep import Batch, BatchOutcome, Cell, Session, run_sweep
+from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.session import Session
 
 CELLS = 8
 """Cells in a batch, as in a campaign on processors with AVX-512."""

@@ -27,7 +27,7 @@ from rank import CELLS, Group, TimedSink, moved, numbered, open_sink, real_outco
 from simulation import Costs, durations, efficiency, simulate
 
 from calcidem.app.campaign.launch import find_mpirun, launcher_options
-from calcidem.sweep import BatchOutcome, Place
+from calcidem.sweep.outcome import BatchOutcome, Place
 
 HERE = Path(__file__).resolve().parent
 REAL = HERE.parents[1] / "docs" / "tutorial" / "quick.db"

@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--mirrored", action="store_true")
     options = parser.parse_args()
     with contextlib.suppress(ImportError):  # as the ranks of a campaign do; older checkouts cannot
-        from calcidem.sweep import keep_freed_memory  # noqa: PLC0415
+        from calcidem.sweep.processes import keep_freed_memory  # noqa: PLC0415 - as said
 
         keep_freed_memory()
     values = {key: json.loads(value) for key, _, value in (item.partition("=") for item in options.set)}

@@ -46,7 +46,8 @@ def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
     """
     vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
     absolute = (vs * reading)[np.isfinite(vs * reading)]
-    varies = np.unique(vs[np.isfinite(vs)]).size > 1
+    known = vs[np.isfinite(vs)]
+    varies = bool(known.size) and bool(np.ptp(known) > 0.0)
     return ErrorBudget(
         total=median_known(total),
         reading=median_known(reading),

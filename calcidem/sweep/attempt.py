@@ -13,7 +13,7 @@ from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, Re
 ResultT_co = TypeVar("ResultT_co", covariant=True)
 
 
-class TimeLimitReached(Exception):  # noqa: N818 - an expected end of a computation, not an error of the program
+class _TimeLimitReached(Exception):  # noqa: N818 - an expected end of a computation, not an error of the program
     """The batch has used up its time; becomes the failure `timed_out`."""
 
 
@@ -45,7 +45,7 @@ class Deadline:
 
         Raises
         ------
-        TimeLimitReached
+        _TimeLimitReached
             If the batch has used up its time.
         SweepInterrupted
             If the sweep has been told to end at once.
@@ -54,7 +54,7 @@ class Deadline:
             raise SweepInterrupted
         elapsed = time.monotonic() - self._start
         if self._time_limit is not None and elapsed > self._time_limit:
-            raise TimeLimitReached(
+            raise _TimeLimitReached(
                 f"not finished after {elapsed:.1f} s; the time limit of a batch is {self._time_limit:g} s"
             )
 
@@ -85,7 +85,7 @@ def attempt(
     try:
         results = tuple(compute(batch, deadline))
         return BatchOutcome(batch, place, time.monotonic() - start, results=results)
-    except TimeLimitReached as error:
+    except _TimeLimitReached as error:
         failure = Failure(FailureKind.TIMED_OUT, str(error))
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it costs only this batch
         failure = Failure.from_exception(FailureKind.FAILED, error)

@@ -41,6 +41,16 @@ def test_mean_interval_is_scipys() -> None:
     assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high))
 
 
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.95, 0.999])
+def test_half_widths_are_quantiles_of_scipy(level: float) -> None:
+    """The half-width of the interval of a mean over its standard error is SciPy's quantile of Student's t to 1e-12."""
+    for n in (2, 3, 4, 5, 8, 24, 116, 1000):
+        values = np.resize([-1.0, 1.0], n)
+        error = standard_deviation(values) / np.sqrt(n)
+        expected = stats.t.ppf((1 + level) / 2, n - 1)
+        assert mean_interval(values, level).half_width / error == pytest.approx(expected, rel=1e-12)
+
+
 def test_deviation_interval_of_few_values_is_from_printed_quantiles() -> None:
     """With 3 degrees of freedom, tables give 0.216 and 9.348 for chi-square at 2.5 % and 97.5 %."""
     interval = standard_deviation_interval(np.array([2.0, 4.0, 5.0, 9.0]))

@@ -9,7 +9,7 @@ from calcidem.app.campaign.task import CellComputation
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
-from calcidem.sweep import Batch, Cell
+from calcidem.sweep.batch import Batch, Cell
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from places import CHECKOUT
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.exit_codes import tell_error
-from calcidem.sweep import SweepError
+from calcidem.sweep.sweep_end import SweepError
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop

@@ -28,7 +28,9 @@ from calcidem.dem.sample.packing import PackingStage
 from calcidem.launch import channel
 from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 from calcidem.storage.records import CellStatus
-from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place, SweepEnd, SweepState
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
     from conftest import Workshop

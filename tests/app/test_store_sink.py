@@ -17,7 +17,9 @@ from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, Cell
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import Store, open_store
-from calcidem.sweep import EXIT_RESUMABLE, Batch, BatchOutcome, Place
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 
 class OftenLockedStore(Store):

@@ -17,7 +17,9 @@ from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
 from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
-from calcidem.sweep import Batch, BatchOutcome, Cell, Place, plan_batches, run_sweep
+from calcidem.sweep.batch import Batch, Cell, plan_batches
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.run import run_sweep
 
 if TYPE_CHECKING:
     from conftest import Workshop

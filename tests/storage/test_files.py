@@ -29,7 +29,7 @@ from calcidem.storage.errors import (
 from calcidem.storage.sql import engine
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.sql.tables import _CREATION_LOCK
-from calcidem.sweep import EXIT_RESUMABLE
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -22,7 +22,8 @@ from places import CHECKOUT
 from calcidem.app.campaign.launch import _NO_LISTENER, _starter_command
 from calcidem.launch.rank_watch import RankWatch
 from calcidem.launch.starter import COMMAND_VARIABLE
-from calcidem.sweep import Batch, BatchOutcome
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome
 
 PROGRAMS = Path(__file__).parent / "programs"
 CONTENTS = (0.0, 2.55, 9.0)

@@ -2,8 +2,15 @@ import os
 
 import pytest
 
-from calcidem.sweep import LaunchError, SweepOptions, refuse_singletons
-from calcidem.sweep.environment import available_cores, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
+from calcidem.sweep.environment import (
+    available_cores,
+    fault_tolerance_enabled,
+    launcher,
+    refuse_ranks_off_linux,
+    refuse_singletons,
+)
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.sweep_end import LaunchError
 
 
 def test_several_slurm_tasks_without_mpirun_are_refused() -> None:

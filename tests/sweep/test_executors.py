@@ -13,7 +13,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
-from calcidem.sweep import Batch, FailureKind, SweepError, SweepOptions, SweepState, plan_batches, run_sweep
+from calcidem.sweep.batch import Batch, plan_batches
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import FailureKind
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.sweep_end import SweepError, SweepState
 
 if TYPE_CHECKING:
     from conftest import MemorySink

@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep import Batch, BatchOutcome, Place, Progress
+from calcidem.sweep.batch import Batch
 from calcidem.sweep.group_commit import GroupCommit
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.progress import Progress
 
 
 @dataclass

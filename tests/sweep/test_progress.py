@@ -1,7 +1,8 @@
 import pytest
 
-from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.batch import Batch
 from calcidem.sweep.forecast import Forecast
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.progress import duration
 
 PLACE = Place(rank=2, host="node7")

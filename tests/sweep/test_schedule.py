@@ -2,7 +2,8 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep import Batch, BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.schedule import Schedule
 
 PLACE = Place(rank=1, host="here")

@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calcidem.sweep import Batch, FailureKind, SweepOptions, SweepState, plan_batches, run_sweep
+from calcidem.sweep.batch import Batch, plan_batches
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import FailureKind
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.sweep_end import SweepState
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -154,7 +158,9 @@ def test_a_serial_sweep_loads_no_mpi_library() -> None:
     """The package and a sweep in one process work where no MPI library is installed."""
     program = """
 import sys
-from calcidem.sweep import Batch, Session, run_sweep
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.session import Session
 
 class Sink:
     def store(self, outcomes): pass
@@ -174,7 +180,8 @@ def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
     """SIGTERM during a chunk that never asks, then SIGTERM again: the process ends with 75."""
     program = """
 import os, signal, threading, time
-from calcidem.sweep import Batch, run_sweep
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.run import run_sweep
 
 class Sink:
     def store(self, outcomes): pass

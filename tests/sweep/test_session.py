@@ -2,7 +2,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calcidem.sweep import Session
+from calcidem.sweep.session import Session
 
 if TYPE_CHECKING:
     from conftest import Campaign

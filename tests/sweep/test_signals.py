@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from calcidem.sweep import StopLevel, StopRequest
+from calcidem.sweep.signals import StopLevel, StopRequest
 
 
 def send(number: signal.Signals) -> None:

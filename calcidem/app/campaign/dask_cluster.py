@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 
-from calcidem.sweep import LaunchError
+from calcidem.sweep.sweep_end import LaunchError
 
 _CONNECT_TIMEOUT = 10.0
 """Seconds in which the scheduler has to answer."""

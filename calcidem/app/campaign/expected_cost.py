@@ -10,7 +10,7 @@ from calcidem.app.config.checks import cutoff_estimate, disks_in_box, limit_of_m
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
-from calcidem.sweep import Batch, Cell
+from calcidem.sweep.batch import Batch, Cell
 
 _RECORDED_PART = 1.25  # of the pulse and one and a half travel times: when readings are settled
 # Stability limit of a cemented sample over that of mean disks: 1.18 to 1.20 from 0.66 to 9 % of `paper`.

@@ -18,7 +18,6 @@ from calcidem.launch.addresses import listening_addresses
 from calcidem.launch.leftovers import remove_leftovers
 from calcidem.launch.rank_watch import RankWatch
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 from calcidem.sweep.environment import (
     TERMINAL_VARIABLE,
     THREAD_VARIABLES,
@@ -27,6 +26,7 @@ from calcidem.sweep.environment import (
     refuse_ranks_off_linux,
 )
 from calcidem.sweep.signals import SignalHandlers, find_signals
+from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""

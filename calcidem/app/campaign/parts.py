@@ -4,7 +4,7 @@ from itertools import product
 
 from calcidem.app.campaign.task import expected_effort
 from calcidem.app.config.schema import Configuration
-from calcidem.sweep import Batch, Cell, plan_batches
+from calcidem.sweep.batch import Batch, Cell, plan_batches
 
 
 def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:

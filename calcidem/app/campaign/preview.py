@@ -24,7 +24,7 @@ from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import Store, open_store
 from calcidem.storage.store import Selection
-from calcidem.sweep import Batch, Cell
+from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.environment import available_cores
 
 _SHORTEST_PATH = 1.0

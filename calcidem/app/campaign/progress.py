@@ -12,9 +12,11 @@ from enum import StrEnum
 from typing import Any, Protocol, Self
 
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.sweep import Batch, BatchOutcome, Place, Progress, SweepEnd
+from calcidem.sweep.batch import Batch
 from calcidem.sweep.forecast import Forecast
-from calcidem.sweep.progress import end_line, pluralize
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.progress import Progress, end_line, pluralize
+from calcidem.sweep.sweep_end import SweepEnd
 
 _SHORTEST_INTERVAL = 0.2
 """Seconds between two pictures of the same stage, at least."""

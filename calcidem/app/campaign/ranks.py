@@ -14,16 +14,13 @@ from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import StoreUnavailableError
-from calcidem.sweep import (
-    EXIT_RESUMABLE,
-    Session,
-    StopRequest,
-    SweepEnd,
-    SweepInterrupted,
-    keep_freed_memory,
-    refuse_singletons,
-    run_sweep,
-)
+from calcidem.sweep.attempt import SweepInterrupted
+from calcidem.sweep.environment import refuse_singletons
+from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.session import Session
+from calcidem.sweep.signals import StopRequest
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE, SweepEnd
 
 
 class RunView(Protocol):

@@ -29,19 +29,13 @@ from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import LeaseGrant
-from calcidem.sweep import (
-    Batch,
-    BatchOutcome,
-    Cell,
-    StopRequest,
-    SweepEnd,
-    SweepOptions,
-    SweepState,
-    WorkersLostError,
-    keep_freed_memory,
-    plan_batches,
-    run_sweep,
-)
+from calcidem.sweep.batch import Batch, Cell, plan_batches
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.signals import StopRequest
+from calcidem.sweep.sweep_end import SweepEnd, SweepState, WorkersLostError
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # statistics, which the ranks do not need

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval, mean_interval
-from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
@@ -171,7 +170,7 @@ def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles:
     troubles
         What went wrong in its cells.
     """
-    contents = np.unique(columns["content"])
+    contents = np.array(sorted(set(columns["content"].tolist())))
     rows = [columns["content"] == content for content in contents]
     seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
     expected = _expected_seconds(contents, np.array(seconds))
@@ -188,9 +187,7 @@ def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles:
     return CampaignStatus(
         name=store.record.name,
         hash=store.record.hash,
-        content_hashes={
-            index: known or content_hash_of(store.packing(index)) for index, known in store.content_hashes().items()
-        },
+        content_hashes=_content_hashes(store),
         seeds=store.record.seeds,
         contents=statuses,
         counts=counts,
@@ -202,6 +199,16 @@ def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles:
         workers=workers,
         seconds_left=sum(status.seconds_left for status in statuses) / workers,
     )
+
+
+def _content_hashes(store: Store) -> dict[int, str | None]:
+    """Content hash of each packing, by its index; None where it can't be told."""
+    known = store.content_hashes()
+    if None in known.values():  # an earlier calcidem stored it
+        from calcidem.app.campaign.stored_packing import content_hash_of  # noqa: PLC0415 - loads parts of the engine
+
+        return {index: found or content_hash_of(store.packing(index)) for index, found in known.items()}
+    return known
 
 
 def _content_status(

@@ -13,7 +13,8 @@ from calcidem.app.campaign.workers import describe_unlike, group_workers
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult, WorkerRecord
 from calcidem.storage.sql.store import Store
-from calcidem.sweep import Batch, BatchOutcome, Cell
+from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.outcome import BatchOutcome
 
 _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
@@ -29,7 +30,7 @@ T = TypeVar("T")
 
 
 class StoreSink:
-    """`calcidem.sweep.Sink` that writes into a store.
+    """`calcidem.sweep.group_commit.Sink` that writes into a store.
 
     Parameters
     ----------

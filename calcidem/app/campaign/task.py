@@ -40,7 +40,9 @@ from calcidem.storage.records import (
     PackedResult,
     PathFeatures,
 )
-from calcidem.sweep import Batch, Cell, LaunchError, keep_freed_memory
+from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.sweep_end import LaunchError
 from calcidem.version import __version__
 
 if sys.platform != "win32":
@@ -55,7 +57,7 @@ _AFTER_FIRST_CHUNK = 2
 
 @dataclass(frozen=True)
 class CellComputation:
-    """The computation of a batch up to the bytes that are stored, a `calcidem.sweep.Compute`.
+    """The computation of a batch up to the bytes that are stored, a `calcidem.sweep.attempt.Compute`.
 
     It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, once for all
     processes of a machine that begin together.

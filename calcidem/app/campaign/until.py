@@ -9,7 +9,8 @@ from calcidem.app.config.schema import CampaignPlan
 from calcidem.storage.records import PackedResult, canonical_content
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep import BatchOutcome, Cell
+from calcidem.sweep.batch import Cell
+from calcidem.sweep.outcome import BatchOutcome
 
 
 class SeedDemand:

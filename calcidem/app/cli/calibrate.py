@@ -16,8 +16,8 @@ from calcidem.app.cli.arguments import (
     parse_percentage,
 )
 from calcidem.app.cli.terminal import tell
-from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.environment import available_cores
+from calcidem.sweep.sweep_end import EXIT_ERROR
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters

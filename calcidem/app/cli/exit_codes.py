@@ -17,7 +17,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
 )
 from calcidem.storage.passwords import hide_passwords
-from calcidem.sweep import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
+from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 
 _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""

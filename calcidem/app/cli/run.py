@@ -127,7 +127,7 @@ def _preview(configuration: "Configuration") -> None:
 def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.cli.tables import packing_lines
+    from calcidem.app.cli.run_view import packing_lines
     from calcidem.app.config.checks import check_against_packing, packing_warnings
 
     packing = provide_packing(configuration, None, tell)

@@ -1,14 +1,16 @@
 """What a person reads of a run."""
 
 import sys
+from collections.abc import Iterator
 
 from calcidem.app.campaign.display import ChannelDisplay, LineDisplay, LiveDisplay, SilentDisplay
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
-from calcidem.app.cli.tables import make_console, packing_lines, vs_table
+from calcidem.app.cli.tables import make_console, vs_table
 from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
+from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.store import Selection
@@ -75,3 +77,23 @@ class TerminalView:
     def refuse(self, error: Exception) -> int:
         """Tell an error, and give the exit code it means."""
         return tell_error(error)
+
+
+def packing_lines(packing: Packing) -> Iterator[str]:
+    """Report on a packing."""
+    report = packing.report
+    yield (
+        f"Packing: {len(packing.radius)} disks in {packing.width:.4g} m x {packing.height:.4g} m, "
+        f"porosity {report.porosity:.4f}, {len(packing.pairs)} contacts"
+    )
+    yield (
+        f"  coordination number {report.coordination_number:.3f}, "
+        f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
+    )
+    stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
+    yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
+    yield (
+        f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
+        f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
+    )
+    yield f"  content hash {packing.content_hash}"

@@ -1,10 +1,10 @@
-"""What several commands show: the report on a packing, Vs against content, and the console for them."""
+"""What several commands show: Vs against content, and the console for it."""
 
 import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from calcidem.analysis.doubt import is_in_doubt
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.status import UNREAD
-from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.records.error_budget import MOST_DEPARTURE
 from calcidem.storage.sql.store import Store
@@ -42,26 +41,6 @@ def make_console() -> Console:
 def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:
     """Write a number in a form, or what stands for a missing one (None or not finite)."""
     return missing if value is None or not math.isfinite(value) else form.format(value)
-
-
-def packing_lines(packing: Packing) -> Iterator[str]:
-    """Report on a packing."""
-    report = packing.report
-    yield (
-        f"Packing: {len(packing.radius)} disks in {packing.width:.4g} m x {packing.height:.4g} m, "
-        f"porosity {report.porosity:.4f}, {len(packing.pairs)} contacts"
-    )
-    yield (
-        f"  coordination number {report.coordination_number:.3f}, "
-        f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
-    )
-    stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
-    yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
-    yield (
-        f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
-        f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
-    )
-    yield f"  content hash {packing.content_hash}"
 
 
 def vs_table(store: Store, selection: Selection) -> Table:

@@ -12,8 +12,8 @@ import typer
 from calcidem.app.cli.arguments import CampaignName
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
-from calcidem.sweep import EXIT_ERROR
 from calcidem.sweep.progress import pluralize
+from calcidem.sweep.sweep_end import EXIT_ERROR
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.opened import Campaign

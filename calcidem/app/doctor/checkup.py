@@ -25,7 +25,6 @@ from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import measure_commits
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.lease import FileLock
-from calcidem.sweep import LaunchError
 from calcidem.sweep.environment import (
     LAUNCHER_VARIABLES,
     NO_DEVICE_SEARCH,
@@ -36,6 +35,7 @@ from calcidem.sweep.environment import (
     refuse_ranks_off_linux,
 )
 from calcidem.sweep.progress import pluralize
+from calcidem.sweep.sweep_end import LaunchError
 from calcidem.version import __version__
 
 _RANKS_TIMEOUT = 60.0

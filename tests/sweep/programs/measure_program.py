@@ -8,8 +8,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from calcidem.sweep import Batch, BatchOutcome, Session, run_sweep
 from calcidem.sweep.backoff import Backoff, wait_until
+from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.session import Session
 
 
 class Counter:

@@ -5,7 +5,7 @@ import sys
 import time
 from typing import NoReturn
 
-from calcidem.sweep import Session
+from calcidem.sweep.session import Session
 
 
 class NoMemory(io.StringIO):

@@ -16,19 +16,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from calcidem.sweep import (
-    Batch,
-    BatchOutcome,
-    Cell,
-    Place,
-    Progress,
-    Session,
-    SweepEnd,
-    SweepOptions,
-    plan_batches,
-    run_sweep,
-)
-from calcidem.sweep.progress import end_line
+from calcidem.sweep.batch import Batch, Cell, plan_batches
+from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.progress import Progress, end_line
+from calcidem.sweep.run import run_sweep
+from calcidem.sweep.session import Session
+from calcidem.sweep.sweep_end import SweepEnd
 
 CONTENTS = (0.0, 2.55, 9.0)
 
